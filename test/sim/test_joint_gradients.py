@@ -1,0 +1,77 @@
+"""Every derivative of the one-joint rollout three ways: forward sensitivities, tape, central differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
+
+ONE = np.zeros(1, dtype=np.int32)
+SCALES = dict(
+    inertia=0.025, gravity_cos=0.5, gravity_sin=0.2, gravity_constant=0.05, torque_constant=1.78, coulomb=0.05, viscous=0.01,
+    load_friction=0.03, delay=0.004, q0=0.6, v0=0.1,
+)  # fmt: skip
+POINTS = 4
+
+
+def simulator(integrator: str) -> JointSimulator:
+    rng = np.random.default_rng(7)
+    times = np.sort(rng.uniform(0.0, 0.6, 24))
+    run = JointRun(
+        times,
+        np.array([0.0, 0.2, 0.33]),
+        np.array([-0.3, -0.25, -0.31]),
+        supply=(6.0, 2.49, 5.22),  # low enough for the back-EMF limit to act
+        friction_velocity=1e-3,
+        step_s=1 / 240,
+        fine_step_s=1 / 240 if integrator == "semi_implicit" else 1 / 4000,
+    )
+    return JointSimulator([run], integrator)
+
+
+def point(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    p = np.array([[SCALES[name] for name in PARAMETERS]]) * rng.uniform(0.7, 1.3, (1, len(PARAMETERS)))
+    p[0, INDEX["delay"]] *= rng.choice([-1.0, 1.0])
+    return p
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
+@pytest.mark.parametrize("seed", range(POINTS))
+def test_sensitivities_against_central_differences(integrator: str, seed: int) -> None:
+    sim, p = simulator(integrator), point(seed)
+    exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])[2].copy()
+    for name, row in INDEX.items():
+        step = 1e-6 * max(1e-1, abs(SCALES[name]))
+        up, down = p.copy(), p.copy()
+        up[0, row] += step
+        down[0, row] -= step
+        difference = (sim.rollout(ONE, up)[0] - sim.rollout(ONE, down)[0]) / (2.0 * step)
+        scale = np.abs(exact[..., row]).max()
+        assert scale > 0.0, name
+        np.testing.assert_allclose(difference, exact[..., row], atol=1e-6 * scale, err_msg=name)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
+@pytest.mark.parametrize("seed", range(POINTS))
+def test_tape_against_sensitivities(integrator: str, seed: int) -> None:
+    sim, p = simulator(integrator), point(seed)
+    q, _, exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])
+    weights = np.random.default_rng(seed).normal(size=q.shape)
+    expected = np.einsum("wt,wtd->wd", weights, exact)
+    tape = sim.tape(ONE, p)
+    np.testing.assert_allclose(tape.q, q, atol=1e-13)
+    gradient = tape.gradient(weights)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+    # a second backward pass of the same tape starts from zero
+    np.testing.assert_array_equal(tape.gradient(weights), gradient)
+
+
+def test_many_directions_equal_one_at_a_time() -> None:
+    sim, p = simulator("rk4"), point(0)
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(1, len(PARAMETERS), 20))
+    together = sim.jacobian(ONE, p, directions)[2].copy()
+    for column in range(20):
+        alone = sim.jacobian(ONE, p, directions[:, :, column : column + 1])[2]
+        np.testing.assert_allclose(together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12)
