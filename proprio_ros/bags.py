@@ -1,0 +1,760 @@
+"""ROS 2 bags <-> `Recording`, without ROS: rosbags reads and writes both storages (sqlite3, mcap).
+
+A foreign bag is repaired where the repair is certain, and every repair is told in `Recording.notes`; where it would be
+a guess (what `effort` means, which of two topics to take) the user is asked. Only the topics that are needed are
+deserialised, so a bag may hold messages of types that nobody here knows.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer, WriterError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.records import (
+    LOST_AFTER_PERIODS,
+    MEASURED_EFFORT,
+    ZERO_CURRENT_A,
+    BoolArray,
+    FloatArray,
+    InputRecord,
+    JointRecord,
+    Recording,
+    TimeArray,
+)
+
+EFFORT_UNITS = ("N.m", "A", "mA", "raw")
+"""What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
+
+CURRENT_PER_COUNT_A = 0.00269
+"""Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
+
+MIN_SAMPLES = 5
+IMPLAUSIBLE_POSITION = 50.0
+"""No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
+
+FOREIGN_CLOCK_NS = 500_000_000
+"""Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
+
+
+@lru_cache(maxsize=1)
+def _types() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+# --- opening ---------------------------------------------------------------------------------------------------------
+
+
+class _Topic(NamedTuple):
+    name: str
+    msgtype: str
+    size: int  # messages
+
+
+class _Bag:
+    """The open files of one bag."""
+
+    def __init__(self, path: Path, files: Sequence[Path], readers: list[Reader]) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self._readers = readers
+        if len(files) > 1:
+            self.notes.append(f"There is no metadata.yaml; {len(files)} storage files were read as one bag.")
+        for log in sorted(path.glob("*.db3-wal")) if path.is_dir() else [path.with_name(f"{path.name}-wal")]:
+            if log.exists() and log.stat().st_size:
+                self.notes.append(
+                    f"{log.name} may hold messages that were not read; merge it with"
+                    f" `sqlite3 {log.name[:-4]} 'PRAGMA wal_checkpoint'`."
+                )
+        counts: dict[tuple[str, str], int] = {}
+        for reader in readers:
+            for connection in reader.connections:
+                key = (connection.topic, connection.msgtype)
+                counts[key] = counts.get(key, 0) + connection.msgcount
+        self.topics = [_Topic(name, msgtype, count) for (name, msgtype), count in sorted(counts.items())]
+
+    def messages(self, topic: _Topic) -> list[tuple[int, Any]]:
+        """Recorder's time [ns] and message, of one topic, in the order of time; at least one."""
+        messages: list[tuple[int, Any]] = []
+        for reader in self._readers:
+            wanted = [c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)]
+            if not wanted:
+                continue  # rosbags reads every topic when it is given none
+            for connection in wanted:
+                _require_cdr(self.path, connection)
+            for _, time_ns, raw in reader.messages(connections=wanted):
+                messages.append((time_ns, _deserialise(bytes(raw), topic.msgtype)))
+        if not messages:
+            raise RecordingError(f"{self.path}: {topic.name} should hold {topic.size} messages but holds none")
+        if len(messages) < topic.size:
+            self.notes.append(f"{topic.name}: the bag promises {topic.size} messages but holds {len(messages)}.")
+        return sorted(messages, key=lambda message: message[0])
+
+
+def _require_cdr(path: Path, connection: Connection) -> None:
+    encoding = connection.ext.serialization_format if isinstance(connection.ext, ConnectionExtRosbag2) else "ros1"
+    if encoding != "cdr":
+        raise RecordingError(
+            f"{path}: topic {connection.topic} is serialised as {encoding!r}; only 'cdr' can be read: record it with a"
+            " DDS middleware or convert it with `ros2 bag convert`"
+        )
+
+
+def _deserialise(raw: bytes, msgtype: str) -> Any:
+    """Bytes from rclpy's serialize_message have up to 8 stray ones behind empty arrays, which rosbags refuses."""
+    for stray in (0, 4, 8):
+        try:
+            return _types().deserialize_cdr(raw[: len(raw) - stray], msgtype)
+        except SerdeError as error:
+            if "size mismatch" not in str(error) or stray == 8:
+                raise
+    raise AssertionError("the last try returns or raises")
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[_Bag]:
+    """Open a bag; whatever rosbags raises, then or while reading, becomes one line."""
+    files = _files(path)
+    try:
+        with ExitStack() as stack:
+            yield _Bag(path, files, [stack.enter_context(Reader(file)) for file in files])
+    except RecordingError:
+        raise
+    # rosbags lets sqlite, zstd, struct, YAML, KeyError and AssertionError through, depending on which byte is wrong
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        if "erialization format" in reason:
+            advice = "only 'cdr' can be read"
+        else:
+            advice = "if the recorder was killed, try `ros2 bag reindex` or `mcap recover` on it"
+        raise RecordingError(f"{path}: not readable as a ROS 2 bag ({reason}); {advice}") from error
+
+
+def _files(path: Path) -> list[Path]:
+    """What to hand to rosbags: the folder when it has metadata, else its storage files."""
+    if not path.exists():
+        raise RecordingError(f"{path}: no such bag; give a bag folder, or a .mcap or .db3 file")
+    if path.is_file():
+        if path.suffix == ".bag":
+            raise RecordingError(f"{path}: a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag")
+        if path.suffix not in (".mcap", ".db3"):
+            raise RecordingError(f"{path}: not a bag; give a bag folder, or a .mcap or .db3 file")
+        return [path]
+    if (path / "metadata.yaml").exists():
+        return [path]
+    for suffix in (".mcap", ".db3"):
+        files = sorted(path.glob(f"*{suffix}"))
+        if files:
+            return files
+    inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
+    hint = f"; did you mean one of the bags in it: {_few(inner)}?" if inner else "; give a bag folder or file"
+    raise RecordingError(f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}")
+
+
+# --- topics ----------------------------------------------------------------------------------------------------------
+
+
+def _few(words: Sequence[str]) -> str:
+    shown = ", ".join(words[:8])
+    return f"{shown} and {len(words) - 8} more" if len(words) > 8 else shown or "none"
+
+
+def _listed(topics: Sequence[_Topic]) -> str:
+    return _few([f"{topic.name} ({topic.msgtype.replace('/msg/', '/')})" for topic in topics])
+
+
+def _called(topics: Sequence[_Topic], name: str, namespace: str = "") -> list[_Topic]:
+    """Topics of this name: the one in the namespace, else the one at the root, else those of any namespace."""
+    for full_name in (f"{namespace}/{name}", f"/{name}"):
+        exact = [topic for topic in topics if topic.name == full_name]
+        if exact:
+            return exact
+    return [topic for topic in topics if topic.name.endswith(f"/{name}")]
+
+
+def _chosen(bag: _Bag, name: str, msgtypes: Sequence[str], option: str) -> _Topic:
+    """The topic that the user named."""
+    found = [topic for topic in bag.topics if topic.name in (name, f"/{name}")]
+    fitting = [topic for topic in found if topic.msgtype in msgtypes]
+    if not fitting:
+        choices = [topic for topic in bag.topics if topic.msgtype in msgtypes]
+        what = f"is {found[0].msgtype}" if found else "is not in the bag"
+        raise RecordingError(f"{bag.path}: {option} {name} {what}; choose from: {_listed(choices)}")
+    if fitting[0].size == 0:
+        raise RecordingError(f"{bag.path}: {option} {name} holds no messages")
+    return fitting[0]
+
+
+def _state_topic(bag: _Bag, name: str | None, command_name: str | None) -> _Topic:
+    if name is not None:
+        return _chosen(bag, name, [JOINT_STATE], "--state-topic")
+    if not any(topic.size for topic in bag.topics):
+        raise RecordingError(f"{bag.path}: the bag holds no messages; record it again with `ros2 bag record`")
+    typed = [topic for topic in bag.topics if topic.msgtype == JOINT_STATE]
+    if not typed:
+        raise RecordingError(
+            f"{bag.path}: no JointState topic in the bag; it holds: {_listed(bag.topics)}; record /joint_states"
+        )
+    filled = [topic for topic in typed if topic.size]
+    if not filled:
+        raise RecordingError(f"{bag.path}: no joint states: {_listed(typed)} holds no messages")
+    candidates = _called(filled, "joint_states") or [
+        topic
+        for topic in filled
+        if not topic.name.endswith("/applied_effort") and topic.name not in (command_name, f"/{command_name}")
+    ]
+    if len(candidates) != 1:
+        raise RecordingError(f"{bag.path}: which joint states? choose with --state-topic from: {_listed(filled)}")
+    return candidates[0]
+
+
+def _input_topic(bag: _Bag, name: str | None, state: _Topic) -> _Topic | None:
+    if name is not None:
+        return _chosen(bag, name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")
+    namespace = state.name.rpartition("/")[0]
+    for usual, msgtypes in (("applied_effort", (JOINT_STATE,)), ("current_command", FLOAT_ARRAYS)):
+        filled = [topic for topic in bag.topics if topic.size and topic.msgtype in msgtypes]
+        candidates = [topic for topic in _called(filled, usual, namespace) if topic != state]
+        if len(candidates) > 1:
+            raise RecordingError(f"{bag.path}: which input? choose with --command-topic from: {_listed(candidates)}")
+        if candidates:
+            return candidates[0]
+    return None
+
+
+# --- messages to columns ---------------------------------------------------------------------------------------------
+
+
+class _Columns(NamedTuple):
+    """Messages as columns by joint, rows in the order of recording."""
+
+    bag_ns: TimeArray  # (M,)
+    stamp_ns: TimeArray  # (M,), 0 where the header has no stamp
+    names: tuple[str, ...]
+    values: dict[str, FloatArray]  # quantity -> (M, J); NaN: not in the message, inf: in it, but NaN or infinite
+    notes: list[str]
+
+
+def _joint_state_columns(bag: _Bag, topic: _Topic, quantities: Sequence[str]) -> _Columns:
+    """Columns of a JointState topic; the first quantity must be there in every message."""
+    messages = bag.messages(topic)
+    names = tuple(dict.fromkeys(str(name) for _, message in messages for name in message.name))
+    index = {name: column for column, name in enumerate(names)}
+    values = {quantity: np.full((len(messages), len(names)), np.nan) for quantity in quantities}
+    orders = set()
+    for row, (_, message) in enumerate(messages):
+        columns = [index[name] for name in message.name]
+        if len(set(columns)) != len(columns):
+            raise RecordingError(f"{bag.path}: {topic.name} names a joint twice in message {row + 1}")
+        orders.add(tuple(columns))
+        for quantity in quantities:
+            data = np.asarray(getattr(message, quantity), dtype=np.float64)
+            if len(data) != len(columns) and (len(data) or quantity == quantities[0]):
+                raise RecordingError(
+                    f"{bag.path}: {topic.name} has {len(columns)} names but {len(data)} values of {quantity} in message"
+                    f" {row + 1}; every joint needs one"
+                )
+            if len(data):
+                values[quantity][row, columns] = _marked(data)
+    notes = []
+    if len({frozenset(order) for order in orders}) < len(orders):
+        notes.append(f"{topic.name}: the order of the joints changes between messages; they were matched by name.")
+    return _Columns(
+        np.array([time_ns for time_ns, _ in messages], dtype=np.int64),
+        np.array([m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages], dtype=np.int64),
+        names,
+        values,
+        notes,
+    )
+
+
+def _marked(values: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(values), values, np.inf)
+
+
+def _array_columns(bag: _Bag, topic: _Topic, joint_order: Sequence[str], recorded: Sequence[str]) -> _Columns:
+    """Columns of a Float64MultiArray of currents."""
+    messages = bag.messages(topic)
+    notes: dict[str, None] = {}
+    rows = []
+    for _, message in messages:
+        labels = _labels(bag, topic, message, {*joint_order, *recorded})
+        if labels is None:
+            labels = _unlabelled(bag, topic, len(message.data), joint_order, recorded)
+            if len(labels) < len(joint_order):
+                notes[f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."] = None
+        rows.append(dict(zip(labels, _marked(np.asarray(message.data, dtype=np.float64)), strict=True)))
+    names = tuple(dict.fromkeys(name for row in rows for name in row))
+    current = np.array([[row.get(name, np.nan) for name in names] for row in rows]).reshape(len(rows), len(names))
+    times_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
+    return _Columns(times_ns, np.zeros_like(times_ns), names, {"current": current}, list(notes))
+
+
+def _labels(bag: _Bag, topic: _Topic, message: Any, known: set[str]) -> tuple[str, ...] | None:
+    """Joint names of a message's columns: a dimension each, or one dimension with the names joined by commas."""
+    dimensions = [str(dimension.label) for dimension in message.layout.dim]
+    labels = tuple(label.strip() for label in ",".join(dimensions).split(","))
+    if not any(labels) or (len(labels) != len(message.data) and known.isdisjoint(labels)):
+        return None  # no labels, or some that describe the dimensions ("currents") and not the columns
+    if len(labels) != len(message.data) or len(set(labels)) != len(labels) or not all(labels):
+        raise RecordingError(
+            f"{bag.path}: {topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"
+            " layout.dim must name every joint once"
+        )
+    return labels
+
+
+def _unlabelled(
+    bag: _Bag, topic: _Topic, length: int, joint_order: Sequence[str], recorded: Sequence[str]
+) -> tuple[str, ...]:
+    for order in (tuple(joint_order), tuple(joint for joint in joint_order if joint in recorded)):
+        if length == len(order):
+            return order
+    raise RecordingError(
+        f"{bag.path}: {topic.name} has {length} values but the robot has {len(joint_order)} joints"
+        f" ({', '.join(joint_order)}); label the columns in layout.dim, or choose another input with --command-topic"
+    )
+
+
+# --- columns to records ----------------------------------------------------------------------------------------------
+
+
+def _any(mask: BoolArray, axis: int) -> BoolArray:
+    return np.asarray(mask.any(axis=axis))
+
+
+def _all(mask: BoolArray, axis: int) -> BoolArray:
+    return np.asarray(mask.all(axis=axis))
+
+
+def _of(mask: BoolArray) -> str:
+    return f"{int(mask.sum())} of {mask.size}"
+
+
+def _clock(columns: _Columns) -> int:
+    """How far the header stamps are ahead of the recorder's time [ns], 0 without any stamp."""
+    ahead = np.sort((columns.stamp_ns - columns.bag_ns)[columns.stamp_ns != 0])
+    return int(ahead[ahead.size // 2]) if ahead.size else 0  # np.median would round it to 256 ns
+
+
+def _times(columns: _Columns, topic: _Topic, notes: list[str]) -> TimeArray:
+    """Header stamps; where there are none, the recorder's time on the same clock."""
+    missing = columns.stamp_ns == 0
+    if missing.any():
+        notes.append(f"{topic.name}: {_of(missing)} messages have no header stamp; their time of recording was used.")
+    return np.where(missing, columns.bag_ns + _clock(columns), columns.stamp_ns)
+
+
+def _sorted(times: TimeArray, topic: _Topic, notes: list[str]) -> TimeArray:
+    """Order of the rows in time."""
+    late = np.diff(times, prepend=times[:1]) < 0
+    if late.any():
+        notes.append(f"{topic.name}: {_of(late)} stamps go back in time; the messages were sorted.")
+    return np.argsort(times, kind="stable")
+
+
+def _note_gaps(times: TimeArray, topic: _Topic, notes: list[str]) -> None:
+    gaps = np.diff(times)
+    lost = gaps > LOST_AFTER_PERIODS * np.median(gaps) if gaps.size else np.zeros(0, dtype=bool)
+    if lost.any():
+        notes.append(
+            f"{topic.name}: messages were lost: {int(lost.sum())} gaps of more than {LOST_AFTER_PERIODS:g} periods"
+            f" ({np.median(gaps) / 1e6:.1f} ms), the longest {gaps.max() / 1e6:.0f} ms."
+        )
+
+
+def _state_rows(
+    path: Path, topic: _Topic, columns: _Columns, driven: Sequence[str], notes: list[str]
+) -> tuple[TimeArray, tuple[str, ...], dict[str, FloatArray]]:
+    """One row per usable message in the order of time, one column per joint that has a position.
+
+    Joints may be spread over several messages (arm and gripper from two publishers). The rows are then the messages
+    that have the driven joint; what others report in between is interpolated, since a held joint hardly moves, while
+    an interpolated sample of a driven joint would pretend to be a measurement.
+    """
+    times = _times(columns, topic, notes)
+    order = _sorted(times, topic, notes)
+    times = times[order]
+    usable = _any(np.isfinite(columns.values["position"]), axis=0)
+    never = [name for name, column in zip(columns.names, usable, strict=True) if not column]
+    if never:
+        notes.append(f"{topic.name}: {', '.join(never)} never has a finite position and was left out.")
+    names = tuple(name for name, column in zip(columns.names, usable, strict=True) if column)
+    values = {quantity: table[np.ix_(order, usable)] for quantity, table in columns.values.items()}
+    position = values["position"]
+    given = np.isfinite(position)
+    if not names:
+        raise RecordingError(f"{path}: {topic.name} has no finite position in {len(times)} messages; check the driver")
+
+    needed = np.isin(names, driven)
+    if not needed.any():
+        needed[int(np.argmax(given.sum(axis=0)))] = True
+    base = _all(given[:, needed], axis=1)
+    if base.any():
+        needed |= given[base].mean(axis=0) > 0.5
+    rows = _all(given[:, needed], axis=1)
+    broken = ~rows & _any(np.isinf(position[:, needed]), axis=1)
+    if broken.any():
+        notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite positions and were left out.")
+    partial = ~rows & ~broken & _any(given[:, needed], axis=1)
+    if partial.any():
+        notes.append(f"{topic.name}: {_of(partial)} messages lack some of the joints and were left out.")
+    for column in np.flatnonzero(~_all(given[rows], axis=0)):
+        known = given[:, column]
+        known_times, first = np.unique(times[known] - times[0], return_index=True)
+        position[rows, column] = np.interp(times[rows] - times[0], known_times, position[known, column][first])
+        notes.append(f"{topic.name}: {names[column]} is in {_of(known)} messages; between them it was interpolated.")
+    rows[rows] = _first_of_equal(times[rows], topic, notes)
+    if int(rows.sum()) < MIN_SAMPLES:
+        raise RecordingError(
+            f"{path}: only {_of(rows)} messages of {topic.name} are usable, at least {MIN_SAMPLES} are needed"
+            f" ({' '.join(notes) or 'the recording is too short'})"
+        )
+    _note_gaps(times[rows], topic, notes)
+    return times[rows], names, {quantity: table[rows] for quantity, table in values.items()}
+
+
+def _first_of_equal(times: TimeArray, topic: _Topic, notes: list[str]) -> BoolArray:
+    repeated: BoolArray = np.diff(times, prepend=times[:1] - 1) == 0
+    if repeated.any():
+        notes.append(f"{topic.name}: {_of(repeated)} stamps are repeated; the first message of each was kept.")
+    return ~repeated
+
+
+def _check_positions(path: Path, names: Sequence[str], position: FloatArray, expected: Sequence[str]) -> None:
+    for name, values in zip(names, position.T, strict=True):
+        # joints that are not the robot's may be wheels, which do turn that far
+        if name in expected and np.abs(values).max() > IMPLAUSIBLE_POSITION:
+            worst = values[np.argmax(np.abs(values))]
+            raise RecordingError(
+                f"{path}: {name} stands at {worst:.6g}, which is no angle in rad nor a length in m; the publisher seems"
+                " to use degrees, millimetres or encoder counts: convert the positions to rad and m"
+            )
+
+
+def _known_or_none(values: FloatArray) -> FloatArray | None:
+    values = np.where(np.isfinite(values), values, np.nan)
+    return None if bool(np.isnan(values).all()) else values
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Each column keeps its last finite value; zero before the first."""
+    known = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], -1), axis=0)
+    return np.where(last < 0, 0.0, np.take_along_axis(values, np.maximum(last, 0), axis=0))
+
+
+def _torque_constants(names: Sequence[str], nominal: Mapping[str, float]) -> FloatArray:
+    """Nominal torque constants [N m/A or N/A], NaN where unknown, shape (J,)."""
+    return np.array([float(nominal[name]) if nominal.get(name, 0.0) > 0.0 else np.nan for name in names])
+
+
+def _commands(
+    bag: _Bag,
+    topic: _Topic,
+    clock_ns: int,
+    nominal: Mapping[str, float],
+    joint_order: Sequence[str],
+    recorded: Sequence[str],
+    notes: list[str],
+) -> InputRecord:
+    """Input from a command topic; clock_ns is how far the joint states' stamps are ahead of the recorder's time."""
+    if topic.msgtype == JOINT_STATE:
+        columns = _joint_state_columns(bag, topic, ["effort"])
+        times = _times(columns, topic, notes)
+        constants = _torque_constants(columns.names, nominal)
+        effort = columns.values["effort"]
+        unknown = np.flatnonzero(np.isnan(constants) & _any(np.nan_to_num(effort) != 0.0, axis=0))
+        if unknown.size:
+            raise RecordingError(
+                f"{bag.path}: {topic.name} has effort on {columns.names[unknown[0]]}, whose nominal torque constant is"
+                f" not known; the robot has one for {', '.join(nominal) or 'no joint'}: add it to the robot's file"
+            )
+        current = effort / np.where(np.isnan(constants), 1.0, constants)
+    else:
+        columns = _array_columns(bag, topic, joint_order, recorded)
+        times = columns.bag_ns
+        current = columns.values["current"]
+    if not columns.stamp_ns.any() and abs(clock_ns) > FOREIGN_CLOCK_NS:
+        times = times + clock_ns
+        notes.append(
+            f"{topic.name}: its times were moved by {clock_ns * 1e-9:.3f} s, since the stamps of the joint states come"
+            " from another clock than the recorder's."
+        )
+    notes += columns.notes
+    broken = _any(np.isinf(current), axis=1)
+    if broken.any():
+        notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite values; the last finite one was held.")
+    order = _sorted(times, topic, notes)
+    times, current = times[order], _held(current[order])
+    latest = np.diff(times, append=times[-1] + 1) > 0
+    if not latest.all():
+        notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
+    return InputRecord(times[latest], columns.names, current[latest], topic.name)
+
+
+def _effort_and_current(
+    names: Sequence[str], recorded: FloatArray, unit: str | None, nominal: Mapping[str, float], per_count_A: float
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Effort [N m or N] and measured current [A] out of what a bag calls effort; None where the unit does not tell."""
+    effort = _known_or_none(recorded)
+    if effort is None or unit is None:
+        return None, None
+    if unit == "N.m":
+        return effort, _known_or_none(effort / _torque_constants(names, nominal))
+    return None, effort * {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
+
+
+def _measured(path: Path, topic: _Topic, record: JointRecord, has_effort: bool, unit: str | None) -> InputRecord | None:
+    """Input from what the motors reported, when no command was recorded."""
+    if not has_effort:
+        return None
+    if unit is None:
+        raise RecordingError(
+            f"{path}: no /applied_effort or /current_command in the bag, and what the effort of {topic.name} means is"
+            f" not stated; state it with --effort-unit {'|'.join(EFFORT_UNITS)}, or name the input with --command-topic"
+        )
+    if record.current is None:
+        raise RecordingError(
+            f"{path}: the effort of {topic.name} cannot be turned into current: the robot has a nominal torque constant"
+            f" for none of {', '.join(record.names)}; choose the robot with --robot"
+        )
+    known = _any(np.isfinite(record.current), axis=0)
+    names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
+    return InputRecord(record.times_ns, names, _held(record.current[:, known]), MEASURED_EFFORT)
+
+
+def read_recording(
+    path: str | Path,
+    *,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    effort_unit: str | None = None,
+    nominal_torque_constants: Mapping[str, float],
+    joint_order: Sequence[str],
+    current_per_count_A: float = CURRENT_PER_COUNT_A,
+) -> Recording:
+    """Read joint states and input currents from a ROS 2 bag.
+
+    The input comes from /applied_effort, else from /current_command, else from measured effort.
+
+    Args:
+        path: Bag folder (with or without metadata.yaml), or one .mcap or .db3 file.
+        state_topic: Topic of the joint states; None takes /joint_states, also under a namespace, else the only one.
+        command_topic: Topic of the input: sensor_msgs/JointState with effort = commanded current x nominal torque
+            constant [N m or N], or std_msgs/Float64MultiArray of currents [A]; None looks for the usual ones.
+        effort_unit: What effort of the joint states means: 'N.m', 'A', 'mA' or 'raw'; None: not stated, never guessed.
+        nominal_torque_constants: By joint; the ones with which effort was published [N m/A or N/A].
+        joint_order: Joints in the order of an unlabelled current command.
+        current_per_count_A: Current of one raw count [A].
+
+    Returns:
+        The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
+        'N.m' and `joints.current` only where effort_unit tells; `inputs` is None when nothing about the input was
+        recorded.
+
+    Raises:
+        RecordingError: The bag cannot be read, or does not hold what is needed.
+        ConfigurationError: Unknown effort_unit.
+    """
+    path = Path(path)
+    if effort_unit is not None and effort_unit not in EFFORT_UNITS:
+        raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
+    notes: list[str] = []
+    with _open(path) as bag:
+        state = _state_topic(bag, state_topic, command_topic)
+        command = _input_topic(bag, command_topic, state)
+        columns = _joint_state_columns(bag, state, ["position", "velocity", "effort"])
+        notes += columns.notes
+        inputs = None
+        if command is not None and command != state:
+            clock_ns = _clock(columns)
+            inputs = _commands(bag, command, clock_ns, nominal_torque_constants, joint_order, columns.names, notes)
+        notes = bag.notes + notes
+    driven: list[str] = []
+    if inputs is not None:
+        used = _any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
+        driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
+    times, names, values = _state_rows(path, state, columns, driven, notes)
+    _check_positions(path, names, values["position"], [*joint_order, *driven])
+    effort, current = _effort_and_current(
+        names, values["effort"], effort_unit, nominal_torque_constants, current_per_count_A
+    )
+    record = JointRecord(times, names, values["position"], _known_or_none(values["velocity"]), effort, current)
+    if inputs is None:
+        has_effort = _known_or_none(values["effort"]) is not None
+        inputs = _measured(path, state, record, has_effort, effort_unit)
+    return Recording(path.resolve().name, record, inputs, tuple(notes))
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write_recording(path: str | Path, recording: Recording, storage: str = "mcap") -> None:
+    """Write /joint_states (position, velocity, effort) and, if there is an input, /current_command with labels.
+
+    Reading it back with effort_unit 'N.m' gives the same arrays, bit by bit.
+
+    Args:
+        path: Folder to make; it must not exist.
+        recording: What to write.
+        storage: 'mcap' or 'sqlite3'.
+
+    Raises:
+        RecordingError: The folder exists or cannot be written.
+        ConfigurationError: Unknown storage.
+    """
+    plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+    if storage not in plugins:
+        raise ConfigurationError(f"bag storage {storage!r} is not known; choose from {', '.join(plugins)}")
+    types = _types()
+    record, inputs = recording.joints, recording.inputs
+    try:
+        with Writer(Path(path), version=9, storage_plugin=plugins[storage]) as writer:
+            rows: list[tuple[int, Connection, Any]] = []
+            if inputs is not None:
+                commands = writer.add_connection("/current_command", FLOAT_ARRAYS[0], typestore=types)
+                rows += [
+                    (int(time_ns), commands, _float_array(types, inputs.names, current))
+                    for time_ns, current in zip(inputs.times_ns, inputs.current_A, strict=True)
+                ]
+            states = writer.add_connection("/joint_states", JOINT_STATE, typestore=types)
+            rows += [
+                (int(time_ns), states, _joint_state(types, record, row)) for row, time_ns in enumerate(record.times_ns)
+            ]
+            for time_ns, connection, message in sorted(rows, key=lambda row: row[0]):
+                writer.write(connection, time_ns, types.serialize_cdr(message, connection.msgtype))
+    except (WriterError, OSError) as error:
+        raise RecordingError(f"{path}: cannot be written ({error}); give a new folder") from error
+
+
+def _joint_state(types: Typestore, record: JointRecord, row: int) -> Any:
+    time, header, state = (
+        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
+    )
+    seconds, nanoseconds = divmod(int(record.times_ns[row]), 1_000_000_000)
+    empty = np.zeros(0)
+    return state(
+        header=header(stamp=time(sec=seconds, nanosec=nanoseconds), frame_id=""),
+        name=list(record.names),
+        position=record.position[row],
+        velocity=empty if record.velocity is None else record.velocity[row],
+        effort=empty if record.effort is None else record.effort[row],
+    )
+
+
+def _float_array(types: Typestore, names: Sequence[str], values: FloatArray) -> Any:
+    dimension, layout, array = (
+        types.types[f"std_msgs/msg/{name}"] for name in ("MultiArrayDimension", "MultiArrayLayout", "Float64MultiArray")
+    )
+    return array(
+        layout=layout(dim=[dimension(label=",".join(names), size=len(names), stride=len(names))], data_offset=0),
+        data=values,
+    )
+
+
+# --- plain-text recordings -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TextRecording:
+    """The motion of one joint as text, with the setting in which it was made.
+
+    Attributes:
+        name: Name of the folder.
+        joint: The joint that moved.
+        times_s: Sampling instants [s], strictly increasing, shape (T,).
+        relative_position: Position of the joint minus its start pose [rad], shape (T,).
+        setting: What setting.json says: `moving_joint`, `torque_N_m`, `start_pose_rad` by joint, and whatever else.
+    """
+
+    name: str
+    joint: str
+    times_s: FloatArray
+    relative_position: FloatArray
+    setting: dict[str, Any]
+
+
+def is_text_recording(path: str | Path) -> bool:
+    """Whether a path is a folder with trajectory.csv and setting.json."""
+    return all((Path(path) / name).is_file() for name in ("trajectory.csv", "setting.json"))
+
+
+def read_text_recording(path: str | Path) -> TextRecording:
+    """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json.
+
+    Args:
+        path: The folder.
+
+    Returns:
+        The recording; numbers that setting.json gives under the keys of `_SETTING_NUMBERS` are checked.
+
+    Raises:
+        RecordingError: A file is missing or malformed, or a needed key of the setting is.
+    """
+    path = Path(path)
+    if not is_text_recording(path):
+        raise RecordingError(f"{path}: not a text recording; it needs trajectory.csv and setting.json")
+    setting = _setting(path / "setting.json")
+    joint = setting["moving_joint"]
+    file = path / "trajectory.csv"
+    expected = ["time_s", f"{joint}_relative_rad"]
+    try:
+        with file.open(newline="", encoding="utf-8") as stream:
+            header, *rows = [row for row in csv.reader(stream) if row]
+            table = np.array([[float(cell) for cell in row] for row in rows])
+    except (OSError, ValueError, csv.Error) as error:
+        raise RecordingError(
+            f"{file}: not a table of numbers under the header {','.join(expected)} ({error})"
+        ) from error
+    if [cell.strip() for cell in header] != expected:
+        raise RecordingError(f"{file}: the header must be {','.join(expected)}, got {','.join(header)}")
+    if table.ndim != 2 or table.shape[1] != 2 or len(table) < MIN_SAMPLES or not np.isfinite(table).all():
+        raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")
+    if not bool(np.all(np.diff(table[:, 0]) > 0)):
+        raise RecordingError(f"{file}: time_s must increase from row to row")
+    table.setflags(write=False)
+    return TextRecording(path.resolve().name, joint, table[:, 0], table[:, 1], setting)
+
+
+_SETTING_NUMBERS = ("torque_N_m", "true_mass_kg", "armature_kg_m2", "gravity_m_s2")
+
+
+def _setting(file: Path) -> dict[str, Any]:
+    try:
+        setting = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{file}: not readable as JSON ({error})") from error
+    needed = ("moving_joint", "torque_N_m", "start_pose_rad")
+    missing = [key for key in needed if not isinstance(setting, dict) or key not in setting]
+    if missing:
+        raise RecordingError(f"{file}: {', '.join(missing)} missing; it must be an object with {', '.join(needed)}")
+    if not isinstance(setting["moving_joint"], str):
+        raise RecordingError(f"{file}: moving_joint must be a name, got {setting['moving_joint']!r}")
+    pose = setting["start_pose_rad"]
+    numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
+    if not isinstance(pose, dict) or setting["moving_joint"] not in pose:
+        raise RecordingError(
+            f"{file}: start_pose_rad must give a position for each joint, {setting['moving_joint']!r} too"
+        )
+    numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+            raise RecordingError(f"{file}: {key} must be a number, got {value!r}")
+    return dict(setting)

@@ -1,0 +1,215 @@
+"""The answer: values with intervals, how well the model explains the recording, and what it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+Z95 = 1.959963984540054
+"""Half width of a 95 % interval in standard deviations (normal)."""
+
+
+class Verdict(str, Enum):
+    """What the number is worth."""
+
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"  # the model does not explain the recording
+    NOT_IDENTIFIABLE = "not_identifiable"  # the recording cannot tell
+
+
+@dataclass(frozen=True)
+class Value:
+    """One estimated quantity; numbers are ``None`` where they cannot be told, and ``reason`` says why."""
+
+    name: str
+    unit: str
+    value: float | list[float | None] | None
+    std: float | list[float | None] | None = None
+    ci95: Any = None
+    reason: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        record: dict[str, Any] = {
+            "name": self.name,
+            "value": self.value,
+            "std": self.std,
+            "ci95": self.ci95,
+            "unit": self.unit,
+        }
+        if self.reason:
+            record["reason"] = self.reason
+        return record
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well the simulation follows the recording over the samples used."""
+
+    rms: float
+    expected_rms: float
+    reduced_chi2: float
+    unit: str = "rad"
+    condition: float = float("nan")
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """One run as recorded and as simulated at the estimate.
+
+    Attributes:
+        times_s, measured, simulated, sigma: over the used window, shape (K,).
+        left_out_times_s, left_out: samples after the window, which did not count.
+        start_velocity: fitted [rad/s].
+    """
+
+    name: str
+    joint: str
+    source: str
+    current_A: float
+    times_s: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    sigma: np.ndarray
+    left_out_times_s: np.ndarray
+    left_out: np.ndarray
+    travel: float
+    start_velocity: float
+    cut_reason: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StartPath:
+    """What one start did: the mass after each iteration, and the cost."""
+
+    start_kg: float
+    end_kg: float
+    cost: float
+    agrees: bool
+    mass_kg: np.ndarray
+    path_cost: np.ndarray
+    scheduled_kg: float | None = None  # profile `paper`: where the authors' schedule stops
+
+
+@dataclass(frozen=True)
+class SolverSummary:
+    """Which solver ran, and whether its starts agree."""
+
+    name: str
+    profile: str
+    iterations: int
+    paths: tuple[StartPath, ...]
+    integrator: str
+    step_s: float
+
+    @property
+    def starts_agreeing(self) -> int:
+        return sum(path.agrees for path in self.paths)
+
+    def as_json(self) -> dict[str, Any]:
+        record: dict[str, Any] = {
+            "name": self.name,
+            "profile": self.profile,
+            "starts": len(self.paths),
+            "starts_agreeing": self.starts_agreeing,
+            "iterations": self.iterations,
+            "integrator": self.integrator,
+            "step_s": self.step_s,
+        }
+        if any(path.scheduled_kg is not None for path in self.paths):
+            record["start_results"] = [
+                {"start_kg": p.start_kg, "scheduled_kg": p.scheduled_kg, "least_error_kg": p.end_kg} for p in self.paths
+            ]
+        return record
+
+
+@dataclass(frozen=True)
+class UnknownRow:
+    """One unknown in the table of the report."""
+
+    name: str
+    unit: str
+    role: str
+    prior: float
+    prior_std: float
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Cost against mass, everything else at the estimate's values (start state refitted linearly)."""
+
+    mass_kg: np.ndarray
+    reduced_chi2: np.ndarray
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The result of one identification, the same object live and offline."""
+
+    probe: str
+    robot: str
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    values: tuple[Value, ...]
+    fit: Fit | None
+    solver: SolverSummary | None
+    runs: int
+    run_fits: tuple[RunFit, ...] = ()
+    unknowns: tuple[UnknownRow, ...] = ()
+    budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the mass [kg])
+    scan: Scan | None = None
+    assumptions: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    timing_s: dict[str, float] = field(default_factory=dict)
+
+    def value(self, name: str) -> Value:
+        """The value called ``name``; KeyError lists what there is."""
+        for value in self.values:
+            if value.name == name:
+                return value
+        raise KeyError(f"no {name} among {[v.name for v in self.values]}")
+
+    def as_json(self) -> dict[str, Any]:
+        """The contract's object; numbers are plain floats, what is not a number is null."""
+        fit = None
+        if self.fit is not None:
+            fit = {
+                "rms": self.fit.rms,
+                "expected_rms": self.fit.expected_rms,
+                "unit": self.fit.unit,
+                "reduced_chi2": self.fit.reduced_chi2,
+                "condition": self.fit.condition,
+            }
+        return _plain(
+            {
+                "probe": self.probe,
+                "robot": self.robot,
+                "runs": self.runs,
+                "verdict": self.verdict.value,
+                "reasons": list(self.reasons),
+                "estimates": [value.as_json() for value in self.values],
+                "fit": fit,
+                "solver": None if self.solver is None else self.solver.as_json(),
+                "uncertainty_budget": [{"source": s, "std": v, "unit": "kg"} for s, v in self.budget],
+                "notes": list(self.notes),
+                "timing_s": self.timing_s,
+            }
+        )
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN, and no numpy: both become what a reader of the contract expects."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value

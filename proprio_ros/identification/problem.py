@@ -1,0 +1,431 @@
+"""A weighing as a least-squares problem: runs, robot and payload in; whitened residuals and their exact Jacobian out.
+
+The observation model: the encoder shows ``q(t - delay)`` plus rounding, noise and stamp jitter, so a residual is weighted by
+``sqrt(resolution^2 / 12 + noise^2 + (velocity x jitter)^2)``. All samples of the used window count, not only the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
+from proprio_ros.records import Run
+from proprio_ros.robot import DriveTrain, Quantity, ReducedModel, Robot
+from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
+from proprio_ros.sim.payload import (
+    PayloadFacts,
+    joint_coefficients,
+    payload_parameters,
+    payload_parameters_by_com,
+    pseudo_inertia_basis,
+)
+
+START_VELOCITY_STD = 0.01
+"""rad/s: how still a held joint is when the current comes on. A probe starts from rest; this is its measure."""
+_POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
+_GRAVITY_ROWS = slice(0, 4)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Inertia and gravity load of the moving part as functions of the payload and of pose errors.
+
+    Attributes:
+        arm: without payload, shape (4,).
+        payload: per payload parameter, shape (4, 10).
+        pose: names of the held joints whose zero matters.
+        arm_by_pose: shape (H, 4); payload_by_pose: shape (H, 4, 10): change per unit of the held joint's position.
+    """
+
+    arm: np.ndarray
+    payload: np.ndarray
+    pose: tuple[str, ...]
+    arm_by_pose: np.ndarray
+    payload_by_pose: np.ndarray
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A run as the fit uses it.
+
+    Attributes:
+        run: as recorded.
+        used: number of leading samples inside the usable window.
+        cut_reason: why later samples are left out, or an empty string.
+        drive: drive train of the driven joint.
+        coefficients: see ``Coefficients``.
+        sigma: standard deviation of each used sample [rad or m], shape (used,).
+        rest: start position from the samples before onset.
+    """
+
+    run: Run
+    used: int
+    cut_reason: str
+    drive: DriveTrain
+    coefficients: Coefficients
+    sigma: np.ndarray
+    rest: Quantity
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return self.run.times_s[: self.used]
+
+    @property
+    def position(self) -> np.ndarray:
+        return self.run.position[: self.used]
+
+    @property
+    def travel(self) -> float:
+        """Signed largest excursion from rest inside the used window."""
+        excursion = self.position - self.rest.value
+        return float(excursion[np.argmax(np.abs(excursion))])
+
+
+def _reduced(robot: Robot, run: Run, shift: Mapping[str, float]) -> ReducedModel:
+    held = {name: position + shift.get(name, 0.0) for name, position in run.held.items()}
+    return robot.model.lock([run.joint], held, robot.gravity)
+
+
+def _coefficients(robot: Robot, run: Run, shift: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    model = _reduced(robot, run, shift)
+    body, body_from_payload = model.frames[robot.payload_frame]
+    if body != 0:
+        raise RecordingError(
+            f"{run.name}: {run.joint} was driven but does not move {robot.payload_frame}: probe a joint between the base and it"
+        )
+    gravity = model.placement[0][:3, :3].T @ model.gravity
+    axis = model.axes[0]
+    moved = body_from_payload @ pseudo_inertia_basis() @ body_from_payload.T
+    arm = joint_coefficients(model.pseudo_inertia[0], model.kinds[0], axis, gravity)
+    return arm, joint_coefficients(moved, model.kinds[0], axis, gravity).T
+
+
+def prepare_run(robot: Robot, run: Run) -> PreparedRun:
+    """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
+
+    Raises:
+        RecordingError: a joint the robot has is missing from the recording, the driven joint has no drive train, or fewer
+            than five samples are usable.
+    """
+    if run.joint not in robot.drive_trains:
+        known = ", ".join(robot.drive_trains)
+        raise RecordingError(f"{run.name}: {run.joint} was driven, but {robot.name} has no drive train for it (it has: {known})")
+    missing = [j for j in robot.model.independent_joints if j != run.joint and j not in run.held]
+    if missing:
+        raise RecordingError(
+            f"{run.name}: no position of {', '.join(missing)} in the recording; state it with --set held.{missing[0]}=VALUE"
+        )
+    drive = robot.drive_trains[run.joint]
+    joint = robot.model.joint(run.joint)
+    velocity = np.gradient(run.position, run.times_s)
+    used, reason = _usable_window(run, velocity, drive, joint.lower, joint.upper)
+    if used < 5:
+        raise RecordingError(f"{run.name}: only {used} usable samples ({reason}): start further from the limit, with less current")
+    reading = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
+    sigma = np.hypot(reading, velocity[:used] * robot.stamp_jitter_s)
+    if len(run.before_position):
+        # at rest the rounding error repeats, so only the noise averages out
+        noise = drive.encoder_noise / np.sqrt(len(run.before_position))
+        rest = Quantity(
+            float(np.mean(run.before_position)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise))
+        )
+    else:
+        rest = Quantity(float(run.position[0]), 3.0 * reading)
+    held = tuple(name for name in robot.model.independent_joints if name != run.joint)
+    arm, payload = _coefficients(robot, run, {})
+    arm_by_pose, payload_by_pose = np.zeros((len(held), 4)), np.zeros((len(held), 4, 10))
+    for row, name in enumerate(held):
+        up, down = (_coefficients(robot, run, {name: sign * _POSE_STEP}) for sign in (1.0, -1.0))
+        arm_by_pose[row] = (up[0] - down[0]) / (2.0 * _POSE_STEP)
+        payload_by_pose[row] = (up[1] - down[1]) / (2.0 * _POSE_STEP)
+    matters = np.abs(arm_by_pose).max(axis=1) > 1e-6
+    coefficients = Coefficients(
+        arm, payload, tuple(n for n, m in zip(held, matters, strict=True) if m), arm_by_pose[matters], payload_by_pose[matters]
+    )
+    return PreparedRun(run, used, reason, drive, coefficients, sigma, rest)
+
+
+def _usable_window(run: Run, velocity: np.ndarray, drive: DriveTrain, lower: float, upper: float) -> tuple[int, str]:
+    """Samples before the joint meets its limit, or runs so fast that the supply may no longer drive the current."""
+    margin = max(0.01 * min(upper - lower, 2.0), 5.0 * drive.encoder_resolution) if np.isfinite(upper - lower) else 0.0
+    near = (run.position < lower + margin) | (run.position > upper - margin)
+    # a joint that starts near a limit and leaves it is free to move
+    toward = np.where(run.position > 0.5 * (lower + upper), velocity, -velocity) if np.isfinite(upper - lower) else velocity
+    stopped = np.flatnonzero(near & (toward > -0.05) & (np.abs(run.position - run.position[0]) > margin))
+    fast = np.flatnonzero(np.abs(velocity) > drive.usable_velocity)
+    count = len(run.times_s)
+    limit = int(stopped[0]) if len(stopped) else count
+    speed = int(fast[0]) if len(fast) else count
+    if limit < count and limit <= speed:
+        # the sample before may already show the impact that came between the two
+        return max(limit - 1, 0), f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start"
+    if speed < count:
+        return speed, (
+            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start, "
+            "where the supply may no longer drive the commanded current"
+        )
+    return count, ""
+
+
+def payload_unknowns(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, drive_role: Role, start_mass_kg: float
+) -> list[Unknown]:
+    """All unknowns of a weighing: the payload, what the robot file leaves open, and each run's start.
+
+    Args:
+        drive_role: ``FROZEN`` keeps the robot at its file's values, ``FREE`` lets the recording move them under their priors.
+    """
+    unknowns = [Unknown("payload_mass", "kg", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
+    for axis, name in enumerate("xyz"):
+        spread = float(facts.com_std[axis])
+        unknowns.append(
+            Unknown(f"payload_com_{name}", "m", float(facts.com[axis]), spread, -1.0, 1.0).at_role(Role.FREE)
+        )
+    unknowns.append(Unknown("shape_scale", "1", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
+    unknowns.append(_from_quantity("arm_scale", "1", robot.arm_scale, drive_role, lower=0.1))
+    unknowns.append(_from_quantity("delay", "s", robot.delay, drive_role, lower=-0.05, upper=0.1))
+    for name in dict.fromkeys(run.run.joint for run in runs):
+        drive = robot.drive_trains[name]
+        units = ("N m/A", "N m", "N m s/rad", "1", "kg m^2")
+        fields = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature)
+        for kind, unit, quantity in zip(DRIVE_TERMS, units, fields, strict=True):
+            unknowns.append(_from_quantity(f"{kind}[{name}]", unit, quantity, drive_role, lower=0.0))
+    zeros = dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose))
+    for name in zeros:
+        drive = robot.drive_trains.get(name)
+        if drive is None:
+            continue
+        zero = drive.zero
+        # a held joint's reading is rounded the same way in every sample
+        rounding = drive.encoder_resolution / np.sqrt(12.0)
+        spread = Quantity(zero.value, float(np.hypot(zero.std, rounding)))
+        unknowns.append(_from_quantity(f"zero[{name}]", "rad", spread, drive_role))
+    for row, run in enumerate(runs):
+        unknowns.append(Unknown(f"q0[{row}]", "rad", run.rest.value, run.rest.std))
+        unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, START_VELOCITY_STD))
+    return unknowns
+
+
+DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
+
+
+def _from_quantity(
+    name: str, unit: str, quantity: Quantity, role: Role, lower: float = -np.inf, upper: float = np.inf
+) -> Unknown:
+    return Unknown(name, unit, quantity.value, quantity.std, lower, upper).at_role(role)
+
+
+class PayloadProblem:
+    """The whitened residuals of all runs as a function of the unknowns, for many guesses at once.
+
+    Args:
+        robot: its supply, friction smoothing and jitter.
+        runs: prepared runs, sharing the payload and the drive trains.
+        facts: what is told about the payload.
+        unknowns: from ``payload_unknowns``.
+        integrator: ``"rk4"`` or ``"semi_implicit"``.
+        step_s: longest integration step; default 1/240 s.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        runs: Sequence[PreparedRun],
+        facts: PayloadFacts,
+        unknowns: Sequence[Unknown],
+        integrator: str = "rk4",
+        step_s: float = 1.0 / 240.0,
+    ) -> None:
+        self.robot = robot
+        self.runs = tuple(runs)
+        self.facts = facts
+        self.unknowns = tuple(unknowns)
+        self.index = {u.name: row for row, u in enumerate(unknowns)}
+        self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
+        self.coordinates = Coordinates([unknowns[row] for row in self.free])
+        self.base = np.array([u.value for u in unknowns])
+        self.simulator = JointSimulator([self._joint_run(run, step_s) for run in runs], integrator)
+        width = int(self.simulator.sample_counts.max())
+        self.measured = np.zeros((len(runs), width))
+        self.weight = np.zeros((len(runs), width))
+        for row, run in enumerate(runs):
+            self.measured[row, : run.used] = run.position
+            self.weight[row, : run.used] = 1.0 / run.sigma
+        self._columns = np.arange(width)
+        # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
+        bent = {self.index[n] for n in self.index if n.startswith(("payload_com", "zero[", "shape_scale", "arm_scale"))}
+        self._affine = not bent.intersection(self.free.tolist())
+        self._affine_map: tuple[np.ndarray, np.ndarray] | None = None
+
+    def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
+        drive = run.drive
+        motor = float(np.abs(run.run.input_current_A).max()) * drive.torque_constant.value
+        friction = self._reach(f"coulomb[{run.run.joint}]") + self._reach(f"load_friction[{run.run.joint}]") * motor
+        # near standstill Coulomb's law turns over within friction_velocity: the step must resolve v_s J / f_c
+        lightest = float(run.coefficients.arm[0]) + 0.5 * drive.armature.value
+        fine = 0.5 * self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
+        return JointRun(
+            run.times_s,
+            run.run.input_times_s,
+            run.run.input_current_A,
+            (drive.supply_voltage_V, drive.back_emf_V_s_per_rad, drive.resistance_ohm),
+            self.robot.friction_velocity,
+            step_s,
+            float(np.clip(fine, 5e-5, step_s)),
+        )
+
+    def _reach(self, name: str) -> float:
+        """How large an unknown may get during the fit: its value, and a standard deviation more where it moves."""
+        unknown = self.unknowns[self.index[name]]
+        return unknown.value + (unknown.std if unknown.role is Role.FREE else 0.0)
+
+    def parameters(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Simulator parameters of every guess and run, and their derivative by chosen unknowns.
+
+        Args:
+            values: all unknowns of each guess, shape (S, N).
+            columns: which unknowns to differentiate by, shape (F,).
+
+        Returns:
+            p (S, R, P) and dp (S, R, P, F).
+        """
+        guesses = len(values)
+        p = np.zeros((guesses, len(self.runs), len(PARAMETERS)))
+        dp = np.zeros((guesses, len(self.runs), len(PARAMETERS), len(self.unknowns)))
+        at = self.index
+        mass = values[:, at["payload_mass"]]
+        com = values[:, [at["payload_com_x"], at["payload_com_y"], at["payload_com_z"]]]
+        scale = values[:, at["shape_scale"]]
+        spread = self.facts.shape.second_moment_per_mass
+        per_mass = payload_parameters(np.ones(guesses), com, np.zeros((3, 3)))
+        per_spread = payload_parameters(np.ones(guesses), np.zeros((guesses, 3)), spread)
+        per_spread[:, 0] = 0.0
+        per_mass = per_mass + scale[:, None] * per_spread
+        payload = mass[:, None] * per_mass
+        by_com = payload_parameters_by_com(mass, com)
+        arm_scale = values[:, at["arm_scale"]]
+        for row, run in enumerate(self.runs):
+            c = run.coefficients
+            joint = run.run.joint
+            arm, lever = np.tile(c.arm, (guesses, 1)), np.tile(c.payload, (guesses, 1, 1))
+            for h, name in enumerate(c.pose):
+                # the joint stands at its reading plus its zero
+                if f"zero[{name}]" in at:
+                    zero = values[:, at[f"zero[{name}]"]]
+                    arm = arm + zero[:, None] * c.arm_by_pose[h]
+                    lever = lever + zero[:, None, None] * c.payload_by_pose[h]
+            g = arm_scale[:, None] * arm + np.einsum("sij,sj->si", lever, payload)
+            d = np.zeros((guesses, 4, len(self.unknowns)))
+            d[:, :, at["payload_mass"]] = np.einsum("sij,sj->si", lever, per_mass)
+            d[:, :, at["shape_scale"]] = np.einsum("sij,sj->si", lever, mass[:, None] * per_spread)
+            d[:, :, at["arm_scale"]] = arm
+            for axis, name in enumerate("xyz"):
+                d[:, :, at[f"payload_com_{name}"]] = np.einsum("sij,sj->si", lever, by_com[:, :, axis])
+            for h, name in enumerate(c.pose):
+                if f"zero[{name}]" in at:
+                    change = arm_scale[:, None] * c.arm_by_pose[h] + payload @ c.payload_by_pose[h].T
+                    d[:, :, at[f"zero[{name}]"]] = change
+            zero_row = at.get(f"zero[{joint}]")
+            if zero_row is not None:
+                z = values[:, zero_row]
+                cos, sin = np.cos(z), np.sin(z)
+                ga, gb = g[:, 1].copy(), g[:, 2].copy()
+                da, db = d[:, 1].copy(), d[:, 2].copy()
+                g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
+                d[:, 1] = da * cos[:, None] + db * sin[:, None]
+                d[:, 2] = db * cos[:, None] - da * sin[:, None]
+                d[:, 1, zero_row] = g[:, 2]
+                d[:, 2, zero_row] = -g[:, 1]
+            p[:, row, _GRAVITY_ROWS] = g
+            dp[:, row, _GRAVITY_ROWS] = d
+            p[:, row, INDEX["inertia"]] += values[:, at[f"armature[{joint}]"]]
+            dp[:, row, INDEX["inertia"], at[f"armature[{joint}]"]] = 1.0
+            direct = {f"{kind}[{joint}]": kind for kind in DRIVE_TERMS if kind != "armature"}
+            direct |= {"delay": "delay", f"q0[{row}]": "q0", f"v0[{row}]": "v0"}
+            for name, parameter in direct.items():
+                p[:, row, INDEX[parameter]] = values[:, at[name]]
+                dp[:, row, INDEX[parameter], at[name]] = 1.0
+        return p, dp[..., columns]
+
+    def all_values(self, free_values: np.ndarray) -> np.ndarray:
+        """Every unknown of each guess, shape (S, N), from the free ones, shape (S, F)."""
+        values = np.tile(self.base, (len(free_values), 1))
+        values[:, self.free] = free_values
+        return values
+
+    def _kernel_parameters(self, free_values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not self._affine:
+            return self.parameters(self.all_values(free_values), self.free)
+        if self._affine_map is None:
+            origin = self.all_values(np.zeros((1, len(self.free))))
+            p, dp = self.parameters(origin, self.free)
+            self._affine_map = (p[0], dp[0])
+        offset, slope = self._affine_map
+        return offset + np.tensordot(free_values, slope, axes=(1, 2)), np.broadcast_to(slope, (len(free_values), *slope.shape))
+
+    def _worlds(self, guesses: int) -> np.ndarray:
+        return np.tile(np.arange(len(self.runs), dtype=np.int32), guesses)
+
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cost, gradient and Gauss-Newton matrix in solver coordinates, priors included.
+
+        Args:
+            internal: guesses in solver coordinates, shape (S, F).
+            counts: leading samples to use per run, shape (R,); default all.
+
+        Returns:
+            cost (S,) = half the squared norm of the whitened residuals, gradient (S, F), matrix (S, F, F). A guess whose
+            rollout diverged has an infinite cost and zero gradient.
+        """
+        coordinates = self.coordinates
+        physical = coordinates.physical(internal)
+        slope = coordinates.slope(internal)
+        guesses, size = internal.shape
+        p, dp = self._kernel_parameters(physical)
+        runs = len(self.runs)
+        q, _, dq = self.simulator.jacobian(
+            self._worlds(guesses), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:]), counts
+        )
+        weight = self.weight
+        if counts is not None:
+            weight = weight * (self._columns < counts[:, None])
+        seen = weight > 0.0
+        residual = np.where(seen, (q.reshape(guesses, runs, -1) - self.measured) * weight, 0.0).reshape(guesses, -1)
+        sensitivity = np.where(seen[None, :, :, None], dq.reshape(guesses, runs, -1, size) * weight[..., None], 0.0)
+        sensitivity = sensitivity.reshape(guesses, -1, size)
+        prior = (physical - coordinates.prior_mean) * coordinates.prior_weight
+        cost = 0.5 * (np.einsum("sn,sn->s", residual, residual) + np.einsum("sf,sf->s", prior, prior))
+        transposed = sensitivity.transpose(0, 2, 1)
+        gradient = (transposed @ residual[..., None])[..., 0] + prior * coordinates.prior_weight
+        matrix = transposed @ sensitivity
+        diagonal = np.arange(size)
+        matrix[:, diagonal, diagonal] += coordinates.prior_weight**2
+        gradient = gradient * slope
+        matrix = matrix * slope[:, :, None] * slope[:, None, :]
+        bad = ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
+        if bad.any():
+            cost[bad], gradient[bad] = np.inf, 0.0
+            matrix[bad] = np.eye(size)
+        return cost, gradient, matrix
+
+    def simulate(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and sensitivities by chosen unknowns at given values of all of them.
+
+        Args:
+            values: shape (S, N); columns: shape (F,).
+
+        Returns:
+            q (S, R, T), v (S, R, T), dq (S, R, T, F), copies.
+        """
+        p, dp = self.parameters(values, columns)
+        q, v, dq = self.simulator.jacobian(
+            self._worlds(len(values)), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
+        )
+        shape = (len(values), len(self.runs), -1)
+        return q.reshape(shape).copy(), v.reshape(shape).copy(), dq.reshape(*shape, len(columns)).copy()

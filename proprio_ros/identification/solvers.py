@@ -1,0 +1,196 @@
+"""Three ways down the same hill: batched Levenberg-Marquardt (default), Adam, CMA-ES."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.unknowns import Coordinates
+
+SOLVERS = ("lm", "adam", "cma")
+WINDOWS = (0.25, 0.5, 0.75, 1.0)
+"""Growing windows: the early part of a trajectory is nearly linear in the unknowns, so it leads every start into the right
+valley before the late, sensitive part is believed."""
+
+
+class LeastSquares(Protocol):
+    """What a solver needs of a problem."""
+
+    coordinates: Coordinates
+
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cost (S,), gradient (S, F), Gauss-Newton matrix (S, F, F)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where every start ended.
+
+    Attributes:
+        internal: solver coordinates, shape (S, F).
+        cost: at the end, shape (S,).
+        path: solver coordinates after each iteration, shape (I, S, F).
+        path_cost: shape (I, S), each over the window in use then.
+        iterations: how many were taken.
+    """
+
+    internal: np.ndarray
+    cost: np.ndarray
+    path: np.ndarray
+    path_cost: np.ndarray
+    iterations: int
+
+    @property
+    def best(self) -> int:
+        return int(np.argmin(self.cost))
+
+
+def levenberg_marquardt(
+    problem: LeastSquares,
+    starts: np.ndarray,
+    windows: Callable[[float], np.ndarray],
+    window_iterations: int = 3,
+    iterations: int = 30,
+    tolerance: float = 1e-4,
+) -> Solution:
+    """Batched Levenberg-Marquardt on growing windows (Marquardt 1963, damping scaled by the diagonal).
+
+    Every start moves in the same launch. It ends when every start's next step is shorter than ``tolerance`` of its own standard
+    deviation, or no step makes it better.
+
+    Args:
+        starts: solver coordinates, shape (S, F).
+        windows: how many samples of each run lie in a fraction of its time.
+        window_iterations: iterations on each window but the last.
+        iterations: at most so many on the last.
+    """
+    coordinates = problem.coordinates
+    u = np.clip(starts, coordinates.lower, coordinates.upper)
+    damping = np.full(len(u), 1e-3)
+    path, path_cost = [u.copy()], []
+    diagonal = np.arange(u.shape[1])
+    for fraction in WINDOWS:
+        last = fraction == WINDOWS[-1]
+        counts = None if last else windows(fraction)
+        cost, gradient, matrix = problem.linearise(u, counts)
+        if not path_cost:
+            path_cost.append(cost.copy())
+        for _ in range(iterations if last else window_iterations):
+            damped = matrix.copy()
+            damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
+            damped[:, diagonal, diagonal] += 1e-300
+            step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
+            step = np.clip(step, -coordinates.step_limit, coordinates.step_limit)
+            trial = np.clip(u + step, coordinates.lower, coordinates.upper)
+            trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)
+            better = trial_cost <= cost
+            moved = trial - u
+            size = np.sqrt(np.maximum(np.einsum("si,sij,sj->s", moved, matrix, moved), 0.0))
+            u = np.where(better[:, None], trial, u)
+            cost = np.where(better, trial_cost, cost)
+            gradient = np.where(better[:, None], trial_gradient, gradient)
+            matrix = np.where(better[:, None, None], trial_matrix, matrix)
+            damping = np.where(better, np.maximum(0.1 * damping, 1e-8), np.minimum(10.0 * damping, 1e10))
+            path.append(u.copy())
+            path_cost.append(cost.copy())
+            if last and np.all((size < tolerance) | (damping > 1e6)):
+                break
+    return Solution(u, cost, np.array(path), np.array(path_cost), len(path) - 1)
+
+
+def cosine_annealed(rate: float, iteration: int, iterations: int) -> float:
+    """Learning rate of SGDR without restarts (Loshchilov & Hutter 2017, eq. 5), from ``rate`` towards 0."""
+    return 0.5 * rate * (1.0 + np.cos(np.pi * iteration / iterations))
+
+
+def adam_descent(
+    gradient_of: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    starts: np.ndarray,
+    rate: float,
+    iterations: int,
+    lower: np.ndarray | float = -np.inf,
+    upper: np.ndarray | float = np.inf,
+) -> Solution:
+    """Adam (Kingma & Ba 2015, algorithm 1, their constants) under cosine annealing, all starts at once.
+
+    Args:
+        gradient_of: coordinates (S, F) -> cost (S,), gradient (S, F).
+        starts: shape (S, F).
+        rate: first learning rate, in coordinate units per iteration.
+    """
+    u = starts.astype(np.float64).copy()
+    first, second = np.zeros_like(u), np.zeros_like(u)
+    path, path_cost = [u.copy()], []
+    for n in range(iterations):
+        cost, gradient = gradient_of(u)
+        path_cost.append(cost.copy())
+        first = 0.9 * first + 0.1 * gradient
+        second = 0.999 * second + 0.001 * gradient**2
+        direction = (first / (1.0 - 0.9 ** (n + 1))) / (np.sqrt(second / (1.0 - 0.999 ** (n + 1))) + 1e-8)
+        u = np.clip(u - cosine_annealed(rate, n, iterations) * direction, lower, upper)
+        path.append(u.copy())
+    cost, _ = gradient_of(u)
+    path_cost.append(cost.copy())
+    return Solution(u, cost, np.array(path), np.array(path_cost), iterations)
+
+
+def adam(problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate: float = 0.1) -> Solution:
+    """Adam on the same cost as Levenberg-Marquardt, in units of each unknown's natural length."""
+    coordinates = problem.coordinates
+    natural = coordinates.natural
+
+    def gradient_of(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        cost, gradient, _ = problem.linearise(scaled * natural)
+        return cost, gradient * natural
+
+    found = adam_descent(
+        gradient_of, starts / natural, rate, iterations, coordinates.lower / natural, coordinates.upper / natural
+    )
+    return Solution(found.internal * natural, found.cost, found.path * natural, found.path_cost, found.iterations)
+
+
+def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1) -> Solution:
+    """CMA-ES (Hansen's ``cma``), one search per start, each generation in one launch.
+
+    Raises:
+        ConfigurationError: the library is not installed.
+    """
+    try:
+        import cma as library
+    except ImportError as error:
+        raise ConfigurationError("--solver cma needs the package 'cma': pip install cma, or use --solver lm") from error
+    coordinates = problem.coordinates
+    natural = coordinates.natural
+    options = {
+        "bounds": [list(coordinates.lower / natural), list(coordinates.upper / natural)],
+        "seed": seed,
+        "verbose": -9,
+        "maxiter": generations,
+        "tolfun": 1e-9,
+        "tolx": 1e-9,
+    }
+    ends, costs, paths, path_costs = [], [], [], []
+    for start in starts:
+        search = library.CMAEvolutionStrategy(start / natural, 0.5, options)
+        path, path_cost = [start], [float(problem.linearise(start[None])[0][0])]
+        while not search.stop():
+            asked = np.array(search.ask())
+            cost = problem.linearise(asked * natural)[0]
+            search.tell(list(asked), list(np.where(np.isfinite(cost), cost, 1e30)))
+            path.append(np.asarray(search.result.xbest) * natural)
+            path_cost.append(float(search.result.fbest))
+        ends.append(path[-1])
+        costs.append(path_cost[-1])
+        paths.append(path)
+        path_costs.append(path_cost)
+    length = max(len(path) for path in paths)
+    padded = np.array([path + [path[-1]] * (length - len(path)) for path in paths]).transpose(1, 0, 2)
+    padded_cost = np.array([c + [c[-1]] * (length - len(c)) for c in path_costs]).T
+    return Solution(np.array(ends), np.array(costs), padded, padded_cost, length - 1)

@@ -1,0 +1,88 @@
+"""The unknowns of a fit: physical value, prior, bounds, and the coordinate in which the solver moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError
+
+
+class Role(Enum):
+    """What a fit does with an unknown."""
+
+    FREE = "free"  # moved by the solver, pulled by its prior
+    FROZEN = "frozen"  # kept at its value
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One scalar unknown.
+
+    Attributes:
+        name: e.g. ``payload_mass``, ``coulomb[joint3]``, ``q0[0]`` (run 0).
+        unit: SI unit of the physical value.
+        value: prior mean, and the value used while the unknown is not free.
+        std: prior standard deviation; ``inf`` is no prior, 0 is known exactly.
+        lower, upper: bounds on the physical value.
+        asinh_scale: 0 keeps the coordinate linear; otherwise the solver moves ``asinh(value / scale)``, which is a logarithm
+            for large values and linear through zero, so that orders of magnitude are crossed and an empty hand reads 0.
+        role: see ``Role``.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    lower: float = -np.inf
+    upper: float = np.inf
+    asinh_scale: float = 0.0
+    role: Role = Role.FREE
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.value) or np.isnan(self.std) or self.std < 0.0:
+            raise ConfigurationError(f"{self.name}: value {self.value} and std {self.std} must be finite and std not negative")
+        if not self.lower <= self.value <= self.upper:
+            raise ConfigurationError(f"{self.name} = {self.value} {self.unit} lies outside [{self.lower}, {self.upper}]")
+
+    def at_role(self, role: Role) -> Unknown:
+        """A copy with another role; what is known exactly stays frozen."""
+        return replace(self, role=Role.FROZEN if self.std == 0.0 else role)
+
+
+class Coordinates:
+    """Maps between physical values and solver coordinates of a list of unknowns.
+
+    Args:
+        unknowns: the free unknowns, in solver order.
+    """
+
+    def __init__(self, unknowns: Sequence[Unknown]) -> None:
+        scales = np.array([u.asinh_scale for u in unknowns])
+        self._curved = scales > 0.0
+        self._scales = np.where(self._curved, scales, 1.0)
+        self.lower = self.internal(np.array([u.lower for u in unknowns]))
+        self.upper = self.internal(np.array([u.upper for u in unknowns]))
+        self.prior_mean = np.array([u.value for u in unknowns])
+        stds = np.array([u.std for u in unknowns])
+        with np.errstate(divide="ignore"):
+            self.prior_weight = np.where(np.isfinite(stds), 1.0 / stds, 0.0)
+        # one step of the solver never leaves the range in which the linearisation means something
+        self.step_limit = np.where(self._curved, 1.5, np.where(np.isfinite(stds), 5.0 * stds, np.inf))
+        # a natural length per coordinate, for solvers that want one (Adam, CMA-ES)
+        self.natural = np.where(self._curved, 1.0, np.where(np.isfinite(stds), stds, 1.0))
+
+    def internal(self, physical: np.ndarray) -> np.ndarray:
+        """Solver coordinates of physical values, shape (..., F)."""
+        return np.where(self._curved, np.arcsinh(physical / self._scales), physical)
+
+    def physical(self, internal: np.ndarray) -> np.ndarray:
+        """Physical values of solver coordinates, shape (..., F)."""
+        return np.where(self._curved, self._scales * np.sinh(np.where(self._curved, internal, 0.0)), internal)
+
+    def slope(self, internal: np.ndarray) -> np.ndarray:
+        """d physical / d internal, shape (..., F)."""
+        return np.where(self._curved, self._scales * np.cosh(np.where(self._curved, internal, 0.0)), 1.0)

@@ -1,0 +1,525 @@
+"""From runs to the mass of what the hand holds, with an interval and a verdict.
+
+Every recording is fitted twice. In the *nominal* fit the robot is taken as its file states it, and only the payload and each
+run's start move. In the *open* fit everything that the file leaves open (torque constant, friction, armature, delay, joint
+zeros, the arm's masses) moves too, under its prior, so its covariance says what one recording can and cannot separate.
+
+If the nominal fit explains the recording, its mass is the value: the recording gives no reason to leave the file's numbers,
+and a single run would trade torque against friction at random. The interval is the open fit's, widened by the distance of the
+two values. If the nominal fit does not explain the recording, value and interval are the open fit's. What neither explains is
+rejected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification import solvers
+from proprio_ros.identification.estimate import (
+    Z95,
+    Estimate,
+    Fit,
+    RunFit,
+    Scan,
+    SolverSummary,
+    StartPath,
+    UnknownRow,
+    Value,
+    Verdict,
+)
+from proprio_ros.identification.problem import DRIVE_TERMS, PayloadProblem, PreparedRun, payload_unknowns, prepare_run
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+MIN_USED = 5
+STUCK_TRAVEL = 0.1
+"""Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
+LITTLE_TRAVEL = 0.3
+"""Travel that a trustworthy weighing has (HARDWARE: rounding costs 2-4 g when the joint barely creeps)."""
+MISFIT_LEVEL = 1e-3
+"""A fit worse than this chance would make it contradicts the model."""
+MISFIT_LIMIT = 9.0
+"""Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
+
+
+@dataclass(frozen=True)
+class WeighingOptions:
+    """How to solve, and when to refuse.
+
+    Attributes:
+        solver: one of ``solvers.SOLVERS``.
+        integrator, step_s: see ``JointSimulator``.
+        starts_kg: first guesses, two orders of magnitude apart.
+        widest_interval_kg: half width of the 95 % interval beyond which no number is given.
+    """
+
+    solver: str = "lm"
+    integrator: str = "rk4"
+    step_s: float = 1.0 / 240.0
+    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)
+    widest_interval_kg: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.solver not in solvers.SOLVERS:
+            raise ConfigurationError(f"--solver {self.solver}: choose one of {', '.join(solvers.SOLVERS)}")
+
+
+@dataclass
+class _Findings:
+    """What was found on the way, in the order in which a reader wants it."""
+
+    reasons: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _FitResult:
+    problem: PayloadProblem
+    solution: solvers.Solution
+    values: np.ndarray  # all unknowns at the best start, shape (N,)
+    chi2: float
+    dof: int
+
+    @property
+    def reduced_chi2(self) -> float:
+        return self.chi2 / self.dof
+
+    @property
+    def explains(self) -> bool:
+        return self.chi2 <= chi2_distribution.ppf(1.0 - MISFIT_LEVEL, self.dof)
+
+
+def weigh(
+    robot: Robot, runs: Sequence[Run], facts: PayloadFacts | None = None, options: WeighingOptions | None = None
+) -> Estimate:
+    """Identify the payload that all ``runs`` share.
+
+    Args:
+        robot: model, drive trains and their uncertainty.
+        runs: at least one, of any of the robot's joints.
+        facts: shape and place of the payload; default a ball of unknown size at the payload frame.
+        options: solver and limits.
+
+    Raises:
+        RecordingError: a run cannot be related to the robot at all (unknown joint, missing held joint).
+    """
+    facts = facts or PayloadFacts()
+    options = options or WeighingOptions()
+    found = _Findings()
+    usable: list[PreparedRun] = []
+    for run in runs:
+        prepared = prepare_run(robot, run)
+        problem = _unusable(prepared)
+        if problem:
+            found.reasons.append(f"{run.name}: {problem}")
+        else:
+            usable.append(prepared)
+        _look_at_run(prepared, found)
+    if not usable:
+        return _no_answer(robot, len(runs), Verdict.NOT_IDENTIFIABLE, found)
+
+    nominal = _solve(robot, usable, facts, options, Role.FROZEN)
+    opened = _solve(robot, usable, facts, options, Role.FREE, start=nominal)
+    if not nominal.explains:
+        again = _solve(robot, usable, facts, options, Role.FREE)
+        opened = again if again.chi2 < opened.chi2 else opened
+        if opened.chi2 < 0.5 * nominal.chi2 and not _known_exactly(robot, usable):
+            found.notes.append(
+                "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, "
+                "under its priors"
+            )
+    return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs))
+
+
+def _known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
+    """Whether the file leaves no drive-train term of the probed joints open."""
+    return not any(
+        getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS
+    )  # fmt: skip
+
+
+def _unusable(run: PreparedRun) -> str:
+    if run.used < MIN_USED:
+        return f"only {run.used} usable samples, because {run.cut_reason or 'the probe was too short'}"
+    if abs(run.travel) < STUCK_TRAVEL:
+        return (
+            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is: "
+            f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
+        )
+    return ""
+
+
+def _look_at_run(run: PreparedRun, found: _Findings) -> None:
+    name = run.run.name
+    found.notes.extend(f"{name}: {note}" for note in run.run.notes)
+    if run.cut_reason and run.used >= MIN_USED:
+        found.notes.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples left out")
+    if run.cut_reason.endswith("after the start") and run.used >= MIN_USED:
+        found.reasons.append(f"{name}: {run.cut_reason}; only the samples before that were used")
+    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and run.used >= MIN_USED:
+        found.reasons.append(
+            f"{name}: {run.run.joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
+            f"{LITTLE_TRAVEL} rad tells much more"
+        )
+    for joint, span in run.run.held_span.items():
+        if joint in run.coefficients.pose and span > 0.03:
+            found.reasons.append(f"{name}: {joint} should be held but moved by {span:.3f} rad")
+
+
+def _solve(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    role: Role,
+    start: _FitResult | None = None,
+    start_velocity_std: float | None = None,
+) -> _FitResult:
+    unknowns = payload_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
+    if start_velocity_std is not None:
+        unknowns = [replace(u, std=start_velocity_std) if u.name.startswith("v0[") else u for u in unknowns]
+    problem = PayloadProblem(robot, runs, facts, unknowns, options.integrator, options.step_s)
+    coordinates = problem.coordinates
+    if start is None:
+        starts = np.tile(coordinates.prior_mean, (len(options.starts_kg), 1))
+        starts[:, 0] = options.starts_kg
+    else:
+        starts = start.values[problem.free][None]
+    starts = coordinates.internal(starts)
+    if options.solver == "lm" or start is not None:
+        solution = solvers.levenberg_marquardt(problem, starts, problem.simulator.windows)
+    elif options.solver == "adam":
+        solution = solvers.adam(problem, starts)
+    else:
+        solution = solvers.cma(problem, starts)
+    best = solution.internal[solution.best]
+    values = problem.all_values(coordinates.physical(best[None]))[0]
+    samples = int(sum(run.used for run in runs))
+    without_prior = sum(1 for row in problem.free if not np.isfinite(unknowns[row].std))
+    return _FitResult(problem, solution, values, 2.0 * float(solution.cost[solution.best]), max(samples - without_prior, 1))
+
+
+def _conclude(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    nominal: _FitResult,
+    opened: _FitResult,
+    found: _Findings,
+    run_count: int,
+) -> Estimate:
+    fit = nominal if nominal.explains else opened
+    row = fit.problem.index["payload_mass"]
+    fits, rms, expected = run_fits(fit.problem, fit.values, runs)
+    inflation = max(1.0, fit.reduced_chi2)
+    covariance, condition = _covariance(opened, inflation)
+    budget = _budget(opened, covariance)
+    mass = float(fit.values[row])
+    # the nominal mass may sit anywhere inside the open fit's interval: count how far
+    covariance[row, row] += (mass - float(opened.values[row])) ** 2
+    std = float(np.sqrt(covariance[row, row]))
+    quality = Fit(rms, expected, fit.reduced_chi2, condition=condition)
+    verdict = Verdict.ACCEPTED
+    withheld = ""
+    if not np.isfinite(fit.chi2):
+        verdict, withheld = Verdict.REJECTED, "no guess of the mass could be simulated"
+        found.reasons.insert(0, withheld + ": check the robot file's inertias")
+    elif fit.reduced_chi2 > MISFIT_LIMIT:
+        verdict = Verdict.REJECTED
+        withheld = "the model does not explain the recording"
+        found.reasons[:0] = _misfit_reasons(robot, runs, facts, options, fit, rms, expected, mass)
+    elif mass + Z95 * std < 0.0:
+        verdict, withheld = Verdict.REJECTED, "the hand seems lighter than empty"
+        found.reasons.insert(
+            0, f"the hand with its load seems {-1e3 * mass:.1f} g lighter than the robot file's empty hand: calibrate the robot"
+        )
+    elif fit is opened and (slow := [r for r in runs if abs(r.travel) < LITTLE_TRAVEL]) and len(slow) == len(runs):
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "too little travel to tell friction from weight"
+        found.reasons.insert(
+            0,
+            f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to tell friction from weight: "
+            "calibrate the robot on empty-hand runs, or probe with more current",
+        )
+    elif fit is opened and Z95 * std > options.widest_interval_kg:
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the interval is too wide to tell a mass"
+        largest = budget[0][0] if budget else "encoder noise"
+        found.reasons.insert(
+            0,
+            f"the mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of {largest}: calibrate the robot on "
+            "empty-hand runs, or probe with more travel",
+        )
+    elif rivals := _rivals(fit, mass, std):
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "more than one mass explains the recording"
+        found.reasons.insert(
+            0, "more than one mass explains the recording: " + ", ".join(f"{1e3 * m:.1f} g" for m in (mass, *rivals))
+        )
+    if verdict is Verdict.ACCEPTED:
+        if inflation > 1.0 and not fit.explains:
+            found.reasons.append(
+                f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "
+                "the interval was widened by that factor"
+            )
+        _say_if_uncalibrated(robot, runs, budget, found)
+    return Estimate(
+        probe="payload",
+        robot=robot.name,
+        verdict=verdict,
+        reasons=tuple(found.reasons),
+        values=_values(fit, covariance, withheld),
+        fit=quality,
+        solver=_summary(nominal if nominal.explains or len(opened.solution.cost) == 1 else opened, options),
+        runs=run_count,
+        run_fits=fits,
+        unknowns=_unknown_rows(opened, covariance),
+        budget=tuple(budget),
+        scan=_scan(fit),
+        assumptions=_assumptions(robot, facts, options, fit is nominal),
+        notes=tuple(found.notes),
+    )
+
+
+def _values(fit: _FitResult, covariance: np.ndarray, withheld: str) -> tuple[Value, ...]:
+    at = fit.problem.index
+    row = at["payload_mass"]
+    if withheld:
+        values = [Value("payload_mass", "kg", None, reason=withheld)]
+    else:
+        mass, std = float(fit.values[row]), float(np.sqrt(covariance[row, row]))
+        # a mass is not negative: an empty hand reads 0 with an interval that starts there
+        interval = [max(mass - Z95 * std, 0.0), max(mass + Z95 * std, 0.0)]
+        values = [Value("payload_mass", "kg", max(mass, 0.0), std, interval)]
+    rows = [at[f"payload_com_{axis}"] for axis in "xyz"]
+    if any(fit.problem.unknowns[r].std > 0.0 for r in rows):
+        values.append(_centre_of_mass(fit, covariance, rows, withheld))
+    return tuple(values)
+
+
+def _centre_of_mass(fit: _FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
+    """Each coordinate on its own: what the probe did not excite stays at its prior, and is not called an estimate."""
+    numbers: list[float | None] = []
+    stds: list[float | None] = []
+    intervals: list[list[float] | None] = []
+    untold = []
+    for axis, r in zip("xyz", rows, strict=True):
+        std, prior = float(np.sqrt(covariance[r, r])), fit.problem.unknowns[r].std
+        if withheld or (prior > 0.0 and std > 0.7 * prior):
+            untold.append(axis)
+            numbers.append(None)
+            stds.append(None)
+            intervals.append(None)
+        else:
+            value = float(fit.values[r])
+            numbers.append(value)
+            stds.append(std)
+            intervals.append([value - Z95 * std, value + Z95 * std])
+    reason = withheld or (f"{', '.join(untold)} not excited: the probe tells no more than the prior" if untold else "")
+    return Value("payload_com", "m", numbers, stds, intervals, reason)
+
+
+def _say_if_uncalibrated(
+    robot: Robot, runs: Sequence[PreparedRun], budget: list[tuple[str, float]], found: _Findings
+) -> None:
+    if robot.calibrated or _known_exactly(robot, runs):
+        return
+    largest = [f"{source} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
+    found.reasons.append(
+        "the robot has not been calibrated: the interval carries what its file leaves open"
+        + (f" (standard deviations: {', '.join(largest)})" if largest else "")
+    )
+
+
+ENCODER = "encoder"
+
+
+def _covariance(fit: _FitResult, inflation: float) -> tuple[np.ndarray, float]:
+    """Posterior covariance of all unknowns, shape (N, N), and the condition number of the scaled normal matrix.
+
+    Gauss-Newton at the estimate; the encoder's variance is multiplied by ``inflation``, the priors stay.
+    """
+    problem = fit.problem
+    _, _, dq = problem.simulate(fit.values[None], problem.free)
+    weight = problem.weight[..., None]
+    sensitivity = np.where(weight > 0.0, dq[0] * weight, 0.0).reshape(-1, len(problem.free))
+    normal = sensitivity.T @ sensitivity / inflation + np.diag(problem.coordinates.prior_weight**2)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal * scale[:, None] * scale[None, :]
+    covariance = np.zeros((len(problem.unknowns), len(problem.unknowns)))
+    inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
+    covariance[np.ix_(problem.free, problem.free)] = inverse * scale[:, None] * scale[None, :]
+    return covariance, float(np.linalg.cond(scaled))
+
+
+def _budget(fit: _FitResult, covariance: np.ndarray) -> list[tuple[str, float]]:
+    """Which source puts how much standard deviation on the mass [kg], largest first.
+
+    A linear estimate moves by ``C[m, k] / std_k^2`` per unit of the k-th prior's mean, which itself is off by ``std_k``; the
+    rest of the variance comes from the samples.
+    """
+    row = fit.problem.index["payload_mass"]
+    budget, explained = [], 0.0
+    for column in fit.problem.free:
+        unknown = fit.problem.unknowns[column]
+        if np.isfinite(unknown.std):
+            part = abs(float(covariance[row, column])) / unknown.std
+            explained += part**2
+            budget.append((unknown.name, part))
+    budget.append((ENCODER, float(np.sqrt(max(covariance[row, row] - explained, 0.0)))))
+    return sorted((entry for entry in budget if entry[1] > 1e-7), key=lambda entry: -entry[1])
+
+
+def _rivals(fit: _FitResult, mass: float, std: float) -> list[float]:
+    """Masses of other starts that explain the recording as well but lie elsewhere."""
+    solution = fit.solution
+    ends = fit.problem.coordinates.physical(solution.internal)[:, 0]
+    near = solution.cost < solution.cost[solution.best] + 2.0
+    apart = np.abs(ends - mass) > max(3.0 * std, 0.02 * abs(mass), 5e-4)
+    rivals: list[float] = []
+    for end in ends[near & apart]:
+        if all(abs(end - other) > 0.02 * abs(other) for other in rivals):
+            rivals.append(float(end))
+    return rivals
+
+
+def _misfit_reasons(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    fit: _FitResult,
+    rms: float,
+    expected: float,
+    mass: float,
+) -> list[str]:
+    reasons = [
+        f"misfit: the best simulation ({1e3 * mass:.1f} g) misses the recording by {1e3 * rms:.2f} mrad rms where the encoder "
+        f"explains {1e3 * expected:.2f} mrad, so its mass is no weighing"
+    ]
+    moving = _solve(robot, runs, facts, replace(options, solver="lm"), Role.FREE, start_velocity_std=10.0)
+    for row, run in enumerate(runs):
+        velocity = float(moving.values[moving.problem.index[f"v0[{row}]"]])
+        if moving.chi2 < 0.5 * fit.chi2 and abs(velocity) > 0.1:
+            other = float(moving.values[moving.problem.index["payload_mass"]])
+            free_rms = run_fits(moving.problem, moving.values, runs)[1]
+            reasons.append(
+                f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when the "
+                f"current comes on (then {1e3 * other:.0f} g, rms {1e3 * free_rms:.2f} mrad): a probe must start from rest"
+            )
+    if len(reasons) == 1 and not robot.calibrated:
+        reasons.append(
+            "the robot has not been calibrated: friction, torque constant or armature outside what its file allows would do this"
+        )
+    return reasons
+
+
+def run_fits(
+    problem: PayloadProblem, values: np.ndarray, runs: Sequence[PreparedRun]
+) -> tuple[tuple[RunFit, ...], float, float]:
+    """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
+    q, _, _ = problem.simulate(values[None], problem.free[:1])
+    fits, squares, expected, samples = [], 0.0, 0.0, 0
+    for row, prepared in enumerate(runs):
+        run, used = prepared.run, prepared.used
+        simulated = q[0, row, :used]
+        squares += float(np.sum((simulated - prepared.position) ** 2))
+        expected += float(np.sum(prepared.sigma**2))
+        samples += used
+        driven = run.input_current_A[np.argmax(np.abs(run.input_current_A))]
+        fits.append(
+            RunFit(
+                run.name,
+                run.joint,
+                run.source,
+                float(driven),
+                prepared.times_s,
+                prepared.position,
+                simulated,
+                prepared.sigma,
+                run.times_s[used:],
+                run.position[used:],
+                prepared.travel,
+                float(values[problem.index[f"v0[{row}]"]]),
+                prepared.cut_reason,
+                run.notes,
+            )
+        )
+    return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))
+
+
+def _summary(fit: _FitResult, options: WeighingOptions) -> SolverSummary:
+    solution = fit.solution
+    physical = fit.problem.coordinates.physical
+    ends = physical(solution.internal)[:, 0]
+    best = ends[solution.best]
+    paths = []
+    for s, start in enumerate(options.starts_kg):
+        agrees = bool(
+            solution.cost[s] < solution.cost[solution.best] + 0.5 and abs(ends[s] - best) <= max(1e-4, 0.01 * abs(best))
+        )
+        paths.append(
+            StartPath(
+                start, float(ends[s]), float(solution.cost[s]), agrees,
+                physical(solution.path[:, s])[:, 0], solution.path_cost[:, s],
+            )  # fmt: skip
+        )
+    return SolverSummary(
+        options.solver, "default", solution.iterations, tuple(paths), options.integrator, options.step_s
+    )
+
+
+def _unknown_rows(fit: _FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
+    return tuple(
+        UnknownRow(u.name, u.unit, u.role.value, u.value, u.std, float(fit.values[row]), float(np.sqrt(covariance[row, row])))
+        for row, u in enumerate(fit.problem.unknowns)
+    )
+
+
+def _scan(fit: _FitResult) -> Scan:
+    """The data's misfit over mass; at each mass the other free unknowns follow by one Gauss-Newton step from the estimate."""
+    problem = fit.problem
+    mass = float(fit.values[problem.index["payload_mass"]])
+    grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
+    values = np.tile(fit.values, (len(grid), 1))
+    values[:, problem.index["payload_mass"]] = grid
+    q, _, _ = problem.simulate(values, problem.free[:1])
+    residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = np.einsum("srt,srt->s", residual, residual)
+    good = np.isfinite(cost)
+    return Scan(grid[good], cost[good] / fit.dof)
+
+
+def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, nominal: bool) -> tuple[str, ...]:
+    place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
+    return (
+        f"the payload is rigid, {facts.shape.description}"
+        + (" (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else "")
+        + f", its centre at [{place}] mm in {robot.payload_frame}",
+        "each probe starts from rest; the held joints stand at their recorded mean",
+        f"robot file {robot.source.name}, "
+        + ("calibrated" if robot.calibrated else "not calibrated")
+        + ("; its values stay where the file puts them" if nominal else "; what it leaves open was fitted under its priors"),
+        f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
+        f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
+    )
+
+
+def _no_answer(robot: Robot, run_count: int, verdict: Verdict, found: _Findings) -> Estimate:
+    return Estimate(
+        probe="payload",
+        robot=robot.name,
+        verdict=verdict,
+        reasons=tuple(found.reasons),
+        values=(Value("payload_mass", "kg", None, reason="no run of this recording can tell"),),
+        fit=None,
+        solver=None,
+        runs=run_count,
+        notes=tuple(found.notes),
+    )

@@ -1,0 +1,238 @@
+"""What was recorded, in SI units, as values that cannot be changed behind one's back.
+
+Live and offline data meet here: the driver's messages and a bag both become a `JointRecord`, and from there on they
+take the same way. Every class checks itself when it is made, so that the code that uses it need not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from proprio_ros.errors import RecordingError
+
+FloatArray = NDArray[np.float64]
+TimeArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MEASURED_EFFORT = "measured effort"
+"""`InputRecord.source` when no command was recorded and the input is the current that the motors reported."""
+
+ZERO_CURRENT_A = 1e-6
+"""A commanded current up to this is a command of zero [A]."""
+
+LOST_AFTER_PERIODS = 2.5
+"""A gap longer than this many median periods means that messages were lost, not that one came late."""
+
+INSTANT_S = 1e-6
+"""Two stamps closer than this are the same instant: cycles are milliseconds apart, and stamps carry rounding [s]."""
+
+
+def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Copy to a read-only array of the given shape (-1: any length)."""
+    array: NDArray[Any]
+    try:
+        array = np.array(values, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{what}: expected numbers, got {type(values).__name__} ({error})") from error
+    if array.ndim != len(shape) or any(
+        have != want for have, want in zip(array.shape, shape, strict=True) if want >= 0
+    ):
+        raise RecordingError(f"{what}: expected shape {shape} (-1 is any length), got {array.shape}")
+    array.setflags(write=False)
+    return array
+
+
+def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
+    result = tuple(str(name) for name in names)
+    repeated = sorted({name for name in result if result.count(name) > 1})
+    if repeated:
+        raise RecordingError(f"{what}: joint {repeated[0]!r} is named twice; each joint needs one column")
+    return result
+
+
+def _increasing(times: NDArray[Any], what: str) -> None:
+    if times.size > 1 and not bool(np.all(np.diff(times) > 0)):
+        raise RecordingError(f"{what}: times must increase strictly; sort them and drop repeated ones first")
+
+
+def _finite(values: NDArray[Any], what: str) -> None:
+    if not bool(np.all(np.isfinite(values))):
+        raise RecordingError(f"{what}: every value must be finite; drop the samples with NaN or infinity first")
+
+
+def _column(names: tuple[str, ...], name: str) -> int:
+    if name not in names:
+        raise RecordingError(f"joint {name!r} is not in the recording; recorded: {', '.join(names) or 'none'}")
+    return names.index(name)
+
+
+@dataclass(frozen=True)
+class JointRecord:
+    """Joint states over time.
+
+    Attributes:
+        times_ns: Sampling instants [ns], strictly increasing, shape (T,).
+        names: Joint names, one per column, unique.
+        position: Joint positions [rad or m], finite, shape (T, J).
+        velocity: Joint velocities [rad/s or m/s], shape (T, J); NaN where a message gave none; None if none did.
+        effort: Joint efforts [N m or N], shape (T, J); NaN where a message gave none; None if unknown.
+        current: Measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere.
+
+    Raises:
+        RecordingError: A shape, an order or a value is wrong.
+    """
+
+    times_ns: TimeArray
+    names: tuple[str, ...]
+    position: FloatArray
+    velocity: FloatArray | None = None
+    effort: FloatArray | None = None
+    current: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        names = _names(self.names, "joint states")
+        times = _frozen(self.times_ns, np.int64, "joint states: times_ns", (-1,))
+        _increasing(times, "joint states")
+        object.__setattr__(self, "names", names)
+        object.__setattr__(self, "times_ns", times)
+        for quantity in ("position", "velocity", "effort", "current"):
+            values = getattr(self, quantity)
+            if values is not None:
+                what = f"joint states: {quantity}"
+                object.__setattr__(self, quantity, _frozen(values, np.float64, what, (len(times), len(names))))
+        _finite(self.position, "joint states: position")
+
+    def column(self, name: str) -> int:
+        """Column of a joint.
+
+        Raises:
+            RecordingError: The joint was not recorded.
+        """
+        return _column(self.names, name)
+
+
+@dataclass(frozen=True)
+class InputRecord:
+    """Motor currents that drove the joints; each row holds until the next.
+
+    Attributes:
+        times_ns: When each row begins to hold [ns], strictly increasing, shape (C,).
+        names: Joint names, one per column, unique.
+        current_A: Motor current [A], finite, shape (C, J).
+        source: Where it comes from: the topic's name, or `MEASURED_EFFORT`.
+
+    Raises:
+        RecordingError: A shape, an order or a value is wrong.
+    """
+
+    times_ns: TimeArray
+    names: tuple[str, ...]
+    current_A: FloatArray
+    source: str
+
+    def __post_init__(self) -> None:
+        names = _names(self.names, "input")
+        times = _frozen(self.times_ns, np.int64, "input: times_ns", (-1,))
+        _increasing(times, "input")
+        current = _frozen(self.current_A, np.float64, "input: current_A", (len(times), len(names)))
+        _finite(current, "input: current_A")
+        object.__setattr__(self, "names", names)
+        object.__setattr__(self, "times_ns", times)
+        object.__setattr__(self, "current_A", current)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the input is what the motors reported, not what they were told."""
+        return self.source == MEASURED_EFFORT
+
+    def column(self, name: str) -> int:
+        """Column of a joint.
+
+        Raises:
+            RecordingError: The joint has no input column.
+        """
+        return _column(self.names, name)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording: what the joints did, what drove them, and what had to be repaired.
+
+    Attributes:
+        name: Name of the bag, for messages and reports.
+        joints: Joint states.
+        inputs: Input currents; None when the recording tells nothing about them.
+        notes: Every repair made while reading, one sentence each.
+    """
+
+    name: str
+    joints: JointRecord
+    inputs: InputRecord | None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Run:
+    """One probe: a joint starts at rest, a current drives it alone, the others are held. Times count from its onset.
+
+    Attributes:
+        name: Name of the recording, with the run's number behind it when there are several.
+        joint: The driven joint.
+        onset_ns: Instant of the command's onset [ns].
+        times_s: Sampling instants, 0 <= t <= duration_s [s], strictly increasing, shape (K,).
+        position: Positions of the driven joint [rad or m], shape (K,).
+        before_times_s: Instants of the samples at rest before the onset, t < 0 [s], strictly increasing, shape (P,).
+        before_position: Positions of the driven joint at those instants [rad or m], shape (P,).
+        held: Mean position of every other joint from the first sample before the onset to the end [rad or m].
+        held_span: Largest minus smallest position of the same [rad or m].
+        input_times_s: When each current begins to hold [s], strictly increasing, starting at 0, shape (S,).
+        input_current_A: Current of the driven joint [A], neighbours differ, shape (S,).
+        duration_s: End of the non-zero current [s].
+        source: Where the input comes from, as in `InputRecord.source`.
+        notes: What a reader of the result should know about this run, one sentence each.
+
+    Raises:
+        RecordingError: A shape, an order or a value is wrong.
+    """
+
+    name: str
+    joint: str
+    onset_ns: int
+    times_s: FloatArray
+    position: FloatArray
+    before_times_s: FloatArray
+    before_position: FloatArray
+    held: dict[str, float]
+    held_span: dict[str, float]
+    input_times_s: FloatArray
+    input_current_A: FloatArray
+    duration_s: float
+    source: str
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for times_name, values_name in (
+            ("times_s", "position"),
+            ("before_times_s", "before_position"),
+            ("input_times_s", "input_current_A"),
+        ):
+            times = _frozen(getattr(self, times_name), np.float64, f"run {self.name}: {times_name}", (-1,))
+            values = _frozen(getattr(self, values_name), np.float64, f"run {self.name}: {values_name}", (len(times),))
+            _finite(times, f"run {self.name}: {times_name}")
+            _finite(values, f"run {self.name}: {values_name}")
+            _increasing(times, f"run {self.name}: {times_name}")
+            object.__setattr__(self, times_name, times)
+            object.__setattr__(self, values_name, values)
+        if not np.isfinite(self.duration_s) or self.duration_s <= 0.0:
+            raise RecordingError(f"run {self.name}: duration must be positive, got {self.duration_s} s")
+        if self.times_s.size and (self.times_s[0] < 0.0 or self.times_s[-1] > self.duration_s):
+            raise RecordingError(f"run {self.name}: samples must lie between 0 and {self.duration_s} s")
+        if self.before_times_s.size and self.before_times_s[-1] >= 0.0:
+            raise RecordingError(f"run {self.name}: samples before the onset must have negative times")
+        if self.input_times_s.size == 0 or self.input_times_s[0] != 0.0:
+            raise RecordingError(f"run {self.name}: the input must start at time 0")

@@ -1,0 +1,84 @@
+"""Where the files that belong to the package lie: robots, probes, URDFs and small recordings.
+
+The same names work from a source tree (also editable and symlinked installs), a wheel, a colcon workspace and a Debian
+package. Nothing of ROS is imported: ``get_package_share_directory`` raises where no workspace is sourced, and pip
+installs no data files at all for an editable package.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from proprio_ros.errors import ConfigurationError
+
+KINDS: dict[str, tuple[str, str]] = {
+    "robots": ("config/robots", ".yaml"),
+    "probes": ("config/probes", ".yaml"),
+    "parameters": ("config", ".yaml"),
+    "urdf": ("urdf", ".urdf"),
+    "bags": ("bags", ""),
+}
+"""Folder of each kind of resource under the share directory, and the suffix of its names."""
+
+_MARKER = "config/robots/open_manipulator_x.yaml"
+
+
+def _candidates() -> Iterator[Path]:
+    """Nearest to the running code first, so that data and code are of one version even where several are installed."""
+    module = Path(__file__).resolve()
+    yield module.parents[1]
+    for parent in module.parents:
+        yield parent / "share" / "proprio_ros"
+    yield Path(sys.prefix) / "share" / "proprio_ros"
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix) / "share" / "proprio_ros"
+
+
+@functools.cache
+def share_directory() -> Path:
+    """Folder that holds ``config/``, ``urdf/`` and ``bags/``.
+
+    Raises:
+        ConfigurationError: The package was installed without its data files.
+    """
+    for candidate in _candidates():
+        if (candidate / _MARKER).is_file():
+            return candidate
+    raise ConfigurationError(
+        f"the package's data files ({_MARKER} and others) are neither beside the code nor under {sys.prefix}/share: "
+        "install proprio_ros with pip or colcon, or run it from its source tree"
+    )
+
+
+def resource_names(kind: str) -> tuple[str, ...]:
+    """Names of all resources of a kind, sorted.
+
+    Args:
+        kind: One of `KINDS`.
+    """
+    folder, suffix = KINDS[kind]
+    found = (share_directory() / folder).glob(f"*{suffix}")
+    return tuple(sorted(path.name.removesuffix(suffix) for path in found if suffix or path.is_dir()))
+
+
+def resource(kind: str, name: str) -> Path:
+    """Path of a resource.
+
+    Args:
+        kind: One of `KINDS`.
+        name: Its name, with or without the suffix of its kind.
+
+    Raises:
+        ConfigurationError: There is none of that name.
+    """
+    folder, suffix = KINDS[kind]
+    path = share_directory() / folder / (name.removesuffix(suffix) + suffix)
+    if not path.exists():
+        choices = ", ".join(resource_names(kind)) or "none"
+        raise ConfigurationError(f"no {name!r} among the {kind}; there are: {choices}; or give a path")
+    return path

@@ -1,0 +1,265 @@
+"""Runs cut out of a recording: where a current drove one joint, and what the joint did meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.records import (
+    INSTANT_S,
+    LOST_AFTER_PERIODS,
+    ZERO_CURRENT_A,
+    BoolArray,
+    FloatArray,
+    InputRecord,
+    JointRecord,
+    Recording,
+    Run,
+    TimeArray,
+)
+
+MEASURED_CURRENT_FLOOR_A = 0.015
+"""Measured currents scatter by 8-15 mA around the command on a real OpenManipulator-X; less is rest [A]."""
+
+REST_S = 0.2
+"""A measured rest level is taken over the opening of the recording [s]."""
+
+SETTLING_S = 0.3
+"""After a run ends the joint is braked; what it does meanwhile is no rest [s]."""
+
+BEFORE_S = 1.0
+"""Rest before the onset that a run carries along [s]."""
+
+MOVING_SPAN = 0.02
+"""A joint that a position controller holds gives way by less than this [rad or m]."""
+
+MIN_SAMPLES = 5
+"""Fewer samples than this say nothing about a motion that starts at rest."""
+
+
+class _Interval(NamedTuple):
+    """Rows first..last of the input drive the joint; the current ends at end_ns."""
+
+    joint: str
+    first: int
+    last: int
+    onset_ns: int
+    end_ns: int
+    notes: tuple[str, ...]
+
+
+def cut_runs(
+    recording: Recording, *, held: Mapping[str, float] | None = None, joints: Sequence[str]
+) -> tuple[Run, ...]:
+    """Cut the runs out of a recording, in the order in which they happened.
+
+    A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods
+    (at most 0.3 s) belongs to the run, a longer one ends it.
+
+    Args:
+        recording: The recording.
+        held: Positions of joints that are held but not recorded, or that replace recorded ones [rad or m].
+        joints: Joints that may be driven: those of the robot that have a motor.
+
+    Returns:
+        The runs, at least one.
+
+    Raises:
+        RecordingError: No joint was driven, several were at once, an unknown or unrecorded one was, or a run has fewer
+            than five samples.
+    """
+    inputs = recording.inputs
+    if inputs is None:
+        raise RecordingError(
+            f"{recording.name}: the recording tells no input current; record /applied_effort or /current_command,"
+            " or name the topic with --command-topic"
+        )
+    record = recording.joints
+    intervals = _intervals(recording.name, record, inputs, tuple(joints))
+    runs = []
+    previous_end_ns: int | None = None
+    for number, interval in enumerate(intervals, start=1):
+        name = recording.name if len(intervals) == 1 else f"{recording.name}#{number}"
+        runs.append(_run(name, record, inputs, interval, previous_end_ns, dict(held or {})))
+        previous_end_ns = interval.end_ns
+    return tuple(runs)
+
+
+def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> list[_Interval]:
+    active = _active(inputs)
+    intervals = []
+    for column, joint in enumerate(inputs.names):
+        if not active[:, column].any() or (inputs.measured and joint not in joints):
+            continue
+        if joint not in joints:
+            raise RecordingError(f"{name}: joint {joint!r} was driven, but the robot drives {', '.join(joints)}")
+        if joint not in record.names:
+            raise RecordingError(
+                f"{name}: joint {joint!r} was driven but its position was not recorded;"
+                f" recorded: {', '.join(record.names)}"
+            )
+        intervals += _intervals_of_joint(record, inputs, joint, active[:, column])
+    if inputs.measured:
+        # a few samples above the rest level are noise, not a probe
+        intervals = [interval for interval in intervals if interval.last - interval.first + 1 >= MIN_SAMPLES]
+        intervals = _without_holding_joints(record, intervals)
+    intervals.sort(key=lambda interval: interval.onset_ns)
+    for earlier, later in pairwise(intervals):
+        if later.onset_ns < earlier.end_ns:
+            raise RecordingError(
+                f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; this is not supported yet:"
+                " drive one joint at a time"
+            )
+    if not intervals:
+        stays = "never leaves its rest level for long" if inputs.measured else "is zero throughout"
+        raise RecordingError(
+            f"{name}: no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);"
+            " record the probe itself, or name another input with --command-topic"
+        )
+    return intervals
+
+
+def _active(inputs: InputRecord) -> BoolArray:
+    """Where each joint is driven, shape (C, J)."""
+    if not inputs.measured:
+        commanded: BoolArray = np.abs(inputs.current_A) > ZERO_CURRENT_A
+        return commanded
+    opening = inputs.times_ns <= inputs.times_ns[0] + int(REST_S * 1e9)
+    opening[: min(MIN_SAMPLES, len(opening))] = True
+    rest = np.median(inputs.current_A[opening], axis=0)
+    # 1.4826: the median absolute deviation of a normal distribution is its standard deviation / 1.4826
+    sigma = 1.4826 * float(np.median(np.abs(inputs.current_A[opening] - rest)))
+    raised: BoolArray = np.abs(inputs.current_A - rest) > max(MEASURED_CURRENT_FLOOR_A, 6.0 * sigma)
+    return raised
+
+
+def _intervals_of_joint(record: JointRecord, inputs: InputRecord, joint: str, active: BoolArray) -> list[_Interval]:
+    times = inputs.times_ns
+    period_ns = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    # Commands that are sent only when they change have a long median period and would join runs far apart.
+    bridge_ns = 3.0 * min(period_ns, 0.1e9)
+    rows = np.flatnonzero(active)
+    stretches = [[rows[0], rows[0]]]
+    for row in rows[1:]:
+        zero_begins = times[stretches[-1][1] + 1]
+        if row == stretches[-1][1] + 1 or times[row] - zero_begins < bridge_ns:
+            stretches[-1][1] = row
+        else:
+            stretches.append([row, row])
+    intervals = []
+    for first, last in stretches:
+        notes = []
+        onset_ns = int(times[first])
+        if last + 1 < len(times):
+            end_ns = int(times[last + 1])
+        else:
+            end_ns = max(int(record.times_ns[-1]), onset_ns)
+            notes.append(
+                f"the input ends while {joint} is still driven: its last current is held until the last joint state"
+            )
+        longest_ns = int(np.diff(times[first : last + 2]).max(initial=0))
+        if longest_ns > LOST_AFTER_PERIODS * period_ns:
+            notes.append(f"no input came for {longest_ns / 1e6:.0f} ms while {joint} was driven; the last was held")
+        if inputs.measured:
+            onset_ns, end_ns, note = _between_samples(times, int(first), int(last), end_ns)
+            notes.append(note)
+        intervals.append(_Interval(joint, int(first), int(last), onset_ns, end_ns, tuple(notes)))
+    return intervals
+
+
+def _between_samples(times: TimeArray, first: int, last: int, end_ns: int) -> tuple[int, int, str]:
+    """A measured current began between the last quiet and the first loud sample: the middle is the least wrong."""
+    quiet_ns = int(times[max(first - 1, 0)])
+    onset_ns = (quiet_ns + int(times[first])) // 2
+    uncertainty_ms = (int(times[first]) - quiet_ns) / 2e6
+    if last + 1 < len(times):
+        end_ns = (int(times[last]) + int(times[last + 1])) // 2
+    return onset_ns, end_ns, f"no command was recorded: the onset is known to +-{uncertainty_ms:.1f} ms only"
+
+
+def _without_holding_joints(record: JointRecord, intervals: list[_Interval]) -> list[_Interval]:
+    """Drop the joints whose motors answer a moving neighbour: their current changes, but they stay where they are."""
+    kept = []
+    for interval in intervals:
+        moving = [
+            other
+            for other in intervals
+            if other.onset_ns < interval.end_ns
+            and interval.onset_ns < other.end_ns
+            and _span(record, other.joint, interval) > max(MOVING_SPAN, 5.0 * _span(record, interval.joint, interval))
+        ]
+        if not moving:
+            kept.append(interval)
+    return kept
+
+
+def _span(record: JointRecord, joint: str, interval: _Interval) -> float:
+    rows = (record.times_ns >= interval.onset_ns) & (record.times_ns <= interval.end_ns)
+    return float(np.ptp(record.position[rows, record.column(joint)])) if rows.any() else 0.0
+
+
+def _run(
+    name: str,
+    record: JointRecord,
+    inputs: InputRecord,
+    interval: _Interval,
+    previous_end_ns: int | None,
+    held: dict[str, float],
+) -> Run:
+    times_s = (record.times_ns - interval.onset_ns) / 1e9
+    duration_s = (interval.end_ns - interval.onset_ns) / 1e9
+    inside = (times_s >= 0.0) & (times_s <= duration_s + INSTANT_S)
+    if int(inside.sum()) < MIN_SAMPLES:
+        raise RecordingError(
+            f"{name}: only {int(inside.sum())} joint states lie in the {duration_s:.3f} s in which {interval.joint} was"
+            f" driven; at least {MIN_SAMPLES} are needed: probe longer or publish faster"
+        )
+    begin_s = -BEFORE_S
+    if previous_end_ns is not None:
+        begin_s = max(begin_s, (previous_end_ns - interval.onset_ns) / 1e9 + SETTLING_S)
+    before = (times_s >= begin_s) & (times_s < 0.0)
+    notes = list(interval.notes)
+    column = record.column(interval.joint)
+    before_position = record.position[before, column]
+    if not before.any():
+        notes.append(f"no joint state at rest was recorded before {interval.joint} was driven")
+    elif np.ptp(before_position) > MOVING_SPAN:
+        notes.append(
+            f"{interval.joint} moved by {np.ptp(before_position):.3g} before it was driven: it was not at rest"
+        )
+    whole = before | inside
+    positions = dict(zip(record.names, record.position[whole].T, strict=True))
+    others = {joint: values for joint, values in positions.items() if joint != interval.joint}
+    input_times_s, input_current_A = _piecewise(inputs, interval)
+    return Run(
+        name=name,
+        joint=interval.joint,
+        onset_ns=interval.onset_ns,
+        times_s=np.minimum(times_s[inside], duration_s),
+        position=record.position[inside, column],
+        before_times_s=times_s[before],
+        before_position=before_position,
+        held={joint: float(values.mean()) for joint, values in others.items()}
+        | {joint: float(value) for joint, value in held.items() if joint != interval.joint},
+        held_span={joint: 0.0 for joint in held if joint != interval.joint}
+        | {joint: float(np.ptp(values)) for joint, values in others.items()},
+        input_times_s=input_times_s,
+        input_current_A=input_current_A,
+        duration_s=duration_s,
+        source=inputs.source,
+        notes=tuple(notes),
+    )
+
+
+def _piecewise(inputs: InputRecord, interval: _Interval) -> tuple[FloatArray, FloatArray]:
+    """Currents of the driven joint with equal neighbours merged; the first holds from the onset."""
+    rows = slice(interval.first, interval.last + 1)
+    current = inputs.current_A[rows, inputs.column(interval.joint)]
+    times_s = (inputs.times_ns[rows] - interval.onset_ns) / 1e9
+    times_s[0] = 0.0
+    changes = np.concatenate(([True], np.diff(current) != 0.0))
+    return times_s[changes], current[changes]

@@ -1,0 +1,40 @@
+"""What all tests share: where recordings lie, and ROS settings that keep parallel test sessions apart."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+
+# rclpy reads these when it is first imported. Without the field check, a wrong scalar type is published as garbage.
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder beside the repository with material that is not part of it; tests that need it skip without."""
+    path = REPOSITORY.parent / "shared"
+    if not path.is_dir():
+        pytest.skip(f"needs {path}")
+    return path
+
+
+@pytest.fixture(scope="session")
+def recordings(shared: Path) -> Path:
+    """Recordings of simulated robots, with the truth beside each."""
+    path = shared / "recordings"
+    if not path.is_dir():
+        pytest.skip(f"needs {path}")
+    return path
+
+
+@pytest.fixture(scope="session")
+def bags() -> Path:
+    """The repository's own small recordings."""
+    return REPOSITORY / "bags"
