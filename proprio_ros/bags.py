@@ -596,10 +596,10 @@ def read_recording(
     effort, current = _effort_and_current(
         names, values["effort"], effort_unit, nominal_torque_constants, current_per_count_A
     )
-    record = JointRecord(times, names, values["position"], _known_or_none(values["velocity"]), effort, current)
+    reported = _known_or_none(values["effort"])
+    record = JointRecord(times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported)
     if inputs is None:
-        has_effort = _known_or_none(values["effort"]) is not None
-        inputs = _measured(path, state, record, has_effort, effort_unit)
+        inputs = _measured(path, state, record, reported is not None, effort_unit)
     return Recording(path.resolve().name, record, inputs, tuple(notes))
 
 

@@ -82,6 +82,8 @@ class JointRecord:
         velocity: Joint velocities [rad/s or m/s], shape (T, J); NaN where a message gave none; None if none did.
         effort: Joint efforts [N m or N], shape (T, J); NaN where a message gave none; None if unknown.
         current: Measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere.
+        reported_effort: The effort field as it was recorded, in whatever unit its driver used, shape (T, J); NaN where a
+            message gave none; None if none did. Good for "did the motor do as it was told", never for a torque.
 
     Raises:
         RecordingError: A shape, an order or a value is wrong.
@@ -93,6 +95,7 @@ class JointRecord:
     velocity: FloatArray | None = None
     effort: FloatArray | None = None
     current: FloatArray | None = None
+    reported_effort: FloatArray | None = None
 
     def __post_init__(self) -> None:
         names = _names(self.names, "joint states")
@@ -100,7 +103,7 @@ class JointRecord:
         _increasing(times, "joint states")
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "times_ns", times)
-        for quantity in ("position", "velocity", "effort", "current"):
+        for quantity in ("position", "velocity", "effort", "current", "reported_effort"):
             values = getattr(self, quantity)
             if values is not None:
                 what = f"joint states: {quantity}"
@@ -195,6 +198,8 @@ class Run:
         duration_s: End of the non-zero current [s].
         source: Where the input comes from, as in `InputRecord.source`.
         notes: What a reader of the result should know about this run, one sentence each.
+        reported_effort: The driven joint's effort field at ``times_s``, in its driver's unit, shape (K,); None if not
+            recorded.
 
     Raises:
         RecordingError: A shape, an order or a value is wrong.
@@ -214,6 +219,7 @@ class Run:
     duration_s: float
     source: str
     notes: tuple[str, ...] = ()
+    reported_effort: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for times_name, values_name in (

@@ -117,7 +117,10 @@ def _bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[st
         state_topic=options.state_topic,
         command_topic=options.command_topic,
         effort_unit=options.effort_unit,
-        nominal_torque_constants={name: robot.drive_trains[name].nominal_torque_constant for name in joints},
+        # at the joint: N m per A, and N per A where the motor pushes a slide
+        nominal_torque_constants={
+            name: drive.nominal_torque_constant / drive.transmission for name, drive in robot.drive_trains.items()
+        },
         joint_order=joints,
     )
     # a bag's folder is often called after its storage, so the folder above tells which one it is

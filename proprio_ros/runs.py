@@ -252,6 +252,7 @@ def _run(
         duration_s=duration_s,
         source=inputs.source,
         notes=tuple(notes),
+        reported_effort=None if record.reported_effort is None else record.reported_effort[inside, column],
     )
 
 

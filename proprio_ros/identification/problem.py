@@ -13,7 +13,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
-from proprio_ros.records import Run
+from proprio_ros.records import MEASURED_EFFORT, Run
 from proprio_ros.robot import DriveTrain, Quantity, ReducedModel, Robot
 from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 from proprio_ros.sim.payload import (
@@ -26,6 +26,8 @@ from proprio_ros.sim.payload import (
 
 START_VELOCITY_STD = 0.01
 """rad/s: how still a held joint is when the current comes on. A probe starts from rest; this is its measure."""
+MIN_SLOW = 3
+"""Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
 _GRAVITY_ROWS = slice(0, 4)
 
@@ -60,6 +62,7 @@ class PreparedRun:
         coefficients: see ``Coefficients``.
         sigma: standard deviation of each used sample [rad or m], shape (used,).
         rest: start position from the samples before onset.
+        limited: whether the supply may limit the current inside the window, as far as the recording tells.
     """
 
     run: Run
@@ -69,6 +72,7 @@ class PreparedRun:
     coefficients: Coefficients
     sigma: np.ndarray
     rest: Quantity
+    limited: bool
 
     @property
     def times_s(self) -> np.ndarray:
@@ -108,8 +112,7 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
     """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
 
     Raises:
-        RecordingError: a joint the robot has is missing from the recording, the driven joint has no drive train, or fewer
-            than five samples are usable.
+        RecordingError: a joint the robot has is missing from the recording, or the driven joint has no drive train.
     """
     if run.joint not in robot.drive_trains:
         known = ", ".join(robot.drive_trains)
@@ -122,9 +125,8 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
     drive = robot.drive_trains[run.joint]
     joint = robot.model.joint(run.joint)
     velocity = np.gradient(run.position, run.times_s)
-    used, reason = _usable_window(run, velocity, drive, joint.lower, joint.upper)
-    if used < 5:
-        raise RecordingError(f"{run.name}: only {used} usable samples ({reason}): start further from the limit, with less current")
+    followed = _followed(run, velocity, drive)
+    used, reason = _usable_window(run, velocity, followed, drive, joint.lower, joint.upper)
     reading = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
     sigma = np.hypot(reading, velocity[:used] * robot.stamp_jitter_s)
     if len(run.before_position):
@@ -146,27 +148,56 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
     coefficients = Coefficients(
         arm, payload, tuple(n for n, m in zip(held, matters, strict=True) if m), arm_by_pose[matters], payload_by_pose[matters]
     )
-    return PreparedRun(run, used, reason, drive, coefficients, sigma, rest)
+    return PreparedRun(run, used, reason, drive, coefficients, sigma, rest, limited=not followed[1:used].all())
 
 
-def _usable_window(run: Run, velocity: np.ndarray, drive: DriveTrain, lower: float, upper: float) -> tuple[int, str]:
-    """Samples before the joint meets its limit, or runs so fast that the supply may no longer drive the current."""
-    margin = max(0.01 * min(upper - lower, 2.0), 5.0 * drive.encoder_resolution) if np.isfinite(upper - lower) else 0.0
-    near = (run.position < lower + margin) | (run.position > upper - margin)
-    # a joint that starts near a limit and leaves it is free to move
-    toward = np.where(run.position > 0.5 * (lower + upper), velocity, -velocity) if np.isfinite(upper - lower) else velocity
-    stopped = np.flatnonzero(near & (toward > -0.05) & (np.abs(run.position - run.position[0]) > margin))
-    fast = np.flatnonzero(np.abs(velocity) > drive.usable_velocity)
+def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
+    """At which samples the motor reported the current it was told, shape (K,); False where nothing was reported.
+
+    The reported effort is compared with the command in its own unit: what the two have to do with each other is read off the
+    slow samples, where the supply limits nothing.
+    """
+    blind = np.zeros(len(run.times_s), dtype=bool)
+    if run.reported_effort is None:
+        return blind
+    command = run.input_current_A[np.searchsorted(run.input_times_s, run.times_s, side="left").clip(1) - 1]
+    slow = (np.abs(velocity) < 0.5 * drive.usable_velocity) & (command != 0.0) & np.isfinite(run.reported_effort)
+    slow &= run.times_s > run.times_s[0]  # the first report may be older than the command
+    if slow.sum() < MIN_SLOW or np.median(run.reported_effort[slow] / command[slow]) <= 0.0:
+        return blind
+    unit = float(np.median(run.reported_effort[slow] / command[slow]))
+    off = np.abs(run.reported_effort / unit - command)
+    noise = 1.4826 * float(np.median(off[slow]))
+    return off <= np.maximum(0.05 * np.abs(command), 4.0 * noise)
+
+
+def _usable_window(
+    run: Run, velocity: np.ndarray, followed: np.ndarray, drive: DriveTrain, lower: float, upper: float
+) -> tuple[int, str]:
+    """Samples before the joint meets its limit, or runs so fast that the supply may no longer drive the current.
+
+    A fast sample still counts while the motor itself reports the commanded current.
+    """
     count = len(run.times_s)
+    # how close to the limit a reading is no longer certain to be short of it
+    margin = 3.0 * float(np.hypot(drive.zero.std, drive.encoder_resolution))
+    before = np.concatenate([[run.position[0]], run.position[:-1]])
+    step = np.diff(run.position, prepend=run.position[0])
+    expected = before + np.concatenate([[0.0], step[:-1]])  # where the sample would be at the speed of the last interval
+    beyond = (np.maximum(run.position, expected) > upper - margin) | (np.minimum(run.position, expected) < lower + margin)
+    # a joint that starts at a limit and leaves it is free to move
+    stopped = np.flatnonzero(beyond & (np.abs(run.position - run.position[0]) > margin))
+    fast = np.flatnonzero((np.abs(velocity) > drive.usable_velocity) & ~followed)
     limit = int(stopped[0]) if len(stopped) else count
     speed = int(fast[0]) if len(fast) else count
     if limit < count and limit <= speed:
-        # the sample before may already show the impact that came between the two
-        return max(limit - 1, 0), f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start"
+        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start"
     if speed < count:
+        told = "the motor did not report the commanded current" if run.reported_effort is not None else (
+            "the supply may no longer drive the commanded current"
+        )  # fmt: skip
         return speed, (
-            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start, "
-            "where the supply may no longer drive the commanded current"
+            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start and {told}"
         )
     return count, ""
 
@@ -187,7 +218,7 @@ def payload_unknowns(
         )
     unknowns.append(Unknown("shape_scale", "1", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
     unknowns.append(_from_quantity("arm_scale", "1", robot.arm_scale, drive_role, lower=0.1))
-    unknowns.append(_from_quantity("delay", "s", robot.delay, drive_role, lower=-0.05, upper=0.1))
+    unknowns.append(_from_quantity("delay", "s", _delay(robot, runs), drive_role, lower=-0.1, upper=0.1))
     for name in dict.fromkeys(run.run.joint for run in runs):
         drive = robot.drive_trains[name]
         units = ("N m/A", "N m", "N m s/rad", "1", "kg m^2")
@@ -208,6 +239,12 @@ def payload_unknowns(
         unknowns.append(Unknown(f"q0[{row}]", "rad", run.rest.value, run.rest.std))
         unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, START_VELOCITY_STD))
     return unknowns
+
+
+def _delay(robot: Robot, runs: Sequence[PreparedRun]) -> Quantity:
+    """The robot's delay; where the input is measured effort, the onset is only known to one sample period."""
+    periods = [float(np.median(np.diff(run.run.times_s))) for run in runs if run.run.source == MEASURED_EFFORT]
+    return Quantity(robot.delay.value, float(np.hypot(robot.delay.std, max(periods, default=0.0) / 2.0)))
 
 
 DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
@@ -272,7 +309,8 @@ class PayloadProblem:
             run.times_s,
             run.run.input_times_s,
             run.run.input_current_A,
-            (drive.supply_voltage_V, drive.back_emf_V_s_per_rad, drive.resistance_ohm),
+            # where the motor reported the commanded current throughout, no nominal supply may overrule it
+            (drive.supply_voltage_V if run.limited else 0.0, drive.back_emf_V_s_per_rad, drive.resistance_ohm),
             self.robot.friction_velocity,
             step_s,
             float(np.clip(fine, 5e-5, step_s)),
@@ -350,6 +388,19 @@ class PayloadProblem:
                 p[:, row, INDEX[parameter]] = values[:, at[name]]
                 dp[:, row, INDEX[parameter], at[name]] = 1.0
         return p, dp[..., columns]
+
+    def load_per_mass(self, run: PreparedRun) -> float:
+        """Gravity load of 1 kg in the hand on the driven joint at the run's start [N m/kg]."""
+        per_mass = payload_parameters(np.ones(1), self.facts.com[None], self.facts.shape.second_moment_per_mass)[0]
+        _, cos, sin, constant = run.coefficients.payload @ per_mass
+        return float(cos * np.cos(run.rest.value) + sin * np.sin(run.rest.value) + constant)
+
+    def torque_stds(self, run: PreparedRun) -> np.ndarray:
+        """What the robot file leaves open of the torque that holds the joint: Coulomb, motor, load friction [N m]."""
+        drive = run.drive
+        current = float(np.abs(run.run.input_current_A).max())
+        motor = drive.torque_constant.value * current
+        return np.array([drive.coulomb.std, drive.torque_constant.std * current, drive.load_friction.std * motor])
 
     def all_values(self, free_values: np.ndarray) -> np.ndarray:
         """Every unknown of each guess, shape (S, N), from the free ones, shape (S, F)."""

@@ -83,10 +83,13 @@ def levenberg_marquardt(
         if not path_cost:
             path_cost.append(cost.copy())
         for _ in range(iterations if last else window_iterations):
-            damped = matrix.copy()
+            # an unknown that sits on a bound and is pushed outward takes no part in the step
+            held = ((u <= coordinates.lower) & (gradient > 0.0)) | ((u >= coordinates.upper) & (gradient < 0.0))
+            moves = ~held
+            damped = np.where(moves[:, :, None] & moves[:, None, :], matrix, 0.0)
             damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
-            damped[:, diagonal, diagonal] += 1e-300
-            step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
+            damped[:, diagonal, diagonal] += np.where(held, 1.0, 1e-300)
+            step = -np.linalg.solve(damped, np.where(moves, gradient, 0.0)[..., None])[..., 0]
             step = np.clip(step, -coordinates.step_limit, coordinates.step_limit)
             trial = np.clip(u + step, coordinates.lower, coordinates.upper)
             trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)

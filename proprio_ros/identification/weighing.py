@@ -225,6 +225,8 @@ def _conclude(
     mass = float(fit.values[row])
     # the nominal mass may sit anywhere inside the open fit's interval: count how far
     covariance[row, row] += (mass - float(opened.values[row])) ** 2
+    # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
+    covariance[row, row] += _static_std(fit.problem, runs) ** 2
     std = float(np.sqrt(covariance[row, row]))
     quality = Fit(rms, expected, fit.reduced_chi2, condition=condition)
     verdict = Verdict.ACCEPTED
@@ -355,6 +357,15 @@ def _covariance(fit: _FitResult, inflation: float) -> tuple[np.ndarray, float]:
     inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
     covariance[np.ix_(problem.free, problem.free)] = inverse * scale[:, None] * scale[None, :]
     return covariance, float(np.linalg.cond(scaled))
+
+
+def _static_std(problem: PayloadProblem, runs: Sequence[PreparedRun]) -> float:
+    """What the open friction and torque constant are worth as a weight at rest [kg]; 0 if any run moved far enough."""
+    if any(abs(run.travel) >= LITTLE_TRAVEL for run in runs):
+        return 0.0
+    return min(
+        float(np.hypot.reduce(problem.torque_stds(run))) / max(abs(problem.load_per_mass(run)), 1e-9) for run in runs
+    )
 
 
 def _budget(fit: _FitResult, covariance: np.ndarray) -> list[tuple[str, float]]:
