@@ -36,7 +36,7 @@ def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDAr
     """Copy to a read-only array of the given shape (-1: any length)."""
     array: NDArray[Any]
     try:
-        array = np.array(values, dtype=dtype)
+        array = np.array(values, dtype=dtype, order="C")
     except (TypeError, ValueError) as error:
         raise RecordingError(f"{what}: expected numbers, got {type(values).__name__} ({error})") from error
     if array.ndim != len(shape) or any(

@@ -29,6 +29,9 @@ DEFAULT_ROBOT = "open_manipulator_x"
 TEXT_ROBOT = "open_manipulator_x_as_published"
 """Robot of a text recording that names none: the description that the paper's public example simulates."""
 
+PAPER_PROBE_FRAMES = 36
+"""The paper's elbow probe lasts 0.6 s: 36 frames. Its recording goes on for longer, without saying what the motor did then."""
+
 _Options = TypeVar("_Options", WeighingOptions, PaperOptions)
 
 
@@ -160,21 +163,25 @@ def _text_run(robot: Robot, text: TextRecording, held: Mapping[str, float]) -> R
     start = pose.pop(text.joint)
     gripper = {name: 0.0 for name in robot.model.independent_joints if name != text.joint and name not in pose}
     others = {**gripper, **pose, **held}
+    used = text.times_s <= PAPER_PROBE_FRAMES * FRAME_S + 1e-6
     return Run(
         name=text.name,
         joint=text.joint,
         onset_ns=0,
-        times_s=text.times_s,
-        position=start + text.relative_position,
+        times_s=text.times_s[used],
+        position=start + text.relative_position[used],
         before_times_s=np.zeros(0),
         before_position=np.zeros(0),
         held=others,
         held_span=dict.fromkeys(others, 0.0),
         input_times_s=np.zeros(1),
         input_current_A=np.array([_text_current(text)]),
-        duration_s=float(text.times_s[-1]),
+        duration_s=float(text.times_s[used][-1]),
         source="the torque in setting.json",
-        notes=tuple(f"{name} is not in the recording and was taken as 0" for name in gripper),
+        notes=(
+            *(f"{name} is not in the recording and was taken as 0" for name in gripper),
+            *([f"{(~used).sum()} samples after the probe of {PAPER_PROBE_FRAMES} frames were left out"] * (not used.all())),
+        ),
     )
 
 
@@ -192,10 +199,10 @@ def _text_paper(paper: PaperOptions, text: TextRecording, settings: Settings) ->
     if "optimizer" in fit and "paper.iterations" not in stated:
         changes["iterations"] = 15
     if "loss" in fit and "paper.loss_sample" not in stated:
-        # the authors keep the states before each step, so the last one they compare lies one substep before frame 36;
-        # it meets sample 35
+        # the authors keep the states before each step, so the last one they compare lies one substep before
+        # frame 36; it meets sample 35
         substeps = changes.get("substeps", paper.substeps)
-        changes["loss_time_s"], changes["loss_sample"] = (36 - 1 / substeps) * FRAME_S, 35
+        changes["loss_time_s"], changes["loss_sample"] = (PAPER_PROBE_FRAMES - 1 / substeps) * FRAME_S, PAPER_PROBE_FRAMES - 1
     return replace(paper, **changes)
 
 

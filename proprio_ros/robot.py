@@ -404,7 +404,7 @@ class RobotModel:
             if joint.mimic is not None and (source := self._driving(joint)[0]) in active:
                 raise RobotError(
                     f"joint {source!r} of {self.name} drives {joint.name!r} too, and one motor for two joints is not "
-                    f"modelled here; choose another joint to move"
+                    "modelled here; choose another joint to move"
                 )
 
     def fingerprint(self) -> str:
@@ -414,16 +414,19 @@ class RobotModel:
         between machines.
         """
 
-        def digits(values: ArrayLike, decimals: int) -> list[str]:
-            return [f"{value:.{decimals}f}" for value in np.round(np.ravel(values), decimals) + 0.0]
+        def digits(values: ArrayLike) -> list[str]:
+            numbers = np.ravel(np.asarray(values, dtype=np.float64))
+            scale = float(np.abs(numbers).max()) or 1.0
+            # adding zero makes a rounded -0 the same as 0
+            return [f"{scale:.11e}", *(f"{value:.12f}" for value in np.round(numbers / scale, 12) + 0.0)]
 
         joints = sorted(
-            [joint.name, joint.kind, joint.parent, joint.child, digits(joint.origin, 10)]
-            + ([] if joint.kind == "fixed" else [digits(joint.axis, 10)])
-            + ([] if joint.mimic is None else [joint.mimic[0], digits(joint.mimic[1:], 10)])
+            [joint.name, joint.kind, joint.parent, joint.child, digits(joint.origin)]
+            + ([] if joint.kind == "fixed" else [digits(joint.axis)])
+            + ([] if joint.mimic is None else [joint.mimic[0], digits(joint.mimic[1:])])
             for joint in self.joints
         )
-        links = sorted([link.name, digits(link.pseudo_inertia, 14)] for link in self.links)
+        links = sorted([link.name, digits(link.pseudo_inertia)] for link in self.links)
         return hashlib.sha256(json.dumps([self.root, joints, links]).encode()).hexdigest()
 
 
@@ -894,7 +897,7 @@ _ROBOT = {
     "arm_scale": _Field(_quantity(_positive), Quantity(1.0)),
     "delay_s": _Field(_quantity(_real), Quantity(0.0)),
     "stamp_jitter_s": _Field(_not_negative, 0.0),
-    "friction_velocity_rad_s": _Field(_positive, 0.01),
+    "friction_velocity_rad_s": _Field(_positive, 0.001),
     "calibrated": _Field(_truth, False),
     "model_fingerprint": _Field(_text, None),
 }

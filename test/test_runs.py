@@ -247,16 +247,16 @@ def measured(
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("value", [-0.3, 0.05])
-def test_a_measured_run_is_known_to_half_a_sample_at_both_ends(value: float, seed: int) -> None:
+def test_a_measured_run_begins_after_the_last_quiet_sample(value: float, seed: int) -> None:
     # the motors report what they did before the sample: the first loud one is at 0.025 s, the last at 0.6 s
     current = step(cycles(), CYCLE_S, 0.625, value)
     (run,) = cut_runs(measured({"joint3": current}, seed=seed), joints=ROBOT_JOINTS)
     assert run.joint == "joint3"
     assert run.source == MEASURED_EFFORT
-    assert run.onset_ns - ONSET_NS == 12_500_000
+    assert run.onset_ns == ONSET_NS
     assert run.duration_s == 0.6
-    assert "the onset is known to +-12.5 ms only" in " ".join(run.notes)
-    assert run.input_times_s[:3] == pytest.approx([0.0, 0.0375, 0.0625])
+    assert "the onset may be up to 25.0 ms later than taken" in " ".join(run.notes)
+    assert run.input_times_s[:3] == pytest.approx([0.0, 0.025, 0.05])
     assert run.input_current_A.mean() == pytest.approx(value, abs=0.003)
 
 

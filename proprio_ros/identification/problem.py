@@ -432,7 +432,7 @@ class PayloadProblem:
 
         Returns:
             cost (S,) = half the squared norm of the whitened residuals, gradient (S, F), matrix (S, F, F). A guess whose
-            rollout diverged has an infinite cost and zero gradient.
+            rollout diverged, or whose moving part would have no inertia, has an infinite cost and zero gradient.
         """
         coordinates = self.coordinates
         physical = coordinates.physical(internal)
@@ -459,7 +459,8 @@ class PayloadProblem:
         matrix[:, diagonal, diagonal] += coordinates.prior_weight**2
         gradient = gradient * slope
         matrix = matrix * slope[:, :, None] * slope[:, None, :]
-        bad = ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
+        massless = (p[:, :, INDEX["inertia"]] <= 0.0).any(axis=1)
+        bad = massless | ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
         if bad.any():
             cost[bad], gradient[bad] = np.inf, 0.0
             matrix[bad] = np.eye(size)

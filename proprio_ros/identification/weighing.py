@@ -32,7 +32,13 @@ from proprio_ros.identification.estimate import (
     Value,
     Verdict,
 )
-from proprio_ros.identification.problem import DRIVE_TERMS, PayloadProblem, PreparedRun, payload_unknowns, prepare_run
+from proprio_ros.identification.problem import (
+    DRIVE_TERMS,
+    START_VELOCITY_STD,
+    PayloadProblem, PreparedRun,
+    payload_unknowns,
+    prepare_run,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -413,10 +419,11 @@ def _misfit_reasons(
         f"misfit: the best simulation ({1e3 * mass:.1f} g) misses the recording by {1e3 * rms:.2f} mrad rms where the encoder "
         f"explains {1e3 * expected:.2f} mrad, so its mass is no weighing"
     ]
-    moving = _solve(robot, runs, facts, replace(options, solver="lm"), Role.FREE, start_velocity_std=10.0)
+    # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
+    moving = _solve(robot, runs, facts, replace(options, solver="lm"), Role.FROZEN, start_velocity_std=10.0)
     for row, run in enumerate(runs):
         velocity = float(moving.values[moving.problem.index[f"v0[{row}]"]])
-        if moving.chi2 < 0.5 * fit.chi2 and abs(velocity) > 0.1:
+        if moving.chi2 < 0.5 * fit.chi2 and abs(velocity) > 10.0 * START_VELOCITY_STD:
             other = float(moving.values[moving.problem.index["payload_mass"]])
             free_rms = run_fits(moving.problem, moving.values, runs)[1]
             reasons.append(

@@ -1,0 +1,137 @@
+"""The map from unknowns to whitened residuals: every derivative, three ways."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from proprio_ros.bags import read_recording
+from proprio_ros.identification.problem import PayloadProblem, payload_unknowns, prepare_run
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.runs import cut_runs
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+
+FACTS = PayloadFacts(
+    com=np.array([0.01, 0.004, -0.006]),
+    com_std=np.full(3, 0.005),
+    shape=PayloadShape.from_inertia_per_mass([2.0e-4, 1.5e-4, 1.8e-4, 2e-5, -1e-5, 3e-5]),
+    shape_std_relative=0.5,
+)
+
+
+def prepared(robot: Robot, bag: Path) -> list:
+    recording = read_recording(bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains))
+    return [prepare_run(robot, run) for run in cut_runs(recording, joints=list(robot.drive_trains))]
+
+
+@pytest.fixture(scope="module")
+def problem() -> PayloadProblem:
+    """Two runs of different joints, everything free, with a supply that limits the current."""
+    root = Path(__file__).resolve().parents[2] / "bags"
+    robot = load_robot("open_manipulator_x")
+    robot = robot.with_overrides(
+        {
+            f"joints.joint{n}.drive_train.{key}": {"value": value}
+            for n in (2, 3)
+            for key, value in (("coulomb_N_m", 0.04), ("viscous_N_m_s_per_rad", 0.01), ("load_friction", 0.02))
+        }
+    )
+    runs = [
+        *prepared(robot, root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"),
+        *prepared(robot, root / "quantised_s00_fixed_light_cube_10g_joint2" / "bag_mcap"),
+    ]
+    return PayloadProblem(robot, runs, FACTS, payload_unknowns(robot, runs, FACTS, Role.FREE, 0.05))
+
+
+def points(problem: PayloadProblem, count: int) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    stds = np.array([u.std if np.isfinite(u.std) else 0.02 for u in problem.unknowns])
+    draw = problem.base + 0.5 * stds * rng.uniform(-1.0, 1.0, (count, len(problem.base)))
+    return np.clip(draw, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
+
+
+def test_everything_is_unknown_here(problem: PayloadProblem) -> None:
+    kinds = {name.split("[")[0] for name in problem.index}
+    assert kinds == {
+        "payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale", "arm_scale", "delay", "torque_constant",
+        "coulomb", "viscous", "load_friction", "armature", "zero", "q0", "v0",
+    }  # fmt: skip
+    assert len(problem.free) == len(problem.unknowns)
+
+
+def test_jacobian_against_central_differences(problem: PayloadProblem) -> None:
+    columns = np.arange(len(problem.unknowns))
+    for values in points(problem, 4):
+        _, _, exact = problem.simulate(values[None], columns)
+        for column, unknown in enumerate(problem.unknowns):
+            step = 3e-3 * (unknown.std if np.isfinite(unknown.std) else 0.02)
+            shifted = np.tile(values, (4, 1))
+            shifted[:, column] += step * np.array([-2.0, -1.0, 1.0, 2.0])
+            q, _, _ = problem.simulate(shifted, columns[:1])
+            # fourth order, so that the step may be long enough to drown the 1e-11 rad by which the choice of steps moves
+            difference = (q[0] - 8.0 * q[1] + 8.0 * q[2] - q[3]) / (12.0 * step)
+            seen = problem.weight > 0.0
+            scale = np.abs(exact[0][seen][:, column]).max()
+            np.testing.assert_allclose(
+                difference[seen], exact[0][seen][:, column], atol=1e-6 * scale + 2e-11 / step, err_msg=unknown.name
+            )
+
+
+def test_jacobian_against_the_tape(problem: PayloadProblem) -> None:
+    columns = np.arange(len(problem.unknowns))
+    rng = np.random.default_rng(2)
+    for values in points(problem, 3):
+        q, _, exact = problem.simulate(values[None], columns)
+        p, dp = problem.parameters(values[None], columns)
+        weights = np.where(problem.weight > 0.0, rng.normal(size=problem.weight.shape), 0.0)
+        tape = problem.simulator.tape(np.arange(len(problem.runs)), p[0])
+        gradient = np.einsum("rp,rpn->n", tape.gradient(weights), dp[0])
+        expected = np.einsum("rt,rtn->n", weights, np.where(problem.weight[..., None] > 0.0, exact[0], 0.0))
+        np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+
+
+def test_gradient_and_matrix_belong_to_the_cost(problem: PayloadProblem) -> None:
+    """In solver coordinates, priors and the mass's curved coordinate included."""
+    coordinates = problem.coordinates
+    for values in points(problem, 3):
+        u = coordinates.internal(values[problem.free])[None]
+        _, gradient, matrix = problem.linearise(u)
+        gradient, matrix = gradient.copy(), matrix.copy()
+        assert np.linalg.eigvalsh(matrix[0])[0] > 0.0
+        for k in range(u.shape[1]):
+            step = 1e-5 * min(coordinates.natural[k], 1.0)
+            up, down = u.copy(), u.copy()
+            up[0, k] += step
+            down[0, k] -= step
+            cost = problem.linearise(np.concatenate([up, down]))[0]
+            difference = (cost[0] - cost[1]) / (2.0 * step)
+            # the cost is a sum of squares of order 1e4: its difference loses digits that the gradient keeps
+            assert difference == pytest.approx(gradient[0, k], rel=1e-4, abs=1e-5 * np.sqrt(matrix[0, k, k]) + 1e-6)
+
+
+def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: PayloadProblem) -> None:
+    frozen = [
+        u if u.name in ("payload_mass", "q0[0]", "v0[0]", "q0[1]", "v0[1]", "delay") else replace(u, role=Role.FROZEN)
+        for u in problem.unknowns
+    ]
+    small = PayloadProblem(problem.robot, problem.runs, FACTS, frozen)
+    u = small.coordinates.internal(np.array([[0.03, 0.004, 0.6, 0.0, 0.01, -0.01], [0.2, 0.0, 0.59, 0.01, 0.0, 0.0]]))
+    cost, gradient, _ = (a.copy() for a in small.linearise(u))
+    for s in range(2):
+        values = small.all_values(small.coordinates.physical(u[s : s + 1]))
+        full = problem.coordinates.internal(values[:, problem.free])
+        whole_cost, whole_gradient, _ = problem.linearise(full)
+        assert whole_cost[0] == pytest.approx(cost[s], rel=1e-6)  # the free friction takes finer steps
+        shared = [problem.free.tolist().index(problem.index[small.unknowns[row].name]) for row in small.free]
+        np.testing.assert_allclose(whole_gradient[0, shared], gradient[s], rtol=1e-3, atol=1e-6 * np.abs(gradient[s]).max())
+
+
+def test_a_guess_that_cannot_be_simulated_costs_everything(problem: PayloadProblem) -> None:
+    u = problem.coordinates.internal(problem.base[problem.free])[None].repeat(2, axis=0)
+    u[1, 0] = problem.coordinates.internal(np.full(len(problem.free), -0.49))[0]  # lighter than the arm can be
+    cost, gradient, matrix = problem.linearise(u)
+    assert np.isfinite(cost[0]) and cost[1] == np.inf
+    assert not gradient[1].any() and np.array_equal(matrix[1], np.eye(u.shape[1]))
