@@ -597,7 +597,9 @@ def read_recording(
         names, values["effort"], effort_unit, nominal_torque_constants, current_per_count_A
     )
     reported = _known_or_none(values["effort"])
-    record = JointRecord(times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported)
+    record = JointRecord(
+        times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported
+    )
     if inputs is None:
         inputs = _measured(path, state, record, reported is not None, effort_unit)
     return Recording(path.resolve().name, record, inputs, tuple(notes))

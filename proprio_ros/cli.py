@@ -43,9 +43,13 @@ def _parser() -> argparse.ArgumentParser:
         description="Identify what the hand holds from recorded bags (sqlite3 or MCAP). Several bags give one pooled estimate.",
         epilog="Exit code: 0 accepted, 2 bad input, 3 rejected or not identifiable.",
     )
-    replay.add_argument("bags", nargs="+", metavar="BAG", help="bag folder or file, or a folder with trajectory.csv, setting.json")
+    replay.add_argument(
+        "bags", nargs="+", metavar="BAG", help="bag folder or file, or a folder with trajectory.csv, setting.json"
+    )
     replay.add_argument("--probe", required=True, choices=("payload", "container", "softness"), help="what to identify")
-    replay.add_argument("--robot", metavar="NAME|FILE", help="robot of config/robots, or a robot file (default open_manipulator_x)")
+    replay.add_argument(
+        "--robot", metavar="NAME|FILE", help="robot of config/robots, or a robot file (default open_manipulator_x)"
+    )
     replay.add_argument("--calibration", metavar="FILE", help="what `proprio calibrate` wrote")
     replay.add_argument("--baseline", nargs="+", metavar="BAG", default=[], help="runs with the empty container")
     replay.add_argument(
@@ -57,11 +61,15 @@ def _parser() -> argparse.ArgumentParser:
         "held.joint1=0.2, robot.joints.joint3.drive_train.coulomb_N_m=0.05",
     )
     replay.add_argument("--solver", default="lm", choices=("lm", "adam", "cma"))
-    replay.add_argument("--profile", default="default", choices=("default", "paper"), help="paper: the paper's own method")
+    replay.add_argument(
+        "--profile", default="default", choices=("default", "paper"), help="paper: the paper's own method"
+    )
     replay.add_argument("--state-topic", metavar="T")
     replay.add_argument("--command-topic", metavar="T")
     replay.add_argument(
-        "--effort-unit", choices=("N.m", "A", "mA", "raw"), help="what `effort` of the joint states means; never guessed"
+        "--effort-unit",
+        choices=("N.m", "A", "mA", "raw"),
+        help="what `effort` of the joint states means; never guessed",
     )
     replay.add_argument("--json", action="store_true", help="print one JSON object")
     replay.add_argument("--report", metavar="FILE.html", help="write a page with plots")
@@ -118,7 +126,9 @@ def _settings(pairs: Sequence[str]) -> dict[str, Any]:
 
 
 def _as_text(estimate: Any) -> str:
-    lines = [f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {estimate.runs} run{'s' * (estimate.runs != 1)})"]
+    lines = [
+        f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {estimate.runs} run{'s' * (estimate.runs != 1)})"
+    ]
     for value in estimate.values:
         lines.append("  " + _value_text(value))
     for reason in estimate.reasons:

@@ -104,10 +104,9 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
             runs.extend(_bag_runs(Path(path), robot, options, held))
     settings.refuse_rest()
     read = time.perf_counter()
-    if options.profile == "paper":
-        estimate = weigh_as_paper(robot, runs, facts, paper)
-    else:
-        estimate = weigh(robot, runs, facts, weighing)
+    estimate = (
+        weigh_as_paper(robot, runs, facts, paper) if options.profile == "paper" else weigh(robot, runs, facts, weighing)
+    )
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
     return replace(estimate, timing_s=timing)
@@ -180,7 +179,10 @@ def _text_run(robot: Robot, text: TextRecording, held: Mapping[str, float]) -> R
         source="the torque in setting.json",
         notes=(
             *(f"{name} is not in the recording and was taken as 0" for name in gripper),
-            *([f"{(~used).sum()} samples after the probe of {PAPER_PROBE_FRAMES} frames were left out"] * (not used.all())),
+            *(
+                [f"{(~used).sum()} samples after the probe of {PAPER_PROBE_FRAMES} frames were left out"]
+                * (not used.all())
+            ),
         ),
     )
 
@@ -202,7 +204,10 @@ def _text_paper(paper: PaperOptions, text: TextRecording, settings: Settings) ->
         # the authors keep the states before each step, so the last one they compare lies one substep before
         # frame 36; it meets sample 35
         substeps = changes.get("substeps", paper.substeps)
-        changes["loss_time_s"], changes["loss_sample"] = (PAPER_PROBE_FRAMES - 1 / substeps) * FRAME_S, PAPER_PROBE_FRAMES - 1
+        changes["loss_time_s"], changes["loss_sample"] = (
+            (PAPER_PROBE_FRAMES - 1 / substeps) * FRAME_S,
+            PAPER_PROBE_FRAMES - 1,
+        )
     return replace(paper, **changes)
 
 
@@ -254,7 +259,9 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     name = settings.take("payload.shape", None)
     size = settings.take("payload.size", None)
     per_mass = settings.take("payload.inertia_per_mass", None)
-    doubt = _number("payload.size_std_relative", settings.take("payload.size_std_relative", defaults["size_std_relative"]))
+    doubt = _number(
+        "payload.size_std_relative", settings.take("payload.size_std_relative", defaults["size_std_relative"])
+    )
     if per_mass is not None:
         if name is not None or size is not None:
             raise ConfigurationError("give payload.inertia_per_mass, or payload.shape and payload.size, not both")
@@ -265,7 +272,7 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     if size is None and shape_name != "point":
         # a shape without its size is a guess, and so is the probe file's ball
         edge = float(defaults["size"])
-        guess = {"sphere": edge, "cube": edge, "box": [edge] * 3, "cylinder": [edge, edge]}
+        guess: dict[str, Any] = {"sphere": edge, "cube": edge, "box": [edge] * 3, "cylinder": [edge, edge]}
         shape = PayloadShape.of(shape_name, guess.get(shape_name))
         return PayloadFacts(com, com_std, shape, doubt)
     return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0)

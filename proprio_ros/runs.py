@@ -266,7 +266,9 @@ def _piecewise(inputs: InputRecord, interval: _Interval) -> tuple[FloatArray, Fl
     """
     rows = slice(interval.first, interval.last + 1)
     current = inputs.current_A[rows, inputs.column(interval.joint)]
-    begins = rows if not inputs.measured else slice(max(interval.first - 1, 0), max(interval.first - 1, 0) + len(current))
+    begins = (
+        rows if not inputs.measured else slice(max(interval.first - 1, 0), max(interval.first - 1, 0) + len(current))
+    )
     times_s = (inputs.times_ns[begins] - interval.onset_ns) / 1e9
     times_s[0] = 0.0
     changes = np.concatenate(([True], np.diff(current) != 0.0))

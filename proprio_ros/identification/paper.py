@@ -68,14 +68,18 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         RecordingError: see ``weigh``.
     """
     if len(runs) != 1:
-        raise ConfigurationError(f"profile paper fits one run at a time, not {len(runs)}: choose one bag, or the default profile")
+        raise ConfigurationError(
+            f"profile paper fits one run at a time, not {len(runs)}: choose one bag, or the default profile"
+        )
     run = runs[0]
     honest = weigh(robot, runs, facts, WeighingOptions())
     prepared = prepare_run(robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0)))
     last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
     loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s
     if not 0 <= last < len(run.times_s) or loss_time <= 0.0:
-        raise ConfigurationError(f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples")
+        raise ConfigurationError(
+            f"the loss wants sample {last} at {loss_time} s, but {run.name} has {len(run.times_s)} samples"
+        )
     step = FRAME_S / options.substeps
     loss = _LastFrame(robot, prepared, facts, step, loss_time, float(run.position[last]))
     starts = np.array(options.starts_kg)[:, None]
@@ -114,7 +118,9 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         honest,
         verdict=verdict,
         reasons=tuple(reasons),
-        values=(Value("payload_mass", "kg", best, reason="least error of the last frame; the method gives no interval"),),
+        values=(
+            Value("payload_mass", "kg", best, reason="least error of the last frame; the method gives no interval"),
+        ),
         fit=Fit(rms, expected, reduced),
         solver=SolverSummary("adam", "paper", options.iterations, paths, "semi_implicit", step),
         run_fits=fits,
@@ -123,7 +129,7 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         assumptions=(
             "the mass is the only unknown; torque constant, friction, armature and timing are taken as the robot file states them",
             "the run starts at rest at its first sample",
-            f"semi-implicit Euler, {options.substeps} steps per 1/60 s frame; loss: squared error of the frame at {loss_time:.3f} s",
+            f"semi-implicit Euler, {options.substeps} steps per frame; loss: squared error of the frame at {loss_time:.3f} s",
             f"Adam, learning rate {options.learning_rate:g} kg, cosine annealing over {options.iterations} iterations "
             f"({options.extended_iterations} for the least error), gradient from the tape",
         ),

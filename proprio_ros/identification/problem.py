@@ -116,7 +116,9 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
     """
     if run.joint not in robot.drive_trains:
         known = ", ".join(robot.drive_trains)
-        raise RecordingError(f"{run.name}: {run.joint} was driven, but {robot.name} has no drive train for it (it has: {known})")
+        raise RecordingError(
+            f"{run.name}: {run.joint} was driven, but {robot.name} has no drive train for it (it has: {known})"
+        )
     missing = [j for j in robot.model.independent_joints if j != run.joint and j not in run.held]
     if missing:
         raise RecordingError(
@@ -146,7 +148,11 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
         payload_by_pose[row] = (up[1] - down[1]) / (2.0 * _POSE_STEP)
     matters = np.abs(arm_by_pose).max(axis=1) > 1e-6
     coefficients = Coefficients(
-        arm, payload, tuple(n for n, m in zip(held, matters, strict=True) if m), arm_by_pose[matters], payload_by_pose[matters]
+        arm,
+        payload,
+        tuple(n for n, m in zip(held, matters, strict=True) if m),
+        arm_by_pose[matters],
+        payload_by_pose[matters],
     )
     return PreparedRun(run, used, reason, drive, coefficients, sigma, rest, limited=not followed[1:used].all())
 
@@ -183,8 +189,12 @@ def _usable_window(
     margin = 3.0 * float(np.hypot(drive.zero.std, drive.encoder_resolution))
     before = np.concatenate([[run.position[0]], run.position[:-1]])
     step = np.diff(run.position, prepend=run.position[0])
-    expected = before + np.concatenate([[0.0], step[:-1]])  # where the sample would be at the speed of the last interval
-    beyond = (np.maximum(run.position, expected) > upper - margin) | (np.minimum(run.position, expected) < lower + margin)
+    expected = before + np.concatenate(
+        [[0.0], step[:-1]]
+    )  # where the sample would be at the speed of the last interval
+    beyond = (np.maximum(run.position, expected) > upper - margin) | (
+        np.minimum(run.position, expected) < lower + margin
+    )
     # a joint that starts at a limit and leaves it is free to move
     stopped = np.flatnonzero(beyond & (np.abs(run.position - run.position[0]) > margin))
     fast = np.flatnonzero((np.abs(velocity) > drive.usable_velocity) & ~followed)
@@ -225,16 +235,12 @@ def payload_unknowns(
         fields = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature)
         for kind, unit, quantity in zip(DRIVE_TERMS, units, fields, strict=True):
             unknowns.append(_from_quantity(f"{kind}[{name}]", unit, quantity, drive_role, lower=0.0))
-    zeros = dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose))
-    for name in zeros:
-        drive = robot.drive_trains.get(name)
-        if drive is None:
-            continue
-        zero = drive.zero
-        # a held joint's reading is rounded the same way in every sample
-        rounding = drive.encoder_resolution / np.sqrt(12.0)
-        spread = Quantity(zero.value, float(np.hypot(zero.std, rounding)))
-        unknowns.append(_from_quantity(f"zero[{name}]", "rad", spread, drive_role))
+    for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
+        held = robot.drive_trains.get(name)
+        if held is not None:
+            # a held joint's reading is rounded the same way in every sample
+            std = float(np.hypot(held.zero.std, held.encoder_resolution / np.sqrt(12.0)))
+            unknowns.append(_from_quantity(f"zero[{name}]", "rad", Quantity(held.zero.value, std), drive_role))
     for row, run in enumerate(runs):
         unknowns.append(Unknown(f"q0[{row}]", "rad", run.rest.value, run.rest.std))
         unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, START_VELOCITY_STD))
@@ -416,7 +422,9 @@ class PayloadProblem:
             p, dp = self.parameters(origin, self.free)
             self._affine_map = (p[0], dp[0])
         offset, slope = self._affine_map
-        return offset + np.tensordot(free_values, slope, axes=(1, 2)), np.broadcast_to(slope, (len(free_values), *slope.shape))
+        return offset + np.tensordot(free_values, slope, axes=(1, 2)), np.broadcast_to(
+            slope, (len(free_values), *slope.shape)
+        )
 
     def _worlds(self, guesses: int) -> np.ndarray:
         return np.tile(np.arange(len(self.runs), dtype=np.int32), guesses)

@@ -74,7 +74,8 @@ def levenberg_marquardt(
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
     damping = np.full(len(u), 1e-3)
-    path, path_cost = [u.copy()], []
+    path: list[np.ndarray] = [u.copy()]
+    path_cost: list[np.ndarray] = []
     diagonal = np.arange(u.shape[1])
     for fraction in WINDOWS:
         last = fraction == WINDOWS[-1]

@@ -44,9 +44,13 @@ class Unknown:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.value) or np.isnan(self.std) or self.std < 0.0:
-            raise ConfigurationError(f"{self.name}: value {self.value} and std {self.std} must be finite and std not negative")
+            raise ConfigurationError(
+                f"{self.name}: value {self.value} and std {self.std} must be finite and std not negative"
+            )
         if not self.lower <= self.value <= self.upper:
-            raise ConfigurationError(f"{self.name} = {self.value} {self.unit} lies outside [{self.lower}, {self.upper}]")
+            raise ConfigurationError(
+                f"{self.name} = {self.value} {self.unit} lies outside [{self.lower}, {self.upper}]"
+            )
 
     def at_role(self, role: Role) -> Unknown:
         """A copy with another role; what is known exactly stays frozen."""

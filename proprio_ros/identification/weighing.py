@@ -35,7 +35,8 @@ from proprio_ros.identification.estimate import (
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
     START_VELOCITY_STD,
-    PayloadProblem, PreparedRun,
+    PayloadProblem,
+    PreparedRun,
     payload_unknowns,
     prepare_run,
 )
@@ -209,7 +210,9 @@ def _solve(
     values = problem.all_values(coordinates.physical(best[None]))[0]
     samples = int(sum(run.used for run in runs))
     without_prior = sum(1 for row in problem.free if not np.isfinite(unknowns[row].std))
-    return _FitResult(problem, solution, values, 2.0 * float(solution.cost[solution.best]), max(samples - without_prior, 1))
+    return _FitResult(
+        problem, solution, values, 2.0 * float(solution.cost[solution.best]), max(samples - without_prior, 1)
+    )
 
 
 def _conclude(
@@ -247,7 +250,8 @@ def _conclude(
     elif mass + Z95 * std < 0.0:
         verdict, withheld = Verdict.REJECTED, "the hand seems lighter than empty"
         found.reasons.insert(
-            0, f"the hand with its load seems {-1e3 * mass:.1f} g lighter than the robot file's empty hand: calibrate the robot"
+            0,
+            f"the hand with its load seems {-1e3 * mass:.1f} g lighter than the robot file's empty hand: calibrate the robot",
         )
     elif fit is opened and (slow := [r for r in runs if abs(r.travel) < LITTLE_TRAVEL]) and len(slow) == len(runs):
         verdict, withheld = Verdict.NOT_IDENTIFIABLE, "too little travel to tell friction from weight"
@@ -483,9 +487,13 @@ def _summary(fit: _FitResult, options: WeighingOptions) -> SolverSummary:
         )
         paths.append(
             StartPath(
-                start, float(ends[s]), float(solution.cost[s]), agrees,
-                physical(solution.path[:, s])[:, 0], solution.path_cost[:, s],
-            )  # fmt: skip
+                start,
+                float(ends[s]),
+                float(solution.cost[s]),
+                agrees,
+                physical(solution.path[:, s])[:, 0],
+                solution.path_cost[:, s],
+            )
         )
     return SolverSummary(
         options.solver, "default", solution.iterations, tuple(paths), options.integrator, options.step_s
@@ -494,7 +502,9 @@ def _summary(fit: _FitResult, options: WeighingOptions) -> SolverSummary:
 
 def _unknown_rows(fit: _FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
     return tuple(
-        UnknownRow(u.name, u.unit, u.role.value, u.value, u.std, float(fit.values[row]), float(np.sqrt(covariance[row, row])))
+        UnknownRow(
+            u.name, u.unit, u.role.value, u.value, u.std, float(fit.values[row]), float(np.sqrt(covariance[row, row]))
+        )
         for row, u in enumerate(fit.problem.unknowns)
     )
 
@@ -523,7 +533,11 @@ def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, no
         "each probe starts from rest; the held joints stand at their recorded mean",
         f"robot file {robot.source.name}, "
         + ("calibrated" if robot.calibrated else "not calibrated")
-        + ("; its values stay where the file puts them" if nominal else "; what it leaves open was fitted under its priors"),
+        + (
+            "; its values stay where the file puts them"
+            if nominal
+            else "; what it leaves open was fitted under its priors"
+        ),
         f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
         f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from proprio_ros.bags import read_recording
 from proprio_ros.identification.problem import PayloadProblem, payload_unknowns, prepare_run
 from proprio_ros.identification.unknowns import Role
@@ -84,7 +85,7 @@ def test_jacobian_against_the_tape(problem: PayloadProblem) -> None:
     columns = np.arange(len(problem.unknowns))
     rng = np.random.default_rng(2)
     for values in points(problem, 3):
-        q, _, exact = problem.simulate(values[None], columns)
+        _, _, exact = problem.simulate(values[None], columns)
         p, dp = problem.parameters(values[None], columns)
         weights = np.where(problem.weight > 0.0, rng.normal(size=problem.weight.shape), 0.0)
         tape = problem.simulator.tape(np.arange(len(problem.runs)), p[0])
@@ -126,7 +127,9 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Payloa
         whole_cost, whole_gradient, _ = problem.linearise(full)
         assert whole_cost[0] == pytest.approx(cost[s], rel=1e-6)  # the free friction takes finer steps
         shared = [problem.free.tolist().index(problem.index[small.unknowns[row].name]) for row in small.free]
-        np.testing.assert_allclose(whole_gradient[0, shared], gradient[s], rtol=1e-3, atol=1e-6 * np.abs(gradient[s]).max())
+        np.testing.assert_allclose(
+            whole_gradient[0, shared], gradient[s], rtol=1e-3, atol=1e-6 * np.abs(gradient[s]).max()
+        )
 
 
 def test_a_guess_that_cannot_be_simulated_costs_everything(problem: PayloadProblem) -> None:

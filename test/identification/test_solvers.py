@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
@@ -17,7 +20,9 @@ class Valley:
             [Unknown("x", "1", 0.0, np.inf, -5.0, upper_x), Unknown("y", "1", 0.0, np.inf, -50.0, 50.0)]
         )
 
-    def linearise(self, internal: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x, y = internal.T
         residual = np.stack([10.0 * (y - x**2), 1.0 - x], axis=1)
         jacobian = np.zeros((len(x), 2, 2))
@@ -58,7 +63,7 @@ def test_adam_follows_its_published_first_steps() -> None:
 
 def test_cosine_annealing() -> None:
     rates = [solvers.cosine_annealed(0.01, n, 15) for n in range(15)]
-    assert rates[0] == 0.01 and all(a > b for a, b in zip(rates, rates[1:], strict=False))
+    assert rates[0] == 0.01 and all(a > b for a, b in pairwise(rates))
     assert sum(rates) == pytest.approx(0.08)  # so no start moves further than 80 g in the paper's 15 iterations
 
 

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 
 ONE = np.zeros(1, dtype=np.int32)
-SCALES = dict(
-    inertia=0.025, gravity_cos=0.5, gravity_sin=0.2, gravity_constant=0.05, torque_constant=1.78, coulomb=0.05, viscous=0.01,
-    load_friction=0.03, delay=0.004, q0=0.6, v0=0.1,
-)  # fmt: skip
+SCALES = {
+    "inertia": 0.025,
+    "gravity_cos": 0.5,
+    "gravity_sin": 0.2,
+    "gravity_constant": 0.05,
+    "torque_constant": 1.78,
+    "coulomb": 0.05,
+    "viscous": 0.01,
+    "load_friction": 0.03,
+    "delay": 0.004,
+    "q0": 0.6,
+    "v0": 0.1,
+}
 POINTS = 4
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from proprio_ros.errors import SimulationError
-from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
+
+from proprio_ros.errors import SimulationError
+from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 
 ONE = np.zeros(1, dtype=np.int32)
 
@@ -98,10 +99,10 @@ def test_against_an_independent_solver(delay: float) -> None:
     rng = np.random.default_rng(3)
     times = np.sort(rng.uniform(0.0, 0.6, 24))
     switches, currents = np.array([0.0, 0.13, 0.31, 0.5]), np.array([-0.3, -0.22, 0.05, -0.36])
-    law = dict(
-        inertia=0.027, gravity_cos=0.31, gravity_sin=-0.11, torque_constant=1.71, coulomb=0.04, viscous=0.013,
-        load_friction=0.02, q0=0.4, v0=0.05, delay=delay,
-    )  # fmt: skip
+    law = {
+        "inertia": 0.027, "gravity_cos": 0.31, "gravity_sin": -0.11, "torque_constant": 1.71, "coulomb": 0.04, "viscous": 0.013,
+        "load_friction": 0.02, "q0": 0.4, "v0": 0.05, "delay": delay,
+    }  # fmt: skip
     vs = 0.01
 
     def motion(_: float, state: np.ndarray, current: float) -> list[float]:
@@ -117,7 +118,14 @@ def test_against_an_independent_solver(delay: float) -> None:
     for begin, end, current in zip(switches, [*switches[1:], 0.7], currents, strict=True):
         inside = (wanted > begin) & (wanted <= end)
         solution = solve_ivp(
-            motion, (begin, end), state, method="LSODA", rtol=1e-11, atol=1e-13, t_eval=[*wanted[inside], end], args=(current,)
+            motion,
+            (begin, end),
+            state,
+            method="LSODA",
+            rtol=1e-11,
+            atol=1e-13,
+            t_eval=[*wanted[inside], end],
+            args=(current,),
         )
         exact[inside] = solution.y[0, : inside.sum()]
         state = solution.y[:, -1]
@@ -133,7 +141,8 @@ def test_integrator_orders() -> None:
     exact = JointSimulator([constant_run(times, step_s=1e-4)]).rollout(ONE, law)[0][0, 0]
     for integrator, ratio in (("rk4", 16.0), ("semi_implicit", 2.0)):
         errors = [
-            JointSimulator([constant_run(times, step_s=step, fine_step_s=step)], integrator).rollout(ONE, law)[0][0, 0] - exact
+            JointSimulator([constant_run(times, step_s=step, fine_step_s=step)], integrator).rollout(ONE, law)[0][0, 0]
+            - exact
             for step in (1 / 400, 1 / 800)
         ]
         assert errors[0] / errors[1] == pytest.approx(ratio, rel=0.2)

@@ -1,0 +1,58 @@
+"""The single source of what is installed: pip, uv and colcon all read this file."""
+
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+SHARE = "share/proprio_ros"
+
+
+def tree(folder: str) -> list[tuple[str, list[str]]]:
+    """Every file below a folder, to be installed under share/ in the same sub-folders."""
+    files: dict[str, list[str]] = {}
+    for path in sorted(Path(folder).rglob("*")):
+        if path.is_file():
+            files.setdefault(f"{SHARE}/{path.parent.as_posix()}", []).append(path.as_posix())
+    return list(files.items())
+
+
+setup(
+    name="proprio_ros",
+    version="0.1.0",
+    description="A robot arm's sense of weight and softness from its own joints",
+    packages=find_packages(include=["proprio_ros", "proprio_ros.*"]),
+    package_data={"proprio_ros": ["resource/*", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["proprio_ros/resource/proprio_ros"]),
+        (SHARE, ["package.xml"]),
+        (f"{SHARE}/launch", glob("proprio_ros/launch/*.launch.py")),
+        *tree("config"),
+        *tree("urdf"),
+        *tree("bags"),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    # dynamixel-sdk is what the driver talks to the bus with; ROS 2 Jazzy ships the same module
+    install_requires=[
+        "numpy>=1.26",
+        "warp-lang>=1.19",
+        "rosbags>=0.11",
+        "ruamel.yaml",
+        "scipy>=1.11",
+        "matplotlib>=3.6",
+        "cma>=3.3",
+        "dynamixel-sdk",
+    ],
+    extras_require={
+        # wheels of ROS 2 Jazzy exist for x86-64 only; never beside /opt/ros, whose rclpy they would shadow
+        "ros": [
+            'ros-jazzy-rclpy[fastrtps]; platform_machine == "x86_64"',
+            'ros-jazzy-common-interfaces; platform_machine == "x86_64"',
+        ],
+        "sim": ["mujoco>=3.2"],
+        "test": ["pytest>=7", "hypothesis", "ruff", "mypy"],
+    },
+    entry_points={"console_scripts": ["proprio = proprio_ros.cli:main"]},
+    license="Apache-2.0",
+)

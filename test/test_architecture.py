@@ -1,0 +1,88 @@
+"""Dependencies point down only: this test reads the imports and fails on an arrow that points up."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "proprio_ros"
+
+# each room, and the rooms it may look at
+ROOMS: dict[str, set[str]] = {
+    "errors": set(),
+    "records": {"errors"},
+    "resources": {"errors"},
+    "robot": {"errors", "resources"},
+    "bags": {"errors", "records"},
+    "runs": {"errors", "records"},
+    "sim": {"errors", "records", "robot"},
+    "identification": {"errors", "records", "robot", "sim"},
+    "replay": {"errors", "records", "resources", "robot", "bags", "runs", "sim", "identification"},
+    "report": {"errors", "resources", "identification"},
+    "cli": {"errors", "replay", "report"},
+    "bus": {"errors", "records", "robot"},
+    "virtual": {"errors", "records", "robot"},
+    "excitation": {"errors", "records", "robot"},
+    "nodes": {"errors", "records", "resources", "robot", "bags", "runs", "identification", "replay", "report", "bus", "excitation"},
+}
+ROS = {"rclpy", "std_msgs", "std_srvs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "visualization_msgs", "launch"}
+# heavy or special libraries, and the only rooms that may import them
+ONLY_IN = {
+    "warp": {"sim"},
+    "rosbags": {"bags"},
+    "mujoco": {"virtual"},
+    "dynamixel_sdk": {"bus"},
+    "matplotlib": {"report"},
+    "cma": {"identification"},
+}
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def modules() -> list[Path]:
+    return [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py" and "launch" not in path.parts]
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names of everything a file imports, also inside functions."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_arrow_points_up(path: Path) -> None:
+    room = room_of(path)
+    assert room in ROOMS, f"{room} has no place in the house: give it one in ROOMS"
+    for name in imports(path):
+        top, _, rest = name.partition(".")
+        if top == "proprio_ros":
+            target = rest.split(".")[0]
+            assert target in ROOMS[room] | {room, "__version__"}, f"{room} must not look at {target}"
+        assert top not in ROS or room == "nodes", f"{room} must not import {top}"
+        assert room in ONLY_IN.get(top, {room}), f"{room} must not import {top}"
+
+
+def test_the_table_has_no_circle() -> None:
+    open_rooms = dict(ROOMS)
+    while open_rooms:
+        leaves = [room for room, targets in open_rooms.items() if not targets & open_rooms.keys()]
+        assert leaves, f"a circle among {sorted(open_rooms)}"
+        for room in leaves:
+            del open_rooms[room]
+
+
+def test_only_the_command_line_prints() -> None:
+    for path in modules():
+        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        prints = [node.lineno for node in calls if isinstance(node.func, ast.Name) and node.func.id == "print"]
+        assert not prints or room_of(path) == "cli", f"{path}:{prints}"

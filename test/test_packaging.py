@@ -1,0 +1,134 @@
+"""What pip, uv and colcon need from the same files, and that every tool finds the code in order."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+import setuptools
+
+import proprio_ros
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+BAG = "bags/quantised_s00_fixed_heavy_ball_50g_joint3/bag_mcap"
+
+
+@pytest.fixture(scope="module")
+def arguments() -> dict[str, Any]:
+    """What setup.py hands to setuptools."""
+    seen: dict[str, Any] = {}
+    original, before = setuptools.setup, Path.cwd()
+    setuptools.setup = lambda **given: seen.update(given)
+    try:
+        os.chdir(REPOSITORY)
+        exec(compile((REPOSITORY / "setup.py").read_text(), "setup.py", "exec"), {"__name__": "setup"})
+    finally:
+        setuptools.setup = original
+        os.chdir(before)
+    return seen
+
+
+def test_versions_agree(arguments: dict[str, Any]) -> None:
+    manifest = ElementTree.parse(REPOSITORY / "package.xml").getroot()
+    assert manifest.get("format") == "3" and manifest.findtext("export/build_type") == "ament_python"
+    changelog = (REPOSITORY / "CHANGELOG.rst").read_text()
+    newest = re.search(r"^(\d+\.\d+\.\d+) \(", changelog, re.MULTILINE)
+    assert newest is not None
+    assert {manifest.findtext("version"), arguments["version"], newest[1]} == {proprio_ros.__version__}
+
+
+def test_every_data_file_is_installed(arguments: dict[str, Any]) -> None:
+    installed = {source: target for target, sources in arguments["data_files"] for source in sources}
+    for folder in ("config", "urdf", "bags"):
+        for path in (REPOSITORY / folder).rglob("*"):
+            if path.is_file():
+                relative = path.relative_to(REPOSITORY)
+                assert installed[relative.as_posix()] == f"share/proprio_ros/{relative.parent.as_posix()}"
+    assert installed["proprio_ros/resource/proprio_ros"] == "share/ament_index/resource_index/packages"
+    assert installed["package.xml"] == "share/proprio_ros"
+
+
+def test_entry_points_exist(arguments: dict[str, Any]) -> None:
+    for script in arguments["entry_points"]["console_scripts"]:
+        name, target = (part.strip() for part in script.split("="))
+        module, function = target.split(":")
+        assert name.startswith("proprio")
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_dependencies_are_declared_once(arguments: dict[str, Any]) -> None:
+    """requires-python in [project] breaks colcon; ROS wheels only come through the extra."""
+    project = (REPOSITORY / "pyproject.toml").read_text()
+    assert not re.search(r"^(requires-python|dependencies)\s*=", project, re.MULTILINE)
+    assert arguments["python_requires"] == ">=3.10"
+    assert not any("ros-jazzy" in requirement for requirement in arguments["install_requires"])
+    assert all("ros-jazzy" in requirement for requirement in arguments["extras_require"]["ros"])
+
+
+@pytest.mark.parametrize("command", [["ruff", "check", "."], ["mypy"]], ids=lambda command: command[0])
+def test_linters(command: list[str]) -> None:
+    pytest.importorskip(command[0])
+    done = subprocess.run([sys.executable, "-m", *command], cwd=REPOSITORY, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
+    """As on a robot PC: build in a workspace, source it, run the installed script on an installed bag."""
+    colcon = shutil.which("colcon")
+    if colcon is None:
+        if os.environ.get("PROPRIO_REQUIRE_COLCON"):
+            pytest.fail("colcon is missing: apt-get install colcon python3-colcon-ros python3-ament-package")
+        pytest.skip("needs colcon")
+    source = tmp_path / "src" / "proprio_ros"
+    shutil.copytree(
+        REPOSITORY, source, ignore=shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
+    )
+    clean = {
+        key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
+    }
+    # without the environment of the tests: colcon is the system's
+    clean["PATH"] = os.pathsep.join(p for p in clean["PATH"].split(os.pathsep) if p != str(Path(sys.executable).parent))
+    built = subprocess.run(
+        [colcon, "build", "--packages-select", "proprio_ros"],
+        cwd=tmp_path,
+        env=clean,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    prefix = tmp_path / "install" / "proprio_ros"
+    script = prefix / "lib" / "proprio_ros" / "proprio"
+    assert script.read_text().startswith("#!/usr/bin/env python3")
+    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "proprio_ros").is_file()
+    shutil.rmtree(tmp_path / "src")  # what runs now has only what was installed
+    libraries = next(prefix.glob("lib/python*/site-packages"))
+    environment = {
+        **clean,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}",
+        "PYTHONPATH": str(libraries),
+    }
+    bag = prefix / "share" / "proprio_ros" / BAG
+    done = subprocess.run(
+        [script, "replay", bag, "--probe", "payload", "--json"],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["estimates"][0]["value"] == pytest.approx(0.05, abs=1e-3)
+    located = subprocess.run(
+        ["python3", "-c", "import proprio_ros.resources as r; print(r.__file__, r.share_directory())"],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    assert located.stdout.split() == [
+        str(libraries / "proprio_ros/resources.py"),
+        str(prefix / "share" / "proprio_ros"),
+    ]
