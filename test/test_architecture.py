@@ -25,9 +25,30 @@ ROOMS: dict[str, set[str]] = {
     "bus": {"errors", "records", "robot"},
     "virtual": {"errors", "records", "robot"},
     "excitation": {"errors", "records", "robot"},
-    "nodes": {"errors", "records", "resources", "robot", "bags", "runs", "identification", "replay", "report", "bus", "excitation"},
+    "nodes": {
+        "errors",
+        "records",
+        "resources",
+        "robot",
+        "bags",
+        "runs",
+        "identification",
+        "replay",
+        "report",
+        "bus",
+        "excitation",
+    },
 }
-ROS = {"rclpy", "std_msgs", "std_srvs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "visualization_msgs", "launch"}
+ROS = {
+    "rclpy",
+    "std_msgs",
+    "std_srvs",
+    "sensor_msgs",
+    "geometry_msgs",
+    "diagnostic_msgs",
+    "visualization_msgs",
+    "launch",
+}
 # heavy or special libraries, and the only rooms that may import them
 ONLY_IN = {
     "warp": {"sim"},
@@ -44,7 +65,9 @@ def room_of(path: Path) -> str:
 
 
 def modules() -> list[Path]:
-    return [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py" and "launch" not in path.parts]
+    return [
+        path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py" and "launch" not in path.parts
+    ]
 
 
 def imports(path: Path) -> set[str]:

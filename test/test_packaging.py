@@ -98,7 +98,7 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
     # without the environment of the tests: colcon is the system's
     clean["PATH"] = os.pathsep.join(p for p in clean["PATH"].split(os.pathsep) if p != str(Path(sys.executable).parent))
     built = subprocess.run(
-        [colcon, "build", "--packages-select", "proprio_ros"],
+        [colcon, "build"],
         cwd=tmp_path,
         env=clean,
         capture_output=True,

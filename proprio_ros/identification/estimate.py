@@ -141,10 +141,16 @@ class UnknownRow:
 
 @dataclass(frozen=True)
 class Scan:
-    """Cost against mass, everything else at the estimate's values (start state refitted linearly)."""
+    """Cost against mass, everything else at the estimate's values.
+
+    Attributes:
+        mass_kg, cost: shape (M,).
+        measure: what the cost is, in words.
+    """
 
     mass_kg: np.ndarray
-    reduced_chi2: np.ndarray
+    cost: np.ndarray
+    measure: str = "reduced chi-square"
 
 
 @dataclass(frozen=True)

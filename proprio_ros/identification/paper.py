@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.estimate import Estimate, Fit, SolverSummary, StartPath, Value, Verdict
+from proprio_ros.identification.estimate import Estimate, Fit, Scan, SolverSummary, StartPath, Value, Verdict
 from proprio_ros.identification.problem import PayloadProblem, PreparedRun, payload_unknowns, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import MISFIT_LIMIT, WeighingOptions, run_fits, weigh
+from proprio_ros.identification.weighing import MISFIT_LIMIT, WeighingOptions, run_fits, scan_masses, weigh
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -100,6 +100,7 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
     )
     fits, rms, expected = run_fits(loss.whole, loss.whole.all_values(np.array([[best]]))[0], [prepared])
     reduced = float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2))
+    masses = scan_masses(best)
     reasons = list(honest.reasons)
     verdict = honest.verdict
     if reduced > MISFIT_LIMIT:
@@ -126,6 +127,7 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         run_fits=fits,
         unknowns=(),
         budget=(),
+        scan=Scan(masses, 1e6 * loss(masses[:, None])[0], "squared error of the last frame (mrad^2)"),
         assumptions=(
             "the mass is the only unknown; torque constant, friction, armature and timing are taken as the robot file states them",
             "the run starts at rest at its first sample",

@@ -509,11 +509,15 @@ def _unknown_rows(fit: _FitResult, covariance: np.ndarray) -> tuple[UnknownRow, 
     )
 
 
+def scan_masses(mass: float) -> np.ndarray:
+    """Masses worth looking at around a value: three orders of magnitude, and a fine stretch about it [kg], shape (M,)."""
+    return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
+
+
 def _scan(fit: _FitResult) -> Scan:
-    """The data's misfit over mass; at each mass the other free unknowns follow by one Gauss-Newton step from the estimate."""
+    """The data's misfit over mass."""
     problem = fit.problem
-    mass = float(fit.values[problem.index["payload_mass"]])
-    grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
+    grid = scan_masses(float(fit.values[problem.index["payload_mass"]]))
     values = np.tile(fit.values, (len(grid), 1))
     values[:, problem.index["payload_mass"]] = grid
     q, _, _ = problem.simulate(values, problem.free[:1])

@@ -1,0 +1,5 @@
+"""One self-contained HTML page per result: what was measured, what was simulated, and what the number rests on."""
+
+from proprio_ros.report.page import write_report
+
+__all__ = ["write_report"]

@@ -1,0 +1,129 @@
+"""The plots of the report as inline SVG. matplotlib is imported here only, and only when a page is written."""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.identification.estimate import Estimate, RunFit
+
+INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
+
+
+@contextmanager
+def _figure(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]:
+    """A figure outside of pyplot's global state, in the page's style."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    style = {
+        "font.size": 9.5,
+        "font.family": "sans-serif",
+        "svg.fonttype": "path",
+        "axes.edgecolor": MUTED,
+        "axes.labelcolor": INK,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "grid.color": "#e4e8ee",
+        "axes.axisbelow": True,
+        "legend.frameon": False,
+    }
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure, figure.subplots(**grid)
+
+
+def _svg(figure: Any, description: str) -> str:
+    """Inline SVG with a description for those who cannot see it."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    # the page scales it, so the size in points goes; ids of several figures must not meet in one document
+    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    prefix = f"f{zlib.crc32(description.encode())}-"
+    text = re.sub(r'id="([^"]+)"', rf'id="{prefix}\1"', text)
+    text = re.sub(r'xlink:href="#([^"]+)"', rf'xlink:href="#{prefix}\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}\1)", text)
+    return text.replace("<svg", f'<svg role="img" aria-label="{description}"', 1)
+
+
+def run_figure(fit: RunFit, number: int) -> str:
+    """Measured against simulated above, residuals below."""
+    with _figure(7.4, 4.4, nrows=2, sharex=True, height_ratios=[2.2, 1.0]) as (figure, (above, below)):
+        above.plot(fit.times_s, fit.simulated, color=SIMULATED, linewidth=1.6, label="simulated")
+        above.plot(fit.times_s, fit.measured, "o", color=MEASURED, markersize=3.4, label="measured")
+        if len(fit.left_out_times_s):
+            above.plot(
+                fit.left_out_times_s, fit.left_out, "o", color=MUTED, markersize=3.0, alpha=0.6, label="left out"
+            )
+        above.set_ylabel("position (rad)")
+        above.legend(loc="best")
+        residual = 1e3 * (fit.simulated - fit.measured)
+        below.fill_between(fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.15, linewidth=0)
+        below.axhline(0.0, color=MUTED, linewidth=0.8)
+        below.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=3.0, linewidth=0.8)
+        below.set_ylabel("residual (mrad)")
+        below.set_xlabel("time after the current came on (s); band: two standard deviations of the encoder")
+        return _svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
+
+
+def convergence_figure(estimate: Estimate) -> str:
+    """The mass of every start over the iterations, and where the paper's schedule stops."""
+    solver = estimate.solver
+    assert solver is not None
+    with _figure(7.4, 3.4) as (figure, axes):
+        for path in solver.paths:
+            color = ACCENT if path.agrees else MUTED
+            axes.plot(1e3 * np.maximum(path.mass_kg, 1e-6), color=color, linewidth=1.3)
+            axes.plot(0, 1e3 * path.start_kg, "o", color=color, markersize=4)
+            if path.scheduled_kg is not None:
+                axes.plot(solver.iterations, 1e3 * path.scheduled_kg, "X", color=SIMULATED, markersize=7)
+        if any(path.scheduled_kg is not None for path in solver.paths):
+            axes.axvline(solver.iterations, color=SIMULATED, linewidth=0.8, linestyle=":")
+            axes.annotate(
+                "the schedule stops here (x)", (solver.iterations, axes.get_ylim()[1]), color=SIMULATED, va="bottom"
+            )
+        axes.set_yscale("log")
+        axes.set_xlabel("iteration")
+        axes.set_ylabel("mass (g)")
+        return _svg(figure, f"Mass over iterations from {len(solver.paths)} starts")
+
+
+def scan_figure(estimate: Estimate) -> str:
+    """Misfit over mass, with the estimate and its interval."""
+    scan = estimate.scan
+    assert scan is not None
+    with _figure(7.4, 3.2) as (figure, axes):
+        axes.plot(1e3 * scan.mass_kg, np.maximum(scan.cost, 1e-4), color=INK, linewidth=1.5)
+        value = estimate.values[0]
+        if isinstance(value.value, float):
+            axes.axvline(1e3 * value.value, color=SIMULATED, linewidth=1.2)
+            if value.ci95 is not None:
+                low, high = max(value.ci95[0], scan.mass_kg[0]), value.ci95[1]
+                axes.axvspan(1e3 * low, 1e3 * high, color=SIMULATED, alpha=0.1, linewidth=0)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("mass (g); line: the value, band: its 95 % interval")
+        axes.set_ylabel(scan.measure)
+        return _svg(figure, "Misfit of the simulation over the mass")
+
+
+def budget_figure(estimate: Estimate) -> str:
+    """Where the uncertainty of the mass comes from."""
+    entries = list(estimate.budget[:8])[::-1]
+    with _figure(7.4, 0.6 + 0.3 * len(entries)) as (figure, axes):
+        axes.barh([source for source, _ in entries], [1e3 * std for _, std in entries], color=ACCENT, height=0.62)
+        axes.set_xlabel("standard deviation it puts on the mass (g)")
+        axes.grid(axis="y", visible=False)
+        return _svg(figure, "Contributions to the uncertainty of the mass")
