@@ -52,10 +52,39 @@ class Solution:
         return int(np.argmin(self.cost))
 
 
+def _bounded_step(
+    u: np.ndarray, gradient: np.ndarray, matrix: np.ndarray, damping: np.ndarray, coordinates: Coordinates
+) -> np.ndarray:
+    """Damped Gauss-Newton step of every start, shape (S, F), that respects the bounds.
+
+    An unknown that sits on a bound and is pushed outward stays; one whose step would cross a bound goes to it, and the others
+    are solved for again with that in mind.
+    """
+    lower, upper = coordinates.lower, coordinates.upper
+    diagonal = np.arange(u.shape[1])
+    fixed = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
+    step = np.zeros_like(u)
+    for _ in range(3):
+        moves = ~fixed
+        damped = np.where(moves[:, :, None] & moves[:, None, :], matrix, 0.0)
+        damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
+        damped[:, diagonal, diagonal] += np.where(fixed, 1.0, 1e-300)
+        held = np.where(fixed, step, 0.0)
+        right = gradient + np.einsum("sij,sj->si", matrix, held)
+        step = held - np.linalg.solve(damped, np.where(moves, right, 0.0)[..., None])[..., 0]
+        step = np.clip(step, -coordinates.step_limit, coordinates.step_limit)
+        crosses = moves & ((u + step < lower) | (u + step > upper))
+        if not crosses.any():
+            break
+        step = np.where(crosses, np.clip(u + step, lower, upper) - u, step)
+        fixed |= crosses
+    return step
+
+
 def levenberg_marquardt(
     problem: LeastSquares,
     starts: np.ndarray,
-    windows: Callable[[float], np.ndarray],
+    windows: Callable[[float], np.ndarray] | None,
     window_iterations: int = 3,
     iterations: int = 30,
     tolerance: float = 1e-4,
@@ -67,7 +96,7 @@ def levenberg_marquardt(
 
     Args:
         starts: solver coordinates, shape (S, F).
-        windows: how many samples of each run lie in a fraction of its time.
+        windows: how many samples of each run lie in a fraction of its time; None fits everything at once, from a good start.
         window_iterations: iterations on each window but the last.
         iterations: at most so many on the last.
     """
@@ -76,22 +105,14 @@ def levenberg_marquardt(
     damping = np.full(len(u), 1e-3)
     path: list[np.ndarray] = [u.copy()]
     path_cost: list[np.ndarray] = []
-    diagonal = np.arange(u.shape[1])
-    for fraction in WINDOWS:
+    for fraction in WINDOWS if windows is not None else WINDOWS[-1:]:
         last = fraction == WINDOWS[-1]
-        counts = None if last else windows(fraction)
+        counts = None if last or windows is None else windows(fraction)
         cost, gradient, matrix = problem.linearise(u, counts)
         if not path_cost:
             path_cost.append(cost.copy())
         for _ in range(iterations if last else window_iterations):
-            # an unknown that sits on a bound and is pushed outward takes no part in the step
-            held = ((u <= coordinates.lower) & (gradient > 0.0)) | ((u >= coordinates.upper) & (gradient < 0.0))
-            moves = ~held
-            damped = np.where(moves[:, :, None] & moves[:, None, :], matrix, 0.0)
-            damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
-            damped[:, diagonal, diagonal] += np.where(held, 1.0, 1e-300)
-            step = -np.linalg.solve(damped, np.where(moves, gradient, 0.0)[..., None])[..., 0]
-            step = np.clip(step, -coordinates.step_limit, coordinates.step_limit)
+            step = _bounded_step(u, gradient, matrix, damping, coordinates)
             trial = np.clip(u + step, coordinates.lower, coordinates.upper)
             trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)
             better = trial_cost <= cost

@@ -134,7 +134,8 @@ def _interval_in_words(value: Value) -> str:
     name = value.name.replace("_", " ")
     if isinstance(value.ci95, list) and value.unit == "kg":
         low, high = value.ci95
-        return f"{name}, 95 % interval {1e3 * low:.2f} to {1e3 * high:.2f} g ({value.value:.6f} kg, standard deviation {value.std:.6f})"
+        interval = f"95 % interval {1e3 * low:.2f} to {1e3 * high:.2f} g"
+        return f"{name}, {interval} ({value.value:.6f} kg, standard deviation {value.std:.6f})"
     return f"{name}: {value.reason}" if value.reason else name
 
 
