@@ -53,6 +53,6 @@ setup(
         "sim": ["mujoco>=3.2"],
         "test": ["pytest>=7", "hypothesis", "ruff", "mypy"],
     },
-    entry_points={"console_scripts": ["proprio = proprio_ros.cli:main"]},
+    entry_points={"console_scripts": ["proprio = proprio_ros.cli:run"]},
     license="Apache-2.0",
 )

@@ -831,3 +831,14 @@ def test_settings_that_are_refused(tmp_path: Path, setting: Any, pattern: str) -
 def test_tables_that_are_refused(tmp_path: Path, change: Callable[[str], str], pattern: str) -> None:
     with refused(pattern):
         read_text_recording(write_text_recording(tmp_path / "text", table=change(TABLE)))
+
+
+def test_message_definitions_are_jazzys() -> None:
+    """The few definitions kept here hash to the same type as the distribution's own."""
+    from rosbags.typesys import Stores, get_typestore
+
+    from proprio_ros import bags
+
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    for name in bags._DEFINITIONS:
+        assert bags._types().hash_rihs01(name) == jazzy.hash_rihs01(name), name

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from proprio_ros.identification.weighing import chi2_limit
 from scipy.stats import chi2
+
+from proprio_ros.identification.weighing import chi2_limit
 
 
 @pytest.mark.parametrize("dof", [4, 9, 24, 100, 1000])

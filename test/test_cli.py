@@ -1,0 +1,81 @@
+"""The command line: its contract, its exit codes, one line per mistake."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from proprio_ros.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+BAG = str(ROOT / "bags" / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
+STUCK = str(ROOT / "bags" / "friction_s00_fixed_random_a_joint3" / "bag_mcap")
+
+
+def test_json_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", BAG, "--probe", "payload", "--json", "--set", "payload.size=0.043"]) == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert {"probe", "robot", "runs", "verdict", "reasons", "estimates", "fit", "solver", "timing_s"} <= result.keys()
+    assert (result["probe"], result["robot"], result["runs"]) == ("payload", "open_manipulator_x", 1)
+    assert result["verdict"] == "accepted" and all(isinstance(reason, str) for reason in result["reasons"])
+    (mass,) = result["estimates"]
+    assert mass["name"] == "payload_mass" and mass["unit"] == "kg"
+    assert mass["ci95"][0] <= mass["value"] <= mass["ci95"][1] and mass["std"] > 0.0
+    assert {"rms", "expected_rms", "unit", "reduced_chi2"} <= result["fit"].keys() and result["fit"]["unit"] == "rad"
+    assert {"name", "profile", "starts", "starts_agreeing", "iterations"} <= result["solver"].keys()
+    assert {"read", "load", "solve"} == result["timing_s"].keys()
+
+
+def test_no_number_for_what_cannot_be_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", STUCK, "--probe", "payload", "--json"]) == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["verdict"] == "not_identifiable" and result["fit"] is None
+    assert result["estimates"][0]["value"] is None and result["estimates"][0]["reason"]
+
+
+def test_text_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert main(["replay", BAG, "--probe", "payload", "--report", str(page)]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("accepted") and "95 % interval" in printed.out
+    assert f"report written to {page}" in printed.err and page.is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere"], "nowhere: no such bag"),
+        ([BAG, "--robot", "panda"], "panda"),
+        ([BAG, "--set", "payload.size"], "write KEY=VALUE"),
+        ([BAG, "--set", "payload.com=[0,0"], "is not JSON"),
+        ([BAG, "--set", "payload.colour=red"], "unknown; valid keys"),
+        ([BAG, "--state-topic", "/joints"], "/joint_states"),
+        ([BAG, "--command-topic", "/joints"], "/current_command"),
+        ([BAG, "--calibration", "robot.yaml"], "not available in version"),
+        ([BAG, "--report", "/nowhere/page.html"], "exists and is writable"),
+    ],
+)
+def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
+    assert main(["replay", *arguments, "--probe", "payload"]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("proprio: ") and words in lines[0]
+
+
+def test_the_installed_command() -> None:
+    """As a process: results on stdout, the rest on stderr, a reader that goes away is no error."""
+    command = [sys.executable, "-m", "proprio_ros.cli", "replay", BAG, "--probe", "payload", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and json.loads(done.stdout)["verdict"] == "accepted"
+    bad = subprocess.run(
+        [*command[:3], "replay", BAG, "--probe", "weight"], capture_output=True, text=True, timeout=120
+    )
+    assert bad.returncode == 2 and not bad.stdout and "payload" in bad.stderr
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process.stdout.close()
+    assert "Traceback" not in process.stderr.read()
+    process.wait(timeout=120)
