@@ -58,6 +58,7 @@ class PreparedRun:
         run: as recorded.
         used: number of leading samples inside the usable window.
         cut_reason: why later samples are left out, or an empty string.
+        hit_limit: whether that is because the joint reached its limit.
         drive: drive train of the driven joint.
         coefficients: see ``Coefficients``.
         sigma: standard deviation of each used sample [rad or m], shape (used,).
@@ -68,6 +69,7 @@ class PreparedRun:
     run: Run
     used: int
     cut_reason: str
+    hit_limit: bool
     drive: DriveTrain
     coefficients: Coefficients
     sigma: np.ndarray
@@ -128,7 +130,7 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
     joint = robot.model.joint(run.joint)
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
-    used, reason = _usable_window(run, velocity, followed, drive, joint.lower, joint.upper)
+    used, reason, hit_limit = _usable_window(run, velocity, followed, drive, joint.lower, joint.upper)
     reading = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
     sigma = np.hypot(reading, velocity[:used] * robot.stamp_jitter_s)
     if len(run.before_position):
@@ -154,7 +156,9 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
         arm_by_pose[matters],
         payload_by_pose[matters],
     )
-    return PreparedRun(run, used, reason, drive, coefficients, sigma, rest, limited=not followed[1:used].all())
+    return PreparedRun(
+        run, used, reason, hit_limit, drive, coefficients, sigma, rest, limited=not followed[1:used].all()
+    )
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
@@ -179,10 +183,11 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
 
 def _usable_window(
     run: Run, velocity: np.ndarray, followed: np.ndarray, drive: DriveTrain, lower: float, upper: float
-) -> tuple[int, str]:
+) -> tuple[int, str, bool]:
     """Samples before the joint meets its limit, or runs so fast that the supply may no longer drive the current.
 
-    A fast sample still counts while the motor itself reports the commanded current.
+    A fast sample still counts while the motor itself reports the commanded current. Returns how many samples are usable, why no
+    more, and whether the limit is the reason.
     """
     count = len(run.times_s)
     # how close to the limit a reading is no longer certain to be short of it
@@ -201,15 +206,18 @@ def _usable_window(
     limit = int(stopped[0]) if len(stopped) else count
     speed = int(fast[0]) if len(fast) else count
     if limit < count and limit <= speed:
-        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start"
+        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start", True
     if speed < count:
-        told = "the motor did not report the commanded current" if run.reported_effort is not None else (
+        told = (
             "the supply may no longer drive the commanded current"
-        )  # fmt: skip
-        return speed, (
+            if run.reported_effort is None
+            else "the motor did not report the commanded current"
+        )
+        reason = (
             f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start and {told}"
         )
-    return count, ""
+        return speed, reason, False
+    return count, "", False
 
 
 def payload_unknowns(

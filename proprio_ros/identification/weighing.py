@@ -156,9 +156,7 @@ def weigh(
 
 def _known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     """Whether the file leaves no drive-train term of the probed joints open."""
-    return not any(
-        getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS
-    )  # fmt: skip
+    return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
 
 
 def _unusable(run: PreparedRun) -> str:
@@ -176,9 +174,8 @@ def _look_at_run(run: PreparedRun, found: _Findings) -> None:
     name = run.run.name
     found.notes.extend(f"{name}: {note}" for note in run.run.notes)
     if run.cut_reason and run.used >= MIN_USED:
-        found.notes.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples left out")
-    if run.cut_reason.endswith("after the start") and run.used >= MIN_USED:
-        found.reasons.append(f"{name}: {run.cut_reason}; only the samples before that were used")
+        said = found.reasons if run.hit_limit else found.notes
+        said.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples were left out")
     if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and run.used >= MIN_USED:
         found.reasons.append(
             f"{name}: {run.run.joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
