@@ -101,23 +101,57 @@ def _acceleration(
     q: FLOAT,
     v: FLOAT,
     command: FLOAT,
-    inertia: FLOAT,
-    ga: FLOAT,
-    gb: FLOAT,
-    gc: FLOAT,
-    kt: FLOAT,
-    fc: FLOAT,
-    fv: FLOAT,
-    fl: FLOAT,
-    volt: FLOAT,
-    emf: FLOAT,
-    ohm: FLOAT,
-    vs: FLOAT,
+    p: wp.array2d(dtype=FLOAT),
+    world: wp.int32,
+    constants: wp.array2d(dtype=FLOAT),
+    run: wp.int32,
 ):
-    i, _slope = _current(command, v, volt, emf, ohm)
-    motor = kt * i
-    friction = (fc + fl * wp.abs(motor)) * wp.tanh(v / vs) + fv * v
-    return (motor - friction - ga * wp.cos(q) - gb * wp.sin(q) - gc) / inertia
+    i, _slope = _current(command, v, constants[run, 0], constants[run, 1], constants[run, 2])
+    motor = p[world, 4] * i
+    friction = (p[world, 5] + p[world, 7] * wp.abs(motor)) * wp.tanh(v / constants[run, 3]) + p[world, 6] * v
+    load = p[world, 1] * wp.cos(q) + p[world, 2] * wp.sin(q) + p[world, 3]
+    return (motor - friction - load) / p[world, 0]
+
+
+@wp.func
+def _rk4(
+    q: FLOAT,
+    v: FLOAT,
+    h: FLOAT,
+    command: FLOAT,
+    p: wp.array2d(dtype=FLOAT),
+    world: wp.int32,
+    constants: wp.array2d(dtype=FLOAT),
+    run: wp.int32,
+):
+    """The state one step later."""
+    half = FLOAT(0.5)
+    two = FLOAT(2.0)
+    a1 = _acceleration(q, v, command, p, world, constants, run)
+    v2 = v + half * h * a1
+    a2 = _acceleration(q + half * h * v, v2, command, p, world, constants, run)
+    v3 = v + half * h * a2
+    a3 = _acceleration(q + half * h * v2, v3, command, p, world, constants, run)
+    v4 = v + h * a3
+    a4 = _acceleration(q + h * v3, v4, command, p, world, constants, run)
+    sixth = h / FLOAT(6.0)
+    return q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4)
+
+
+@wp.func
+def _semi_implicit(
+    q: FLOAT,
+    v: FLOAT,
+    h: FLOAT,
+    command: FLOAT,
+    p: wp.array2d(dtype=FLOAT),
+    world: wp.int32,
+    constants: wp.array2d(dtype=FLOAT),
+    run: wp.int32,
+):
+    """The paper's equation (2)."""
+    later = v + h * _acceleration(q, v, command, p, world, constants, run)
+    return q + h * later, later
 
 
 @cache
@@ -318,7 +352,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
 @cache
 def _schedule_kernel(integrator: str) -> Any:
     """Rollout without tangents that writes down every step it takes, for the adjoint to follow."""
-    rk4 = integrator == "rk4"
+    step = _rk4 if integrator == "rk4" else _semi_implicit
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
@@ -353,7 +387,6 @@ def _schedule_kernel(integrator: str) -> Any:
         segment = wp.int32(0)
         command = input_current[r, 0]
         n = wp.int32(0)
-        half = FLOAT(0.5)
         for k in range(sample_count[r]):
             goal = sample_times[r, k] - delay
             sample_step_out[w, k] = -1
@@ -369,10 +402,7 @@ def _schedule_kernel(integrator: str) -> Any:
                             d_end = FLOAT(0.0)
                             switches = 1
                     while t < end and n < capacity:
-                        a1 = _acceleration(
-                            q, v, command, p_in[w, 0], p_in[w, 1], p_in[w, 2], p_in[w, 3], p_in[w, 4], p_in[w, 5],
-                            p_in[w, 6], p_in[w, 7], constants[r, 0], constants[r, 1], constants[r, 2], vs,
-                        )  # fmt: skip
+                        a1 = _acceleration(q, v, command, p_in, w, constants, r)
                         h = coarse
                         if fine < coarse:
                             if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a1) * coarse:
@@ -386,30 +416,9 @@ def _schedule_kernel(integrator: str) -> Any:
                         step_out[w, n] = h
                         step_by_delay_out[w, n] = dh
                         command_out[w, n] = command
-                        if wp.static(rk4):
-                            v2 = v + half * h * a1
-                            a2 = _acceleration(
-                                q + half * h * v, v2, command, p_in[w, 0], p_in[w, 1], p_in[w, 2], p_in[w, 3],
-                                p_in[w, 4], p_in[w, 5], p_in[w, 6], p_in[w, 7], constants[r, 0], constants[r, 1],
-                                constants[r, 2], vs,
-                            )  # fmt: skip
-                            v3 = v + half * h * a2
-                            a3 = _acceleration(
-                                q + half * h * v2, v3, command, p_in[w, 0], p_in[w, 1], p_in[w, 2], p_in[w, 3],
-                                p_in[w, 4], p_in[w, 5], p_in[w, 6], p_in[w, 7], constants[r, 0], constants[r, 1],
-                                constants[r, 2], vs,
-                            )  # fmt: skip
-                            v4 = v + h * a3
-                            a4 = _acceleration(
-                                q + h * v3, v4, command, p_in[w, 0], p_in[w, 1], p_in[w, 2], p_in[w, 3],
-                                p_in[w, 4], p_in[w, 5], p_in[w, 6], p_in[w, 7], constants[r, 0], constants[r, 1],
-                                constants[r, 2], vs,
-                            )  # fmt: skip
-                            q = q + h / FLOAT(6.0) * (v + FLOAT(2.0) * v2 + FLOAT(2.0) * v3 + v4)
-                            v = v + h / FLOAT(6.0) * (a1 + FLOAT(2.0) * a2 + FLOAT(2.0) * a3 + a4)
-                        else:
-                            v = v + h * a1
-                            q = q + h * v
+                        q_next, v_next = step(q, v, h, command, p_in, w, constants, r)
+                        q = q_next
+                        v = v_next
                         n = n + 1
                         t = t + h
                         if last == 1:
@@ -431,7 +440,7 @@ def _schedule_kernel(integrator: str) -> Any:
 @cache
 def _taped_kernels(integrator: str) -> tuple[Any, Any]:
     """Kernels whose adjoint is right: every step writes its own row, no state is overwritten."""
-    rk4 = integrator == "rk4"
+    step = _rk4 if integrator == "rk4" else _semi_implicit
 
     @wp.kernel(module="unique")
     def roll(
@@ -451,45 +460,14 @@ def _taped_kernels(integrator: str) -> tuple[Any, Any]:
     ):
         w = wp.tid()
         r = world_run[w]
-        inertia = p_in[w, 0]
-        ga = p_in[w, 1]
-        gb = p_in[w, 2]
-        gc = p_in[w, 3]
-        kt = p_in[w, 4]
-        fc = p_in[w, 5]
-        fv = p_in[w, 6]
-        fl = p_in[w, 7]
         delay = p_in[w, 8]
-        volt = constants[r, 0]
-        emf = constants[r, 1]
-        ohm = constants[r, 2]
-        vs = constants[r, 3]
-        half = FLOAT(0.5)
-        two = FLOAT(2.0)
         q_out[w, 0] = p_in[w, 9]
         v_out[w, 0] = p_in[w, 10]
         for n in range(steps_in[w]):
             h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
-            command = command_in[w, n]
-            q = q_out[w, n]
-            v = v_out[w, n]
-            a1 = _acceleration(q, v, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs)
-            if wp.static(rk4):
-                q2 = q + half * h * v
-                v2 = v + half * h * a1
-                a2 = _acceleration(q2, v2, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs)
-                q3 = q + half * h * v2
-                v3 = v + half * h * a2
-                a3 = _acceleration(q3, v3, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs)
-                q4 = q + h * v3
-                v4 = v + h * a3
-                a4 = _acceleration(q4, v4, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs)
-                q_out[w, n + 1] = q + h / FLOAT(6.0) * (v + two * v2 + two * v3 + v4)
-                v_out[w, n + 1] = v + h / FLOAT(6.0) * (a1 + two * a2 + two * a3 + a4)
-            else:
-                v_next = v + h * a1
-                v_out[w, n + 1] = v_next
-                q_out[w, n + 1] = q + h * v_next
+            q_next, v_next = step(q_out[w, n], v_out[w, n], h, command_in[w, n], p_in, w, constants, r)
+            q_out[w, n + 1] = q_next
+            v_out[w, n + 1] = v_next
 
     @wp.kernel(module="unique")
     def observe(
