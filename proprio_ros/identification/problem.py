@@ -270,6 +270,11 @@ def _from_quantity(
     return Unknown(name, unit, quantity.value, quantity.std, lower, upper).at_role(role)
 
 
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array
+
+
 class PayloadProblem:
     """The whitened residuals of all runs as a function of the unknowns, for many guesses at once.
 
@@ -310,7 +315,8 @@ class PayloadProblem:
         # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
         bent = {self.index[n] for n in self.index if n.startswith(("payload_com", "zero[", "shape_scale", "arm_scale"))}
         self._affine = not bent.intersection(self.free.tolist())
-        self._affine_map: tuple[np.ndarray, np.ndarray] | None = None
+        self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._world_runs: dict[int, np.ndarray] = {}
 
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
         drive = run.drive
@@ -423,19 +429,28 @@ class PayloadProblem:
         return values
 
     def _kernel_parameters(self, free_values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (W, P) of every world, a guess's runs side by side, and their tangents (W, P, F).
+
+        Where the parameters are affine in what is free, the tangents never change: they are handed out as one read-only array,
+        which the simulator copies once.
+        """
+        guesses = len(free_values)
         if not self._affine:
-            return self.parameters(self.all_values(free_values), self.free)
-        if self._affine_map is None:
+            p, dp = self.parameters(self.all_values(free_values), self.free)
+            return p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
+        if guesses not in self._affine_maps:
             origin = self.all_values(np.zeros((1, len(self.free))))
-            p, dp = self.parameters(origin, self.free)
-            self._affine_map = (p[0], dp[0])
-        offset, slope = self._affine_map
-        return offset + np.tensordot(free_values, slope, axes=(1, 2)), np.broadcast_to(
-            slope, (len(free_values), *slope.shape)
-        )
+            offset, slope = (array[0] for array in self.parameters(origin, self.free))
+            self._affine_maps[guesses] = (offset, _read_only(np.tile(slope, (guesses, 1, 1))))
+        offset, tangents = self._affine_maps[guesses]
+        slope = tangents[: len(self.runs)]
+        p = offset + np.tensordot(free_values, slope, axes=(1, 2))
+        return p.reshape(-1, p.shape[-1]), tangents
 
     def _worlds(self, guesses: int) -> np.ndarray:
-        return np.tile(np.arange(len(self.runs), dtype=np.int32), guesses)
+        if guesses not in self._world_runs:
+            self._world_runs[guesses] = _read_only(np.tile(np.arange(len(self.runs), dtype=np.int32), guesses))
+        return self._world_runs[guesses]
 
     def linearise(
         self, internal: np.ndarray, counts: np.ndarray | None = None
@@ -456,9 +471,7 @@ class PayloadProblem:
         guesses, size = internal.shape
         p, dp = self._kernel_parameters(physical)
         runs = len(self.runs)
-        q, _, dq = self.simulator.jacobian(
-            self._worlds(guesses), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:]), counts
-        )
+        q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, dp, counts)
         weight = self.weight
         if counts is not None:
             weight = weight * (self._columns < counts[:, None])
@@ -475,7 +488,7 @@ class PayloadProblem:
         matrix[:, diagonal, diagonal] += coordinates.prior_weight**2
         gradient = gradient * slope
         matrix = matrix * slope[:, :, None] * slope[:, None, :]
-        massless = (p[:, :, INDEX["inertia"]] <= 0.0).any(axis=1)
+        massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, runs).any(axis=1)
         bad = massless | ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
         if bad.any():
             cost[bad], gradient[bad] = np.inf, 0.0

@@ -512,6 +512,7 @@ class JointSimulator:
         self.integrator = integrator
         self.device = device
         self.sample_counts = np.array([len(run.sample_times_s) for run in runs], dtype=np.int32)
+        self.sample_counts.setflags(write=False)
         self._width = int(self.sample_counts.max())
         input_counts = np.array([len(run.input_times_s) for run in runs], dtype=np.int32)
         samples = np.zeros((len(runs), self._width))
@@ -550,7 +551,8 @@ class JointSimulator:
         Args:
             world_run: run of each world, shape (W,).
             p: parameters of each world in the order of ``PARAMETERS``, shape (W, P).
-            dp: D tangent directions of each world in parameter space, shape (W, P, D).
+            dp: D tangent directions of each world in parameter space, shape (W, P, D); a read-only array that comes again is
+                not copied again (nor are ``world_run`` and ``counts``).
             counts: only the first ``counts[r]`` samples of run r are computed, shape (R,); default all.
 
         Returns:
@@ -582,7 +584,7 @@ class _Launch:
         kernel = _tangent_kernel(size, owner.integrator)
         vec = wp.types.vector(length=size, dtype=FLOAT)
         device = owner.device
-        self._size = size
+        self._given: dict[str, np.ndarray | None] = {}
         self._world_run = wp.zeros(worlds, dtype=wp.int32, device=device)
         self._counts = wp.clone(owner._full_counts)
         self._p = wp.zeros((worlds, len(PARAMETERS)), dtype=FLOAT, device=device)
@@ -606,14 +608,23 @@ class _Launch:
     def __call__(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        self._world_run.assign(np.asarray(world_run, dtype=np.int32))
-        self._counts.assign(np.asarray(counts, dtype=np.int32))
+        if self._is_new("world_run", world_run):
+            self._world_run.assign(np.asarray(world_run, dtype=np.int32))
+        if self._is_new("counts", counts):
+            self._counts.assign(np.asarray(counts, dtype=np.int32))
+        if self._is_new("dp", dp):
+            self._dp_host[:, :, : dp.shape[2]] = dp
+            self._dp_host[:, :, dp.shape[2] :] = 0.0
+            self._dp.assign(self._dp_host)
         self._p.assign(p)
-        self._dp_host[:, :, : dp.shape[2]] = dp
-        self._dp_host[:, :, dp.shape[2] :] = 0.0
-        self._dp.assign(self._dp_host)
         self._command.launch()
         return self._q.numpy(), self._v.numpy(), self._dq.numpy()
+
+    def _is_new(self, what: str, values: np.ndarray) -> bool:
+        """Whether an input must be copied: a read-only array that was already given has not changed."""
+        seen = self._given.get(what) is values
+        self._given[what] = None if values.flags.writeable else values
+        return not seen
 
 
 class TapedRollout:
