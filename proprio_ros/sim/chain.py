@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike, NDArray
 from proprio_ros.errors import SimulationError
 from proprio_ros.robot import ReducedModel, inertia_about_origin, rotation_about
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint import _MAX_STEPS, _TIME_EPS, INTEGRATORS, _current
+from proprio_ros.sim.joint import INTEGRATORS, MAX_STEPS, TIME_EPS, limited_current
 from proprio_ros.sim.runtime import FLOAT
 
 JOINT_PARAMETERS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stiffness")
@@ -303,7 +303,7 @@ def _dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         result = vec()
         for i in range(n):
             supply = fixed.supply
-            current, _slope = _current(command[i], v[i], supply[i, 0], supply[i, 1], supply[i, 2])
+            current, _slope = limited_current(command[i], v[i], supply[i, 0], supply[i, 1], supply[i, 2])
             motor = p[w, i] * current
             dry = (p[w, n + i] + p[w, 3 * n + i] * wp.abs(motor)) * wp.tanh(v[i] / fixed.friction_velocity[i])
             result[i] = motor - dry - p[w, 2 * n + i] * v[i] - p[w, 5 * n + i] * q[i]
@@ -379,7 +379,7 @@ def _dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
             if wp.static(parents[n - 1 - k] >= 0):
                 force[wp.static(parents[n - 1 - k])] = force[wp.static(parents[n - 1 - k])] + force[i]
             supply = fixed.supply
-            current, slope = _current(command[i], v[i], supply[i, 0], supply[i, 1], supply[i, 2])
+            current, slope = limited_current(command[i], v[i], supply[i, 0], supply[i, 1], supply[i, 2])
             motor = p[w, i] * current
             side[i] = wp.tanh(v[i] / fixed.friction_velocity[i])
             load[i] = wp.abs(motor)
@@ -622,7 +622,7 @@ def _forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) 
                             if sticking(fixed, p_in, w, v, a1, coarse):
                                 h = fine
                         dh = instants()
-                        if t + h > end - FLOAT(_TIME_EPS):
+                        if t + h > end - FLOAT(TIME_EPS):
                             # may have no length, where a sample falls on a change of the input, but still moves
                             h = end - t
                             dh = d_end - dt
@@ -1083,9 +1083,9 @@ class ChainSimulator:
         if seed.shape != shape:
             raise SimulationError(f"weights have shape {seed.shape}: give {shape}")
         capacity = int(self._launch(p, None)[6].numpy().max())
-        if capacity > _MAX_STEPS:
+        if capacity > MAX_STEPS:
             raise SimulationError(
-                f"{capacity} steps are too many for a tape (at most {_MAX_STEPS}): use a longer step, or the forward "
+                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward "
                 "sensitivities"
             )
         step, by_delay, segment, steps, sample_step = self._launch(p, None, capacity)[3:]

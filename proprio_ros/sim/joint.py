@@ -48,8 +48,8 @@ INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 16, 24, 32)
-_MAX_STEPS = 200_000
-_TIME_EPS = 1e-9  # s; two instants closer than this are one
+MAX_STEPS = 200_000
+TIME_EPS = 1e-9  # s; two instants closer than this are one
 
 runtime.start()
 
@@ -78,7 +78,7 @@ class JointRun:
 
 
 @wp.func
-def _current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOAT):
+def limited_current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOAT):
     """The current that flows, and its derivative by the velocity."""
     i = command
     slope = FLOAT(0.0)
@@ -106,7 +106,7 @@ def _acceleration(
     constants: wp.array2d(dtype=FLOAT),
     run: wp.int32,
 ):
-    i, _slope = _current(command, v, constants[run, 0], constants[run, 1], constants[run, 2])
+    i, _slope = limited_current(command, v, constants[run, 0], constants[run, 1], constants[run, 2])
     motor = p[world, 4] * i
     friction = (p[world, 5] + p[world, 7] * wp.abs(motor)) * wp.tanh(v / constants[run, 3]) + p[world, 6] * v
     load = p[world, 1] * wp.cos(q) + p[world, 2] * wp.sin(q) + p[world, 3]
@@ -188,7 +188,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         d_fv: vec,
         d_fl: vec,
     ):
-        i, slope = _current(command, v, volt, emf, ohm)
+        i, slope = limited_current(command, v, volt, emf, ohm)
         motor = kt * i
         side = wp.tanh(v / vs)
         load = wp.abs(motor)
@@ -282,7 +282,9 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                             end = input_times[r, segment + 1]
                             d_end = vec()
                             switches = 1
-                    while t < end:
+                    # the last step is taken even when it has no length: the instant may still move with the delay
+                    last = wp.int32(0)
+                    while last == 0:
                         a1, da1 = linearised(
                             q, v, dq, dv, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs,
                             d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl,
@@ -291,9 +293,8 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                         if fine < coarse:
                             if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a1) * coarse:
                                 h = fine
-                        last = wp.int32(0)
                         dh = vec()
-                        if t + h > end - FLOAT(_TIME_EPS):
+                        if t + h > end - FLOAT(TIME_EPS):
                             h = end - t
                             dh = d_end - dt
                             last = 1
@@ -401,15 +402,15 @@ def _schedule_kernel(integrator: str) -> Any:
                             end = input_times[r, segment + 1]
                             d_end = FLOAT(0.0)
                             switches = 1
-                    while t < end and n < capacity:
+                    last = wp.int32(0)
+                    while last == 0 and n < capacity:
                         a1 = _acceleration(q, v, command, p_in, w, constants, r)
                         h = coarse
                         if fine < coarse:
                             if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a1) * coarse:
                                 h = fine
-                        last = wp.int32(0)
                         dh = FLOAT(0.0)
-                        if t + h > end - FLOAT(_TIME_EPS):
+                        if t + h > end - FLOAT(TIME_EPS):
                             h = end - t
                             dh = d_end - moved
                             last = 1
@@ -538,7 +539,7 @@ class JointSimulator:
     def windows(self, fraction: float) -> np.ndarray:
         """How many samples of each run lie in the first ``fraction`` of its time, at least three; shape (R,), int32."""
         counts = [
-            int(np.searchsorted(run.sample_times_s, fraction * run.sample_times_s[-1] + _TIME_EPS, side="right"))
+            int(np.searchsorted(run.sample_times_s, fraction * run.sample_times_s[-1] + TIME_EPS, side="right"))
             for run in self.runs
         ]
         return np.minimum(np.maximum(np.array(counts, dtype=np.int32), 3), self.sample_counts)
@@ -644,9 +645,9 @@ class TapedRollout:
         finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
         events = owner._width + int(owner._switch_times.shape[1])
         capacity = int(np.ceil(longest / finest)) + events + 2
-        if capacity > _MAX_STEPS:
+        if capacity > MAX_STEPS:
             raise SimulationError(
-                f"{capacity} steps of {finest:.2g} s are too many for a tape (at most {_MAX_STEPS}): use a longer step, "
+                f"{capacity} steps of {finest:.2g} s are too many for a tape (at most {MAX_STEPS}): use a longer step, "
                 "or the forward sensitivities"
             )
         self._worlds = worlds

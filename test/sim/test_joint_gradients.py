@@ -85,3 +85,27 @@ def test_many_directions_equal_one_at_a_time() -> None:
     for column in range(20):
         alone = sim.jacobian(ONE, p, directions[:, :, column : column + 1])[2]
         np.testing.assert_allclose(together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
+def test_delay_of_a_sample_on_a_change_of_the_current(integrator: str) -> None:
+    """Without delay a sample may fall on a change of the current; a longer delay takes it under the former one.
+
+    One-sided differences (-3, 4, -1) towards longer delays, and the tape, must see the same in all later samples.
+    """
+    run = JointRun(np.array([0.05, 0.1, 0.13, 0.2]), np.array([0.0, 0.1]), np.array([0.3, -0.6]))
+    sim = JointSimulator([run], integrator)
+    p = point(1)
+    p[0, INDEX["delay"]] = 0.0
+    direction = np.zeros((1, len(PARAMETERS), 1))
+    direction[0, INDEX["delay"]] = 1.0
+    q, _, exact = (array.copy() for array in sim.jacobian(ONE, p, direction))
+    step = 1e-6
+    moved = np.repeat(p, 2, axis=0)
+    moved[:, INDEX["delay"]] = [step, 2.0 * step]
+    once, twice = sim.rollout(np.zeros(2, dtype=np.int32), moved)[0]
+    difference = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
+    np.testing.assert_allclose(difference, exact[0, :, 0], atol=1e-6 * np.abs(exact).max())
+    weights = np.random.default_rng(2).normal(size=q.shape)
+    gradient = sim.tape(ONE, p).gradient(weights)[0, INDEX["delay"]]
+    np.testing.assert_allclose(gradient, (weights * exact[..., 0]).sum(), rtol=1e-10)
