@@ -294,7 +294,7 @@ def _conclude(
         reasons=tuple(found.reasons),
         values=_values(fit, covariance, withheld),
         fit=quality,
-        solver=_summary(nominal if nominal.explains or len(opened.solution.cost) == 1 else opened, options),
+        solver=_summary(nominal if nominal.explains or len(opened.solution.cost) == 1 else opened, options, std),
         runs=run_count,
         run_fits=fits,
         unknowns=_unknown_rows(opened, covariance),
@@ -482,7 +482,8 @@ def run_fits(
     return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))
 
 
-def _summary(fit: _FitResult, options: WeighingOptions) -> SolverSummary:
+def _summary(fit: _FitResult, options: WeighingOptions, std: float) -> SolverSummary:
+    """What every start did. Starts agree when they explain the recording alike, at masses that the interval cannot tell apart."""
     solution = fit.solution
     physical = fit.problem.coordinates.physical
     ends = physical(solution.internal)[:, 0]
@@ -490,7 +491,8 @@ def _summary(fit: _FitResult, options: WeighingOptions) -> SolverSummary:
     paths = []
     for s, start in enumerate(options.starts_kg):
         agrees = bool(
-            solution.cost[s] < solution.cost[solution.best] + 0.5 and abs(ends[s] - best) <= max(1e-4, 0.01 * abs(best))
+            solution.cost[s] < solution.cost[solution.best] + 0.5
+            and abs(ends[s] - best) <= max(1e-4, 0.01 * abs(best), 0.1 * std)
         )
         paths.append(
             StartPath(
