@@ -1,0 +1,57 @@
+"""The comparisons compare the same thing. Times are never tested: run ``python test/benchmarks/run.py`` for them."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # the benchmarks are a folder of scripts, not a package
+
+
+@pytest.fixture(scope="module")
+def case() -> Any:
+    """The recording, solved by ourselves."""
+    from case import load
+
+    return load()
+
+
+def test_our_answer_is_the_recording_s_mass(case: Any) -> None:
+    assert case.mass == pytest.approx(0.05, abs=5e-4)
+
+
+def test_scipy_finds_our_mass(case: Any) -> None:
+    from against_scipy import identify
+    from case import AGREEMENT_KG
+
+    masses, _ = identify(case)()
+    assert np.abs(masses - case.mass).max() < AGREEMENT_KG
+
+
+def test_plain_c_computes_our_numbers(case: Any, tmp_path: Path) -> None:
+    if shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
+    from against_c import EQUAL, CPass, difference, hard_parameters, hard_run
+    from case import STARTS_KG
+
+    from proprio_ros.sim.joint import JointSimulator
+
+    run = hard_run(case.problem.simulator.runs[0])
+    p, dp = hard_parameters(*case.parameters(np.array(STARTS_KG)))
+    ours = JointSimulator([run]).jacobian(np.zeros(len(p), dtype=np.int32), p, dp)
+    assert difference(ours, CPass(run, p, dp, str(tmp_path))()) < EQUAL
+
+
+def test_void_without_agreement(case: Any) -> None:
+    from case import compare
+    from run import printed
+
+    good = compare("x", lambda: (np.array([case.mass]), case.mass), 0.0, case, repeats=1)
+    assert good.passed and "PASS" in printed(good)
+    wrong = compare("x", lambda: (np.array([0.07]), 0.07), 0.0, case, repeats=1)
+    assert wrong.passed is False and wrong.ratio == "void" and "FAIL" in printed(wrong)
