@@ -202,6 +202,24 @@ def test_a_stuck_joint_tells_nothing(bags: Path) -> None:
     assert "moved only 0.000 rad" in estimate.reasons[0]
 
 
+def test_profile_paper_refuses_a_stuck_joint_too(bags: Path) -> None:
+    estimate = weighed(bags / "friction_s00_fixed_random_a_joint3", profile="paper")
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("payload_mass").value is None
+
+
+def test_a_joint_that_is_fast_from_the_first_sample_is_refused(bags: Path, tmp_path: Path) -> None:
+    """Nothing of it is usable, and nothing breaks."""
+    original = recording_of(bags / LOADED)
+    joints = original.joints
+    position = joints.position.copy()
+    position[11:, 2] -= 0.2 * np.arange(1, len(position) - 10)  # 8 rad/s from the onset on
+    fast = replace(joints, position=position, velocity=None, effort=None, current=None, reported_effort=None)
+    write_recording(tmp_path / "bag", replace(original, joints=fast))
+    estimate = replay([tmp_path / "bag"])
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
+    assert "usable samples" in estimate.reasons[0] and "3.5 rad/s" in estimate.reasons[0]
+
+
 def test_friction_that_the_robot_file_does_not_know_is_told_by_the_interval(bags: Path) -> None:
     folder = bags / "friction_s00_fixed_heavy_ball_50g_joint3"
     estimate = weighed(folder)

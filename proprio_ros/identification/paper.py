@@ -73,6 +73,8 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         )
     run = runs[0]
     honest = weigh(robot, runs, facts, WeighingOptions())
+    if honest.fit is None:  # the joint did not move, or nothing of the run is usable: there is nothing to fit
+        return honest
     prepared = prepare_run(robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0)))
     last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
     loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s

@@ -26,6 +26,8 @@ from proprio_ros.sim.payload import (
 
 START_VELOCITY_STD = 0.01
 """rad/s: how still a held joint is when the current comes on. A probe starts from rest; this is its measure."""
+DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
+"""Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
@@ -194,12 +196,10 @@ def _usable_window(
     margin = 3.0 * float(np.hypot(drive.zero.std, drive.encoder_resolution))
     before = np.concatenate([[run.position[0]], run.position[:-1]])
     step = np.diff(run.position, prepend=run.position[0])
-    expected = before + np.concatenate(
-        [[0.0], step[:-1]]
-    )  # where the sample would be at the speed of the last interval
-    beyond = (np.maximum(run.position, expected) > upper - margin) | (
-        np.minimum(run.position, expected) < lower + margin
-    )
+    # where the sample would be at the speed of the last interval: an impact may hide between two samples
+    expected = before + np.concatenate([[0.0], step[:-1]])
+    furthest, nearest = np.maximum(run.position, expected), np.minimum(run.position, expected)
+    beyond = (furthest > upper - margin) | (nearest < lower + margin)
     # a joint that starts at a limit and leaves it is free to move
     stopped = np.flatnonzero(beyond & (np.abs(run.position - run.position[0]) > margin))
     fast = np.flatnonzero((np.abs(velocity) > drive.usable_velocity) & ~followed)
@@ -259,9 +259,6 @@ def _delay(robot: Robot, runs: Sequence[PreparedRun]) -> Quantity:
     """The robot's delay; where the input is measured effort, the onset is only known to one sample period."""
     periods = [float(np.median(np.diff(run.run.times_s))) for run in runs if run.run.source == MEASURED_EFFORT]
     return Quantity(robot.delay.value, float(np.hypot(robot.delay.std, max(periods, default=0.0) / 2.0)))
-
-
-DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
 
 
 def _from_quantity(

@@ -49,6 +49,8 @@ STUCK_TRAVEL = 0.1
 """Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
 LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has (HARDWARE: rounding costs 2-4 g when the joint barely creeps)."""
+HELD_SPAN = 0.03
+"""rad: a held joint that moves more changes the load on the driven one by more than a gram."""
 MISFIT_SIGMAS = 3.0902
 """A fit worse than chance makes one in a thousand (so many standard deviations of a normal) contradicts the model."""
 MISFIT_LIMIT = 9.0
@@ -173,16 +175,18 @@ def _unusable(run: PreparedRun) -> str:
 def _look_at_run(run: PreparedRun, found: _Findings) -> None:
     name = run.run.name
     found.notes.extend(f"{name}: {note}" for note in run.run.notes)
-    if run.cut_reason and run.used >= MIN_USED:
+    if run.used < MIN_USED:
+        return
+    if run.cut_reason:
         said = found.reasons if run.hit_limit else found.notes
         said.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples were left out")
-    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and run.used >= MIN_USED:
+    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL:
         found.reasons.append(
             f"{name}: {run.run.joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
             f"{LITTLE_TRAVEL} rad tells much more"
         )
     for joint, span in run.run.held_span.items():
-        if joint in run.coefficients.pose and span > 0.03:
+        if joint in run.coefficients.pose and span > HELD_SPAN:
             found.reasons.append(f"{name}: {joint} should be held but moved by {span:.3f} rad")
 
 
