@@ -71,6 +71,7 @@ def test_the_installed_command() -> None:
     command = [sys.executable, "-m", "proprio_ros.cli", "replay", BAG, "--probe", "payload", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and json.loads(done.stdout)["verdict"] == "accepted"
+    assert "CUDA" not in done.stderr  # that there is no GPU is no news
     bad = subprocess.run(
         [*command[:3], "replay", BAG, "--probe", "weight"], capture_output=True, text=True, timeout=120
     )
