@@ -24,7 +24,7 @@ def run() -> NoReturn:
     """
     code = main()
     for stream in (sys.stdout, sys.stderr):
-        with suppress(BrokenPipeError, ValueError):  # `proprio ... | head` has gone, or was closed for that
+        with suppress(BrokenPipeError, ValueError, AttributeError):  # the reader has gone, or there never was one
             stream.flush()
     os._exit(code)
 
