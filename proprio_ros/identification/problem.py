@@ -134,7 +134,9 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
     followed = _followed(run, velocity, drive)
     used, reason, hit_limit = _usable_window(run, velocity, followed, drive, joint.lower, joint.upper)
     reading = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
-    sigma = np.hypot(reading, velocity[:used] * robot.stamp_jitter_s)
+    # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none
+    jitter = min(robot.stamp_jitter_s, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
+    sigma = np.hypot(reading, velocity[:used] * jitter)
     if len(run.before_position):
         # at rest the rounding error repeats, so only the noise averages out
         noise = drive.encoder_noise / np.sqrt(len(run.before_position))
