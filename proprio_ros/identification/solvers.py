@@ -17,6 +17,10 @@ WINDOWS = (0.25, 0.5, 0.75, 1.0)
 valley before the late, sensitive part is believed."""
 
 
+IDLE_GAIN = 1e-6
+"""A decrease of half chi-square below this moves nothing by more than a thousandth of its standard deviation."""
+
+
 class LeastSquares(Protocol):
     """What a solver needs of a problem."""
 
@@ -92,7 +96,7 @@ def levenberg_marquardt(
     """Batched Levenberg-Marquardt on growing windows (Marquardt 1963, damping scaled by the diagonal).
 
     Every start moves in the same launch. It ends when every start's next step is shorter than ``tolerance`` of its own standard
-    deviation, or no step makes it better.
+    deviation, or three in a row gain nothing that matters.
 
     Args:
         starts: solver coordinates, shape (S, F).
@@ -102,13 +106,14 @@ def levenberg_marquardt(
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
-    damping = np.full(len(u), 1e-3)
+    damping, growth = np.full(len(u), 1e-3), np.full(len(u), 2.0)
     path: list[np.ndarray] = [u.copy()]
     path_cost: list[np.ndarray] = []
     for fraction in WINDOWS if windows is not None else WINDOWS[-1:]:
         last = fraction == WINDOWS[-1]
         counts = None if last or windows is None else windows(fraction)
         cost, gradient, matrix = problem.linearise(u, counts)
+        idle = np.zeros(len(u), dtype=int)
         if not path_cost:
             path_cost.append(cost.copy())
         for _ in range(iterations if last else window_iterations):
@@ -117,15 +122,23 @@ def levenberg_marquardt(
             trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)
             better = trial_cost <= cost
             moved = trial - u
-            size = np.sqrt(np.maximum(np.einsum("si,sij,sj->s", moved, matrix, moved), 0.0))
+            curvature = np.einsum("si,sij,sj->s", moved, matrix, moved)
+            size = np.sqrt(np.maximum(curvature, 0.0))
+            promised = -np.einsum("si,si->s", gradient, moved) - 0.5 * curvature
+            gained = np.where(better, cost - np.where(better, trial_cost, 0.0), 0.0)
+            # Nielsen 1999: the damping follows how much of the promised decrease came true
+            kept = np.clip(gained / np.maximum(promised, 1e-300), 0.0, 1.0)
+            damping = damping * np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth)
+            damping = np.clip(damping, 1e-8, 1e10)
+            growth = np.where(better, 2.0, 2.0 * growth)
+            idle = np.where(gained < IDLE_GAIN, idle + 1, 0)
             u = np.where(better[:, None], trial, u)
             cost = np.where(better, trial_cost, cost)
             gradient = np.where(better[:, None], trial_gradient, gradient)
             matrix = np.where(better[:, None, None], trial_matrix, matrix)
-            damping = np.where(better, np.maximum(0.1 * damping, 1e-8), np.minimum(10.0 * damping, 1e10))
             path.append(u.copy())
             path_cost.append(cost.copy())
-            if last and np.all((size < tolerance) | (damping > 1e6)):
+            if last and np.all((size < tolerance) | (damping > 1e6) | (idle >= 3)):
                 break
     return Solution(u, cost, np.array(path), np.array(path_cost), len(path) - 1)
 

@@ -590,7 +590,6 @@ class _Launch:
         self._counts = wp.clone(owner._full_counts)
         self._p = wp.zeros((worlds, len(PARAMETERS)), dtype=FLOAT, device=device)
         self._dp = wp.zeros((worlds, len(PARAMETERS)), dtype=vec, device=device)
-        self._dp_host = np.zeros((worlds, len(PARAMETERS), size))
         self._q = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device)
         self._v = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device)
         self._dq = wp.zeros((worlds, owner._width), dtype=vec, device=device)
@@ -605,27 +604,37 @@ class _Launch:
             device=device,
             record_cmd=True,
         )  # fmt: skip
+        # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
+        inputs = {"world_run": self._world_run, "counts": self._counts, "p": self._p, "dp": self._dp}
+        self._views = {name: array.numpy() for name, array in inputs.items()} if self._p.device.is_cpu else {}
+        self._results = self._read() if self._views else None
 
     def __call__(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if self._is_new("world_run", world_run):
-            self._world_run.assign(np.asarray(world_run, dtype=np.int32))
-        if self._is_new("counts", counts):
-            self._counts.assign(np.asarray(counts, dtype=np.int32))
-        if self._is_new("dp", dp):
-            self._dp_host[:, :, : dp.shape[2]] = dp
-            self._dp_host[:, :, dp.shape[2] :] = 0.0
-            self._dp.assign(self._dp_host)
-        self._p.assign(p)
+        self._put("world_run", self._world_run, world_run)
+        self._put("counts", self._counts, counts)
+        self._put("p", self._p, p)
+        self._put("dp", self._dp, dp)
         self._command.launch()
+        return self._results or self._read()
+
+    def _read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self._q.numpy(), self._v.numpy(), self._dq.numpy()
 
-    def _is_new(self, what: str, values: np.ndarray) -> bool:
-        """Whether an input must be copied: a read-only array that was already given has not changed."""
-        seen = self._given.get(what) is values
+    def _put(self, what: str, array: wp.array, values: np.ndarray) -> None:
+        """Hand an input over; a read-only array that was already given has not changed."""
+        if self._given.get(what) is values:
+            return
         self._given[what] = None if values.flags.writeable else values
-        return not seen
+        if self._views:
+            view = self._views[what]
+            view[..., : values.shape[-1]] = values
+            view[..., values.shape[-1] :] = 0
+        else:
+            whole = np.zeros_like(array.numpy())
+            whole[..., : values.shape[-1]] = values
+            array.assign(whole)
 
 
 class TapedRollout:
