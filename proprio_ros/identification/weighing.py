@@ -249,15 +249,16 @@ def _conclude(
     covariance[row, row] += _static_std(fit.problem, runs) ** 2
     std = float(np.sqrt(covariance[row, row]))
     quality = Fit(rms, expected, fit.reduced_chi2, condition=condition)
+    moving = [] if fit.explains else _moving_starts(robot, runs, facts, options, fit)
     verdict = Verdict.ACCEPTED
     withheld = ""
     if not np.isfinite(fit.chi2):
         verdict, withheld = Verdict.REJECTED, "no guess of the mass could be simulated"
         found.reasons.insert(0, withheld + ": check the robot file's inertias")
-    elif fit.reduced_chi2 > MISFIT_LIMIT:
+    elif fit.reduced_chi2 > MISFIT_LIMIT or moving:
         verdict = Verdict.REJECTED
         withheld = "the model does not explain the recording"
-        found.reasons[:0] = _misfit_reasons(robot, runs, facts, options, fit, rms, expected, mass)
+        found.reasons[:0] = [_misfit_reason(rms, expected, mass, fit.reduced_chi2), *(moving or _other_suspects(robot))]
     elif mass + Z95 * std < 0.0:
         verdict, withheld = Verdict.REJECTED, "the hand seems lighter than empty"
         found.reasons.insert(
@@ -420,35 +421,44 @@ def _rivals(fit: _FitResult, mass: float, std: float) -> list[float]:
     return rivals
 
 
-def _misfit_reasons(
-    robot: Robot,
-    runs: Sequence[PreparedRun],
-    facts: PayloadFacts,
-    options: WeighingOptions,
-    fit: _FitResult,
-    rms: float,
-    expected: float,
-    mass: float,
-) -> list[str]:
-    reasons = [
+def _misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float) -> str:
+    if rms <= expected:
+        return (
+            f"misfit: the simulation ({1e3 * mass:.1f} g) only follows the recording with a robot or a start further from what is "
+            f"known about them than chance allows (reduced chi-square {reduced_chi2:.1f})"
+        )
+    return (
         f"misfit: the best simulation ({1e3 * mass:.1f} g) misses the recording by {1e3 * rms:.2f} mrad rms where the encoder "
         f"explains {1e3 * expected:.2f} mrad, so its mass is no weighing"
+    )
+
+
+def _other_suspects(robot: Robot) -> list[str]:
+    if robot.calibrated:
+        return []
+    return [
+        "the robot has not been calibrated: friction, torque constant or armature outside what its file allows would do this"
     ]
+
+
+def _moving_starts(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, fit: _FitResult
+) -> list[str]:
+    """A sentence for each run that fits far better if it did not start from rest."""
     # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
     moving = _solve(robot, runs, facts, replace(options, solver="lm"), Role.FROZEN, start_velocity_std=10.0)
+    if not moving.chi2 < 0.5 * fit.chi2:
+        return []
+    mass = float(moving.values[moving.problem.index["payload_mass"]])
+    rms = run_fits(moving.problem, moving.values, runs)[1]
+    reasons = []
     for row, run in enumerate(runs):
         velocity = float(moving.values[moving.problem.index[f"v0[{row}]"]])
-        if moving.chi2 < 0.5 * fit.chi2 and abs(velocity) > 10.0 * START_VELOCITY_STD:
-            other = float(moving.values[moving.problem.index["payload_mass"]])
-            free_rms = run_fits(moving.problem, moving.values, runs)[1]
+        if abs(velocity) > 10.0 * START_VELOCITY_STD:
             reasons.append(
                 f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when the "
-                f"current comes on (then {1e3 * other:.0f} g, rms {1e3 * free_rms:.2f} mrad): a probe must start from rest"
+                f"current comes on (then {1e3 * mass:.0f} g, rms {1e3 * rms:.2f} mrad): a probe must start from rest"
             )
-    if len(reasons) == 1 and not robot.calibrated:
-        reasons.append(
-            "the robot has not been calibrated: friction, torque constant or armature outside what its file allows would do this"
-        )
     return reasons
 
 
