@@ -6,8 +6,8 @@ take the same way. Every class checks itself when it is made, so that the code t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -200,6 +200,8 @@ class Run:
         notes: What a reader of the result should know about this run, one sentence each.
         reported_effort: The driven joint's effort field at ``times_s``, in its driver's unit, shape (K,); None if not
             recorded.
+        held_position: Positions of the other joints at ``before_times_s`` and then ``times_s`` [rad or m], shape (P + K,)
+            each; those that were not recorded are missing.
 
     Raises:
         RecordingError: A shape, an order or a value is wrong.
@@ -220,6 +222,7 @@ class Run:
     source: str
     notes: tuple[str, ...] = ()
     reported_effort: FloatArray | None = None
+    held_position: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for times_name, values_name in (
@@ -234,6 +237,12 @@ class Run:
             _increasing(times, f"run {self.name}: {times_name}")
             object.__setattr__(self, times_name, times)
             object.__setattr__(self, values_name, values)
+        count = len(self.before_times_s) + len(self.times_s)
+        held = {}
+        for joint, values in self.held_position.items():
+            held[joint] = _frozen(values, np.float64, f"run {self.name}: held_position of {joint}", (count,))
+            _finite(held[joint], f"run {self.name}: held_position of {joint}")
+        object.__setattr__(self, "held_position", held)
         if not np.isfinite(self.duration_s) or self.duration_s <= 0.0:
             raise RecordingError(f"run {self.name}: duration must be positive, got {self.duration_s} s")
         if self.times_s.size and (self.times_s[0] < 0.0 or self.times_s[-1] > self.duration_s):

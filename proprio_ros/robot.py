@@ -21,7 +21,7 @@ import json
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any, NoReturn
@@ -31,7 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from proprio_ros.calibration import Calibration
 from proprio_ros.errors import RobotError
+from proprio_ros.quantity import Quantity
 from proprio_ros.resources import resource, resource_names
 
 FloatArray = NDArray[np.float64]
@@ -664,28 +666,6 @@ class _UrdfReader:
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """A number and how well it is known.
-
-    Attributes:
-        value: Best value.
-        std: Standard deviation; 0 means known exactly.
-
-    Raises:
-        RobotError: A number is not finite, or the standard deviation is negative.
-    """
-
-    value: float
-    std: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.value) and math.isfinite(self.std)):
-            raise RobotError(f"value and std must be finite, got {self.value} and {self.std}")
-        if self.std < 0.0:
-            raise RobotError(f"std must not be negative, got {self.std}")
-
-
-@dataclass(frozen=True)
 class Motor:
     """What the driver needs to know of a joint's motor.
 
@@ -723,6 +703,8 @@ class DriveTrain:
         encoder_noise: Standard deviation of a reading, beyond rounding [rad].
         transmission: Joint position per shaft position: 1 when the motor sits in the joint, m/rad for a finger (each of
             two fingers moves this far).
+        encoder_once_per_turn: Standard deviation of the sine and of the cosine part of the encoder's once-per-turn
+            error, which a magnet off the axis makes [rad].
     """
 
     torque_constant: Quantity
@@ -739,6 +721,7 @@ class DriveTrain:
     encoder_resolution: float
     encoder_noise: float
     transmission: float = 1.0
+    encoder_once_per_turn: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -753,6 +736,13 @@ class Robot:
         delay: From the stamp of a command to torque, less that of a position [s].
         arm_scale: All masses of the model times this.
         stamp_jitter_s: Standard deviation of the stamps.
+        onset_jitter_s: Standard deviation of the delay from run to run.
+        torque_disturbance: Standard deviation of a torque that is there in one run and not in the next, such as friction
+            that is not the same every time [N m].
+        link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
+            relative mass, each coordinate of its centre of mass [m], relative inertia about it.
+        residual_scale: Residuals of a calibration over what encoder and stamps explain.
+        calibration: What is known about this very arm, with all correlations; None when the file's numbers stand alone.
         friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
         payload_frame: Link in which objects are held.
         gravity: In the base frame [m/s^2], shape (3,).
@@ -774,6 +764,13 @@ class Robot:
     source: Path
     calibrated: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    onset_jitter_s: float = 0.0
+    torque_disturbance: float = 0.0
+    link_mass_std: float = 0.0
+    link_com_std: float = 0.0
+    link_inertia_std: float = 0.0
+    residual_scale: float = 1.0
+    calibration: Calibration | None = None
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> Robot:
         """The same robot with some settings replaced.
@@ -794,7 +791,45 @@ class Robot:
             for part in reversed(paths[key]):
                 addition = {part: addition}
             settings = _merged(settings, addition)
-        return _robot(settings, self.source, self.model)
+        settings.pop("calibration", None)
+        robot = _robot(settings, self.source, self.model)
+        if self.calibration is None:
+            return robot
+        # what the user states stands beside the calibration and replaces its number
+        stated = {_unknown_of(paths[key]) for key in overrides}
+        return robot.with_calibration(self.calibration.without(stated))
+
+    def with_calibration(self, calibration: Calibration) -> Robot:
+        """The same robot with the numbers of its calibration, and their correlations.
+
+        Raises:
+            RobotError: The calibration is of a joint that the robot does not drive.
+        """
+        foreign = [joint for joint in calibration.joints if joint not in self.drive_trains]
+        if foreign:
+            raise RobotError(
+                f"{self.source.name}: the calibration is of {', '.join(foreign)}, but {self.name} drives "
+                f"{', '.join(self.drive_trains)}: calibrate this robot"
+            )
+        known = calibration.quantities
+        drives = {
+            joint: replace(
+                drive,
+                **{term: known[f"{term}[{joint}]"] for term in _CALIBRATED_TERMS if f"{term}[{joint}]" in known},
+            )
+            for joint, drive in self.drive_trains.items()
+        }
+        return replace(
+            self,
+            drive_trains=drives,
+            arm_scale=known.get("arm_scale", self.arm_scale),
+            delay=known.get("delay", self.delay),
+            torque_disturbance=calibration.torque_disturbance,
+            residual_scale=calibration.residual_scale,
+            stamp_jitter_s=calibration.stamp_jitter_s,
+            calibrated=True,
+            calibration=calibration,
+        )
 
 
 # ----------------------------------------------------------------------------------------------------------- YAML files
@@ -876,6 +911,7 @@ _MOTOR = {
     "current_limit_A": _Field(_positive, math.inf),
     "encoder_resolution_rad": _Field(_not_negative),
     "encoder_noise_rad": _Field(_not_negative, 0.0),
+    "encoder_once_per_turn_rad": _Field(_not_negative, 0.0),
 }
 _DRIVE_TRAIN = {
     # friction has no default: one that was forgotten would be taken as exactly zero and bias every mass
@@ -897,10 +933,28 @@ _ROBOT = {
     "arm_scale": _Field(_quantity(_positive), Quantity(1.0)),
     "delay_s": _Field(_quantity(_real), Quantity(0.0)),
     "stamp_jitter_s": _Field(_not_negative, 0.0),
+    "onset_jitter_s": _Field(_not_negative, 0.0),
+    "torque_disturbance_N_m": _Field(_not_negative, 0.0),
+    "link_mass_std": _Field(_not_negative, 0.0),
+    "link_com_std_m": _Field(_not_negative, 0.0),
+    "link_inertia_std": _Field(_not_negative, 0.0),
     "friction_velocity_rad_s": _Field(_positive, 0.001),
     "calibrated": _Field(_truth, False),
     "model_fingerprint": _Field(_text, None),
+    "calibration": _Field(Calibration.from_settings, None),
 }
+_FILE_ONLY = ("model_fingerprint", "calibration")  # no --set
+
+
+_CALIBRATED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero")
+
+
+def _unknown_of(path: tuple[str, ...]) -> str:
+    """Name of the unknown that a setting states, such as ``coulomb[joint3]``; any other text where it states none."""
+    name = path[-1]
+    for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad", "_s"):
+        name = name.removesuffix(unit)
+    return name if len(path) == 1 else f"{name}[{path[1]}]"
 
 
 def _as_mapping(value: Any, where: str) -> Mapping[str, Any]:
@@ -930,7 +984,7 @@ def _section(value: Any, fields: Mapping[str, _Field], where: str) -> dict[str, 
 
 def _override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Every key that may be overridden, as text and as the way to it; a joint's name may itself hold dots."""
-    paths: list[tuple[str, ...]] = [(key,) for key in _ROBOT if key != "model_fingerprint"]
+    paths: list[tuple[str, ...]] = [(key,) for key in _ROBOT if key not in _FILE_ONLY]
     for joint in joints:
         paths += [("joints", joint, "motor", key) for key in _MOTOR]
         paths += [("joints", joint, "drive_train", key) for key in _DRIVE_TRAIN]
@@ -973,8 +1027,12 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     if "urdf" in settings:
         settings["urdf"] = str(_urdf_path(_text(settings["urdf"], f"{path.name}: urdf"), path))
     if "extends" in settings:
-        base = _located(_text(settings.pop("extends"), f"{path.name}: extends"), path.parent)
-        settings = _merged(_read_settings(base, (*below, path)), settings)
+        base = _read_settings(
+            _located(_text(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
+        )
+        if "calibration" in settings:
+            base.pop("calibration", None)  # a newer calibration replaces an older one as a whole
+        settings = _merged(base, settings)
     return settings
 
 
@@ -1046,7 +1104,8 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         drive_trains[name], motors[name] = _drive_train(joint_settings, model.joint(name), f"{file}: joints: {name}")
     if not drive_trains:
         raise RobotError(f"{file}: joints is missing or empty; state the drive train of at least one joint")
-    return Robot(
+    calibration = given["calibration"]
+    robot = Robot(
         name=given["name"],
         model=model,
         drive_trains=drive_trains,
@@ -1054,6 +1113,11 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         delay=given["delay_s"],
         arm_scale=given["arm_scale"],
         stamp_jitter_s=given["stamp_jitter_s"],
+        onset_jitter_s=given["onset_jitter_s"],
+        torque_disturbance=given["torque_disturbance_N_m"],
+        link_mass_std=given["link_mass_std"],
+        link_com_std=given["link_com_std_m"],
+        link_inertia_std=given["link_inertia_std"],
         friction_velocity=given["friction_velocity_rad_s"],
         payload_frame=given["payload_frame"],
         gravity=given["gravity"],
@@ -1061,6 +1125,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         calibrated=given["calibrated"],
         settings=settings,
     )
+    return robot if calibration is None else robot.with_calibration(calibration)
 
 
 def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, Motor]:
@@ -1102,6 +1167,7 @@ def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, M
             usable_velocity=parts["usable_velocity_rad_s"],
             encoder_resolution=motor["encoder_resolution_rad"],
             encoder_noise=motor["encoder_noise_rad"],
+            encoder_once_per_turn=motor["encoder_once_per_turn_rad"],
             transmission=1.0 if transmission is None else transmission,
         ),
         Motor(model=motor["model"], id=motor["id"], current_limit_A=motor["current_limit_A"]),

@@ -256,6 +256,7 @@ def _run(
         source=inputs.source,
         notes=tuple(notes),
         reported_effort=None if record.reported_effort is None else record.reported_effort[inside, column],
+        held_position={joint: values for joint, values in others.items() if joint not in held},
     )
 
 

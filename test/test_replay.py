@@ -38,7 +38,15 @@ def told(truth: Mapping[str, Any]) -> dict[str, Any]:
 
 def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
     """The simulator's drive train, put into the robot file as exactly known."""
-    settings: dict[str, Any] = {"robot.delay_s": 0.0, "robot.arm_scale": 1.0}
+    exact = (
+        "delay_s",
+        "onset_jitter_s",
+        "torque_disturbance_N_m",
+        "link_mass_std",
+        "link_com_std_m",
+        "link_inertia_std",
+    )
+    settings: dict[str, Any] = {f"robot.{key}": 0.0 for key in exact} | {"robot.arm_scale": 1.0}
     for joint, values in truth["joints"].items():
         if joint == "gripper_left_joint":
             continue
@@ -50,6 +58,7 @@ def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
             prefix + "load_friction": values["load_friction"],
             prefix + "armature_kg_m2": values["armature"],
             prefix + "zero_rad": 0.0,
+            f"robot.joints.{joint}.motor.encoder_once_per_turn_rad": 0.0,
         }
     return settings
 

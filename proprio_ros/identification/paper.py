@@ -15,10 +15,12 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Estimate, Fit, Scan, SolverSummary, StartPath, Value, Verdict
+from proprio_ros.identification.gates import MISFIT_LIMIT
+from proprio_ros.identification.posterior import run_fits
 from proprio_ros.identification.problem import PayloadProblem, PreparedRun, payload_unknowns, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import MISFIT_LIMIT, WeighingOptions, run_fits, scan_masses, weigh
+from proprio_ros.identification.weighing import WeighingOptions, scan_masses, weigh
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -75,7 +77,9 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
     honest = weigh(robot, runs, facts, WeighingOptions())
     if honest.fit is None:  # the joint did not move, or nothing of the run is usable: there is nothing to fit
         return honest
-    prepared = prepare_run(robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0)))
+    prepared = prepare_run(
+        robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={})
+    )
     last = (len(run.times_s) - 1) if options.loss_sample is None else options.loss_sample
     loss_time = float(run.times_s[last]) if options.loss_time_s is None else options.loss_time_s
     if not 0 <= last < len(run.times_s) or loss_time <= 0.0:

@@ -1,17 +1,23 @@
-"""A weighing as a least-squares problem: runs, robot and payload in; whitened residuals and their exact Jacobian out.
+"""Runs, robot and payload as a least-squares problem: whitened residuals and their exact Jacobian out.
 
-The observation model: the encoder shows ``q(t - delay)`` plus rounding, noise and stamp jitter, so a residual is weighted by
+The observation model: the encoder shows ``x(t - delay) + a cos x + b sin x``, the true position less the joint's zero and a
+once-per-turn error of the encoder, plus rounding, noise and stamp jitter. A residual is weighted by
 ``sqrt(resolution^2 / 12 + noise^2 + (velocity x jitter)^2)``. All samples of the used window count, not only the last.
+
+A run holds the unknown payload or a load that is known (nothing, a weighed reference), so one problem serves a weighing, a
+calibration, and both together. Whatever is unknown reaches the simulator through its eleven parameters per run: with many
+unknowns the simulator's tangents are taken by those, and the chain rule does the rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.held_joints import Motion, held_motions, loads_of_yielding
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
 from proprio_ros.records import MEASURED_EFFORT, Run
 from proprio_ros.robot import DriveTrain, Quantity, ReducedModel, Robot
@@ -28,10 +34,15 @@ START_VELOCITY_STD = 0.01
 """rad/s: how still a held joint is when the current comes on. A probe starts from rest; this is its measure."""
 DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
 """Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
+RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
+"""The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
+LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
+"""How a link may differ from the URDF: relative mass, shift of its centre of mass [m], relative inertia about it."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
 _GRAVITY_ROWS = slice(0, 4)
+_NEGLIGIBLE = 1e-9  # kg m^2 or N m: a link term that changes less than this at its prior is not worth an unknown
 
 
 @dataclass(frozen=True)
@@ -43,6 +54,8 @@ class Coefficients:
         payload: per payload parameter, shape (4, 10).
         pose: names of the held joints whose zero matters.
         arm_by_pose: shape (H, 4); payload_by_pose: shape (H, 4, 10): change per unit of the held joint's position.
+        links: names of the link unknowns that matter, e.g. ``link_mass[link4]``, length L.
+        arm_by_link: change per unit of each, shape (L, 4).
     """
 
     arm: np.ndarray
@@ -50,6 +63,21 @@ class Coefficients:
     pose: tuple[str, ...]
     arm_by_pose: np.ndarray
     payload_by_pose: np.ndarray
+    links: tuple[str, ...]
+    arm_by_link: np.ndarray
+
+
+@dataclass(frozen=True)
+class KnownLoad:
+    """What the hand held in a run whose mass is told; the default is nothing.
+
+    Attributes:
+        mass: [kg].
+        facts: its place and shape.
+    """
+
+    mass: float = 0.0
+    facts: PayloadFacts = field(default_factory=PayloadFacts)
 
 
 @dataclass(frozen=True)
@@ -66,6 +94,8 @@ class PreparedRun:
         sigma: standard deviation of each used sample [rad or m], shape (used,).
         rest: start position from the samples before onset.
         limited: whether the supply may limit the current inside the window, as far as the recording tells.
+        load: what the hand is known to hold; None means the payload to be weighed.
+        yielding: names of held joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``.
     """
 
     run: Run
@@ -77,6 +107,10 @@ class PreparedRun:
     sigma: np.ndarray
     rest: Quantity
     limited: bool
+    load: KnownLoad | None = None
+    yielding: tuple[str, ...] = ()
+    yielding_times_s: np.ndarray | None = None
+    yielding_load: np.ndarray | None = None
 
     @property
     def times_s(self) -> np.ndarray:
@@ -101,22 +135,116 @@ def _reduced(robot: Robot, run: Run, shift: Mapping[str, float]) -> ReducedModel
 def _coefficients(robot: Robot, run: Run, shift: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     model = _reduced(robot, run, shift)
     body, body_from_payload = model.frames[robot.payload_frame]
-    if body != 0:
-        raise RecordingError(
-            f"{run.name}: {run.joint} was driven but does not move {robot.payload_frame}: probe a joint between the base and it"
-        )
-    gravity = model.placement[0][:3, :3].T @ model.gravity
-    axis = model.axes[0]
-    moved = body_from_payload @ pseudo_inertia_basis() @ body_from_payload.T
+    axis, gravity = _axis_and_gravity(model)
     arm = joint_coefficients(model.pseudo_inertia[0], model.kinds[0], axis, gravity)
+    if body != 0:  # the joint does not carry the hand
+        return arm, np.zeros((4, 10))
+    moved = body_from_payload @ pseudo_inertia_basis() @ body_from_payload.T
     return arm, joint_coefficients(moved, model.kinds[0], axis, gravity).T
 
 
-def prepare_run(robot: Robot, run: Run) -> PreparedRun:
+def _axis_and_gravity(model: ReducedModel) -> tuple[np.ndarray, np.ndarray]:
+    return model.axes[0], model.placement[0][:3, :3].T @ model.gravity
+
+
+def _link_coefficients(robot: Robot, run: Run) -> tuple[tuple[str, ...], np.ndarray]:
+    """What each link's deviations from the URDF add to the moving part (see ``LINK_TERMS``), where that is noticeable."""
+    model = _reduced(robot, run, {})
+    axis, gravity = _axis_and_gravity(model)
+    stds = _link_stds(robot)
+    names: list[str] = []
+    rows: list[np.ndarray] = []
+    for link in robot.model.links:
+        body, body_from_link = model.frames[link.name]
+        mass = float(link.pseudo_inertia[3, 3])
+        if body != 0 or mass == 0.0:
+            continue
+        com = link.pseudo_inertia[:3, 3] / mass
+        central = np.zeros((4, 4))
+        central[:3, :3] = link.pseudo_inertia[:3, :3] - mass * np.outer(com, com)
+        changes = [link.pseudo_inertia]
+        for direction in np.eye(3):
+            shifted = np.zeros((4, 4))
+            shifted[:3, :3] = mass * (np.outer(com, direction) + np.outer(direction, com))
+            shifted[:3, 3] = shifted[3, :3] = mass * direction
+            changes.append(shifted)
+        moved = body_from_link @ np.array([*changes, central]) @ body_from_link.T
+        for term, std, row in zip(
+            LINK_TERMS, stds, joint_coefficients(moved, model.kinds[0], axis, gravity), strict=True
+        ):
+            if np.abs(row).max() * std > _NEGLIGIBLE:
+                names.append(f"{term}[{link.name}]")
+                rows.append(row)
+    return tuple(names), np.array(rows).reshape(-1, 4)
+
+
+def _link_stds(robot: Robot) -> tuple[float, ...]:
+    return (robot.link_mass_std, *[robot.link_com_std] * 3, robot.link_inertia_std)
+
+
+def _arm_coefficients(robot: Robot, run: Run, held: Sequence[str]) -> Coefficients:
+    arm, payload = _coefficients(robot, run, {})
+    arm_by_pose, payload_by_pose = np.zeros((len(held), 4)), np.zeros((len(held), 4, 10))
+    for row, name in enumerate(held):
+        up, down = (_coefficients(robot, run, {name: sign * _POSE_STEP}) for sign in (1.0, -1.0))
+        arm_by_pose[row] = (up[0] - down[0]) / (2.0 * _POSE_STEP)
+        payload_by_pose[row] = (up[1] - down[1]) / (2.0 * _POSE_STEP)
+    matters = np.abs(arm_by_pose).max(axis=1) > 1e-6
+    return Coefficients(
+        arm,
+        payload,
+        tuple(n for n, m in zip(held, matters, strict=True) if m),
+        arm_by_pose[matters],
+        payload_by_pose[matters],
+        *_link_coefficients(robot, run),
+    )
+
+
+def _slide_coefficients(robot: Robot, run: Run) -> Coefficients:
+    """Everything that a motor moves along slides, as it seems at the motor's shaft: fingers, and those that mimic them.
+
+    A finger weighs three thousand times less there than the rotor, so neither poses nor link deviations matter.
+    """
+    per_rad = robot.drive_trains[run.joint].transmission
+    positions = {**run.held, run.joint: float(run.position[0])}
+    mass, load = 0.0, 0.0
+    for link in robot.model.links:
+        weight = float(link.pseudo_inertia[3, 3])
+        if weight > 0.0:
+            ends = [
+                robot.model.frame_transform(link.name, {**positions, run.joint: positions[run.joint] + sign * 0.5})
+                for sign in (-1.0, 1.0)
+            ]
+            velocity = (ends[1] - ends[0])[:3, 3]
+            mass += weight * float(velocity @ velocity)
+            load -= weight * float(velocity @ robot.gravity)
+    arm = np.array([mass * per_rad**2, 0.0, 0.0, load * per_rad])
+    empty = np.zeros((0, 4))
+    return Coefficients(arm, np.zeros((4, 10)), (), empty, np.zeros((0, 4, 10)), (), empty)
+
+
+def at_the_shaft(robot: Robot, run: Run) -> Run:
+    """The same run as the motor's shaft sees it [rad]: what a slide's positions are divided by its transmission."""
+    drive = robot.drive_trains.get(run.joint)
+    if drive is None or drive.transmission == 1.0:
+        return run
+    return replace(
+        run, position=run.position / drive.transmission, before_position=run.before_position / drive.transmission
+    )
+
+
+def prepare_run(
+    robot: Robot, run: Run, load: KnownLoad | None = None, facts: PayloadFacts | None = None
+) -> PreparedRun:
     """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
 
+    Args:
+        load: what the hand is known to hold; None means the payload to be weighed.
+        facts: where the payload sits, for what yielding joints do with it; default at the payload frame.
+
     Raises:
-        RecordingError: a joint the robot has is missing from the recording, or the driven joint has no drive train.
+        RecordingError: a joint the robot has is missing from the recording, the driven joint has no drive train, or the load to
+            be weighed does not move with it.
     """
     if run.joint not in robot.drive_trains:
         known = ", ".join(robot.drive_trains)
@@ -130,10 +258,27 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
         )
     drive = robot.drive_trains[run.joint]
     joint = robot.model.joint(run.joint)
+    motions: dict[str, Motion] = {}
+    if joint.kind == "prismatic":
+        coefficients = _slide_coefficients(robot, run)
+    else:
+        others = [n for n in robot.model.independent_joints if n != run.joint]
+        coefficients = _arm_coefficients(robot, run, others)
+        motions = held_motions(robot, run, coefficients.pose)
+        if motions:
+            starts = {name: motion.start for name, motion in motions.items()}
+            run = replace(run, held={**run.held, **starts})
+            coefficients = _arm_coefficients(robot, run, others)
+    if (load is None or load.mass > 0.0) and not coefficients.payload.any():
+        raise RecordingError(
+            f"{run.name}: {run.joint} was driven but does not move {robot.payload_frame}: probe a joint between the base and it"
+        )
+    run = at_the_shaft(robot, run)
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
-    used, reason, hit_limit = _usable_window(run, velocity, followed, drive, joint.lower, joint.upper)
-    reading = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
+    lower, upper = joint.lower / drive.transmission, joint.upper / drive.transmission
+    used, reason, hit_limit = _usable_window(run, velocity, followed, drive, lower, upper)
+    reading = robot.residual_scale * float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
     # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none
     jitter = min(robot.stamp_jitter_s, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
     sigma = np.hypot(reading, velocity[:used] * jitter)
@@ -145,23 +290,25 @@ def prepare_run(robot: Robot, run: Run) -> PreparedRun:
         )
     else:
         rest = Quantity(float(run.position[0]), 3.0 * reading)
-    held = tuple(name for name in robot.model.independent_joints if name != run.joint)
-    arm, payload = _coefficients(robot, run, {})
-    arm_by_pose, payload_by_pose = np.zeros((len(held), 4)), np.zeros((len(held), 4, 10))
-    for row, name in enumerate(held):
-        up, down = (_coefficients(robot, run, {name: sign * _POSE_STEP}) for sign in (1.0, -1.0))
-        arm_by_pose[row] = (up[0] - down[0]) / (2.0 * _POSE_STEP)
-        payload_by_pose[row] = (up[1] - down[1]) / (2.0 * _POSE_STEP)
-    matters = np.abs(arm_by_pose).max(axis=1) > 1e-6
-    coefficients = Coefficients(
-        arm,
-        payload,
-        tuple(n for n, m in zip(held, matters, strict=True) if m),
-        arm_by_pose[matters],
-        payload_by_pose[matters],
-    )
+    yielding_times_s = yielding_load = None
+    if motions:
+        noise = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
+        where = load.facts if load is not None else facts or PayloadFacts()
+        yielding_times_s, yielding_load = loads_of_yielding(robot, run, motions, where, noise)
     return PreparedRun(
-        run, used, reason, hit_limit, drive, coefficients, sigma, rest, limited=not followed[1:used].all()
+        run,
+        used,
+        reason,
+        hit_limit,
+        drive,
+        coefficients,
+        sigma,
+        rest,
+        limited=not followed[1:used].all(),
+        load=load,
+        yielding=tuple(motions),
+        yielding_times_s=yielding_times_s,
+        yielding_load=yielding_load,
     )
 
 
@@ -225,7 +372,7 @@ def _usable_window(
 def payload_unknowns(
     robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, drive_role: Role, start_mass_kg: float
 ) -> list[Unknown]:
-    """All unknowns of a weighing: the payload, what the robot file leaves open, and each run's start.
+    """All unknowns of a weighing: the payload, what is open about the robot, and each run's start.
 
     Args:
         drive_role: ``FROZEN`` keeps the robot at its file's values, ``FREE`` lets the recording move them under their priors.
@@ -237,36 +384,58 @@ def payload_unknowns(
             Unknown(f"payload_com_{name}", "m", float(facts.com[axis]), spread, -1.0, 1.0).at_role(Role.FREE)
         )
     unknowns.append(Unknown("shape_scale", "1", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
-    unknowns.append(_from_quantity("arm_scale", "1", robot.arm_scale, drive_role, lower=0.1))
-    unknowns.append(_from_quantity("delay", "s", _delay(robot, runs), drive_role, lower=-0.1, upper=0.1))
+    return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
+
+
+def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) -> list[Unknown]:
+    """What is open about the robot in these runs, shared and of each run on its own.
+
+    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown of that name.
+    """
+    shared = [
+        _from_quantity("arm_scale", "1", robot.arm_scale, lower=0.1),
+        _from_quantity("delay", "s", robot.delay, lower=-0.1, upper=0.1),
+    ]
     for name in dict.fromkeys(run.run.joint for run in runs):
         drive = robot.drive_trains[name]
         units = ("N m/A", "N m", "N m s/rad", "1", "kg m^2")
         fields = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature)
         for kind, unit, quantity in zip(DRIVE_TERMS, units, fields, strict=True):
-            unknowns.append(_from_quantity(f"{kind}[{name}]", unit, quantity, drive_role, lower=0.0))
+            shared.append(_from_quantity(f"{kind}[{name}]", unit, quantity, lower=0.0))
     for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
-        held = robot.drive_trains.get(name)
-        if held is not None:
+        drive = robot.drive_trains.get(name)
+        if drive is not None and drive.transmission == 1.0:
             # a held joint's reading is rounded the same way in every sample
-            std = float(np.hypot(held.zero.std, held.encoder_resolution / np.sqrt(12.0)))
-            unknowns.append(_from_quantity(f"zero[{name}]", "rad", Quantity(held.zero.value, std), drive_role))
+            std = float(np.hypot(drive.zero.std, drive.encoder_resolution / np.sqrt(12.0)))
+            shared.append(_from_quantity(f"zero[{name}]", "rad", Quantity(drive.zero.value, std)))
+            for kind in RIPPLE_TERMS:
+                shared.append(_from_quantity(f"{kind}[{name}]", "rad", Quantity(0.0, drive.encoder_once_per_turn)))
+    stds = dict(zip(LINK_TERMS, _link_stds(robot), strict=True))
+    for name in dict.fromkeys(name for run in runs for name in run.coefficients.links):
+        kind = name.split("[")[0]
+        unit = "m" if kind.startswith("link_com") else "1"
+        shared.append(_from_quantity(name, unit, Quantity(0.0, stds[kind])))
+    known = {} if robot.calibration is None else robot.calibration.quantities
+    unknowns = [
+        _from_quantity(u.name, u.unit, known[u.name], u.lower, u.upper) if u.name in known else u for u in shared
+    ]
+    unknowns = [u.at_role(drive_role) for u in unknowns]
     for row, run in enumerate(runs):
         unknowns.append(Unknown(f"q0[{row}]", "rad", run.rest.value, run.rest.std))
         unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, START_VELOCITY_STD))
+        unknowns.append(Unknown(f"onset[{row}]", "s", 0.0, _onset_std(robot, run), -0.1, 0.1).at_role(drive_role))
+        unknowns.append(Unknown(f"disturbance[{row}]", "N m", 0.0, robot.torque_disturbance).at_role(drive_role))
     return unknowns
 
 
-def _delay(robot: Robot, runs: Sequence[PreparedRun]) -> Quantity:
-    """The robot's delay; where the input is measured effort, the onset is only known to one sample period."""
-    periods = [float(np.median(np.diff(run.run.times_s))) for run in runs if run.run.source == MEASURED_EFFORT]
-    return Quantity(robot.delay.value, float(np.hypot(robot.delay.std, max(periods, default=0.0) / 2.0)))
+def _onset_std(robot: Robot, run: PreparedRun) -> float:
+    """How the delay differs from run to run; where the input is measured effort, its onset is only known to one period."""
+    period = float(np.median(np.diff(run.run.times_s))) if run.run.source == MEASURED_EFFORT else 0.0
+    return float(np.hypot(robot.onset_jitter_s, period / 2.0))
 
 
-def _from_quantity(
-    name: str, unit: str, quantity: Quantity, role: Role, lower: float = -np.inf, upper: float = np.inf
-) -> Unknown:
-    return Unknown(name, unit, quantity.value, quantity.std, lower, upper).at_role(role)
+def _from_quantity(name: str, unit: str, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf) -> Unknown:
+    return Unknown(name, unit, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -281,7 +450,7 @@ class PayloadProblem:
         robot: its supply, friction smoothing and jitter.
         runs: prepared runs, sharing the payload and the drive trains.
         facts: what is told about the payload.
-        unknowns: from ``payload_unknowns``.
+        unknowns: from ``payload_unknowns``, or ``robot_unknowns`` where every run's load is known.
         integrator: ``"rk4"`` or ``"semi_implicit"``.
         step_s: longest integration step; default 1/240 s.
     """
@@ -301,7 +470,11 @@ class PayloadProblem:
         self.unknowns = tuple(unknowns)
         self.index = {u.name: row for row, u in enumerate(unknowns)}
         self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
-        self.coordinates = Coordinates([unknowns[row] for row in self.free])
+        calibration = robot.calibration
+        self.coordinates = Coordinates(
+            [unknowns[row] for row in self.free],
+            None if calibration is None else (calibration.names, calibration.covariance),
+        )
         self.base = np.array([u.value for u in unknowns])
         self.simulator = JointSimulator([self._joint_run(run, step_s) for run in runs], integrator)
         width = int(self.simulator.sample_counts.max())
@@ -312,10 +485,18 @@ class PayloadProblem:
             self.weight[row, : run.used] = 1.0 / run.sigma
         self._columns = np.arange(width)
         # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
-        bent = {self.index[n] for n in self.index if n.startswith(("payload_com", "zero[", "shape_scale", "arm_scale"))}
-        self._affine = not bent.intersection(self.free.tolist())
+        bent = ("payload_com", "zero[", "shape_scale", "arm_scale", *RIPPLE_TERMS)
+        free_names = [unknowns[row].name for row in self.free]
+        self._affine = not any(name.startswith(bent) for name in free_names)
+        self._ripple = [
+            tuple(self.index.get(f"{kind}[{run.run.joint}]", -1) for kind in RIPPLE_TERMS) for run in self.runs
+        ]
+        self._ripples = any(name.startswith(RIPPLE_TERMS) for name in free_names) or any(
+            self.base[row] != 0.0 for pair in self._ripple for row in pair if row >= 0
+        )
         self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._world_runs: dict[int, np.ndarray] = {}
+        self._identities: dict[int, np.ndarray] = {}
 
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
         drive = run.drive
@@ -324,16 +505,29 @@ class PayloadProblem:
         # near standstill Coulomb's law turns over within friction_velocity: the step must resolve v_s J / f_c
         lightest = float(run.coefficients.arm[0]) + 0.5 * drive.armature.value
         fine = 0.5 * self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
+        input_times_s, input_current_A, input_load = self._inputs(run)
         return JointRun(
             run.times_s,
-            run.run.input_times_s,
-            run.run.input_current_A,
+            input_times_s,
+            input_current_A,
             # where the motor reported the commanded current throughout, no nominal supply may overrule it
             (drive.supply_voltage_V if run.limited else 0.0, drive.back_emf_V_s_per_rad, drive.resistance_ohm),
             self.robot.friction_velocity,
             step_s,
             float(np.clip(fine, 5e-5, step_s)),
+            input_load,
         )
+
+    def _inputs(self, run: PreparedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Current, and the load of yielding joints: stamped when they were read, so it is earlier by the delay."""
+        times_s, current_A = run.run.input_times_s, run.run.input_current_A
+        if run.yielding_times_s is None or run.yielding_load is None:
+            return times_s, current_A, None
+        begins = run.yielding_times_s - self.robot.delay.value
+        begins[0] = min(begins[0], 0.0)
+        union = np.union1d(times_s, begins[begins > 0.0])
+        current = current_A[np.searchsorted(times_s, union, side="right") - 1]
+        return union, current, run.yielding_load[np.searchsorted(begins, union, side="right") - 1]
 
     def _reach(self, name: str) -> float:
         """How large an unknown may get during the fit: its value, and a standard deviation more where it moves."""
@@ -354,38 +548,35 @@ class PayloadProblem:
         p = np.zeros((guesses, len(self.runs), len(PARAMETERS)))
         dp = np.zeros((guesses, len(self.runs), len(PARAMETERS), len(self.unknowns)))
         at = self.index
-        mass = values[:, at["payload_mass"]]
-        com = values[:, [at["payload_com_x"], at["payload_com_y"], at["payload_com_z"]]]
-        scale = values[:, at["shape_scale"]]
-        spread = self.facts.shape.second_moment_per_mass
-        per_mass = payload_parameters(np.ones(guesses), com, np.zeros((3, 3)))
-        per_spread = payload_parameters(np.ones(guesses), np.zeros((guesses, 3)), spread)
-        per_spread[:, 0] = 0.0
-        per_mass = per_mass + scale[:, None] * per_spread
-        payload = mass[:, None] * per_mass
-        by_com = payload_parameters_by_com(mass, com)
+        payload = self._payload(values) if "payload_mass" in at else None
         arm_scale = values[:, at["arm_scale"]]
         for row, run in enumerate(self.runs):
             c = run.coefficients
             joint = run.run.joint
             arm, lever = np.tile(c.arm, (guesses, 1)), np.tile(c.payload, (guesses, 1, 1))
-            for h, name in enumerate(c.pose):
-                # the joint stands at its reading plus its zero
-                if f"zero[{name}]" in at:
-                    zero = values[:, at[f"zero[{name}]"]]
-                    arm = arm + zero[:, None] * c.arm_by_pose[h]
-                    lever = lever + zero[:, None, None] * c.payload_by_pose[h]
-            g = arm_scale[:, None] * arm + np.einsum("sij,sj->si", lever, payload)
+            shifts = [self._shift(name, run.run.held[name], values) for name in c.pose]
+            for h, (shift, _) in enumerate(shifts):
+                # the joint stands at its reading plus its zero, less the encoder's error
+                arm = arm + shift[:, None] * c.arm_by_pose[h]
+                lever = lever + shift[:, None, None] * c.payload_by_pose[h]
+            g = arm_scale[:, None] * arm
             d = np.zeros((guesses, 4, len(self.unknowns)))
-            d[:, :, at["payload_mass"]] = np.einsum("sij,sj->si", lever, per_mass)
-            d[:, :, at["shape_scale"]] = np.einsum("sij,sj->si", lever, mass[:, None] * per_spread)
             d[:, :, at["arm_scale"]] = arm
-            for axis, name in enumerate("xyz"):
-                d[:, :, at[f"payload_com_{name}"]] = np.einsum("sij,sj->si", lever, by_com[:, :, axis])
-            for h, name in enumerate(c.pose):
-                if f"zero[{name}]" in at:
-                    change = arm_scale[:, None] * c.arm_by_pose[h] + payload @ c.payload_by_pose[h].T
-                    d[:, :, at[f"zero[{name}]"]] = change
+            links = [at[name] for name in c.links]
+            g += values[:, links] @ c.arm_by_link
+            d[:, :, links] += c.arm_by_link.T
+            if run.load is None:
+                assert payload is not None
+                carried, by_unknown = payload
+                for column, change in by_unknown.items():
+                    d[:, :, column] = np.einsum("sij,sj->si", lever, change)
+            else:
+                carried = np.tile(_inertial_parameters(run.load), (guesses, 1))
+            g += np.einsum("sij,sj->si", lever, carried)
+            for h, (_, by_zero) in enumerate(shifts):
+                change = arm_scale[:, None] * c.arm_by_pose[h] + carried @ c.payload_by_pose[h].T
+                for column, factor in by_zero:
+                    d[:, :, column] += factor * change
             zero_row = at.get(f"zero[{joint}]")
             if zero_row is not None:
                 z = values[:, zero_row]
@@ -395,18 +586,89 @@ class PayloadProblem:
                 g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
                 d[:, 1] = da * cos[:, None] + db * sin[:, None]
                 d[:, 2] = db * cos[:, None] - da * sin[:, None]
-                d[:, 1, zero_row] = g[:, 2]
-                d[:, 2, zero_row] = -g[:, 1]
+                d[:, 1, zero_row] += g[:, 2]
+                d[:, 2, zero_row] -= g[:, 1]
             p[:, row, _GRAVITY_ROWS] = g
             dp[:, row, _GRAVITY_ROWS] = d
-            p[:, row, INDEX["inertia"]] += values[:, at[f"armature[{joint}]"]]
-            dp[:, row, INDEX["inertia"], at[f"armature[{joint}]"]] = 1.0
-            direct = {f"{kind}[{joint}]": kind for kind in DRIVE_TERMS if kind != "armature"}
-            direct |= {"delay": "delay", f"q0[{row}]": "q0", f"v0[{row}]": "v0"}
-            for name, parameter in direct.items():
-                p[:, row, INDEX[parameter]] = values[:, at[name]]
-                dp[:, row, INDEX[parameter], at[name]] = 1.0
+            direct = {f"{kind}[{joint}]": (kind, 1.0) for kind in DRIVE_TERMS if kind != "armature"}
+            direct |= {
+                f"armature[{joint}]": ("inertia", 1.0),
+                f"disturbance[{row}]": ("gravity_constant", -1.0),
+                "delay": ("delay", 1.0),
+                f"onset[{row}]": ("delay", 1.0),
+                f"q0[{row}]": ("q0", 1.0),
+                f"v0[{row}]": ("v0", 1.0),
+            }
+            for name, (parameter, sign) in direct.items():
+                p[:, row, INDEX[parameter]] += sign * values[:, at[name]]
+                dp[:, row, INDEX[parameter], at[name]] = sign
+            if run.load is None:
+                p[:, row, INDEX["carried"]] = values[:, at["payload_mass"]]
+                dp[:, row, INDEX["carried"], at["payload_mass"]] = 1.0
+            else:
+                p[:, row, INDEX["carried"]] = run.load.mass
+            self._start_reading(row, p, dp, values)
         return p, dp[..., columns]
+
+    def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+        """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""
+        at = self.index
+        guesses = len(values)
+        mass = values[:, at["payload_mass"]]
+        com = values[:, [at[f"payload_com_{axis}"] for axis in "xyz"]]
+        scale = values[:, at["shape_scale"]]
+        spread = self.facts.shape.second_moment_per_mass
+        per_spread = payload_parameters(np.ones(guesses), np.zeros((guesses, 3)), spread)
+        per_spread[:, 0] = 0.0
+        per_mass = payload_parameters(np.ones(guesses), com, np.zeros((3, 3))) + scale[:, None] * per_spread
+        by_com = payload_parameters_by_com(mass, com)
+        changes = {at["payload_mass"]: per_mass, at["shape_scale"]: mass[:, None] * per_spread}
+        changes |= {at[f"payload_com_{name}"]: by_com[:, :, axis] for axis, name in enumerate("xyz")}
+        return mass[:, None] * per_mass, changes
+
+    def _shift(self, name: str, reading: float, values: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
+        """True position less reading of a held joint, shape (S,), and what it changes with."""
+        terms = [
+            (f"zero[{name}]", 1.0),
+            (f"ripple_cos[{name}]", -np.cos(reading)),
+            (f"ripple_sin[{name}]", -np.sin(reading)),
+        ]
+        present = [(self.index[term], float(factor)) for term, factor in terms if term in self.index]
+        return sum((values[:, row] * factor for row, factor in present), np.zeros(len(values))), present
+
+    def _start_reading(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
+        """``q0`` is what the encoder shows at the start; the simulator wants it without the encoder's error."""
+        cos_row, sin_row = self._ripple[row]
+        if not self._ripples or cos_row < 0:
+            return
+        a, b = values[:, cos_row], values[:, sin_row]
+        start = INDEX["q0"]
+        q = p[:, row, start].copy()
+        cos, sin = np.cos(q), np.sin(q)
+        p[:, row, start] = q - a * cos - b * sin
+        dp[:, row, start, self.index[f"q0[{row}]"]] = 1.0 + a * sin - b * cos
+        dp[:, row, start, cos_row] = -cos
+        dp[:, row, start, sin_row] = -sin
+
+    def _observe(
+        self, values: np.ndarray, q: np.ndarray, dq: np.ndarray, columns: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the encoder shows of positions (S, R, T), and its derivative (S, R, T, F); changes its arguments."""
+        if not self._ripples:
+            return q, dq
+        place = {int(column): f for f, column in enumerate(columns)}
+        for row, (cos_row, sin_row) in enumerate(self._ripple):
+            if cos_row < 0:
+                continue
+            a, b = values[:, cos_row, None], values[:, sin_row, None]
+            cos, sin = np.cos(q[:, row]), np.sin(q[:, row])
+            dq[:, row] *= (1.0 - a * sin + b * cos)[..., None]
+            if cos_row in place:
+                dq[:, row, :, place[cos_row]] += cos
+            if sin_row in place:
+                dq[:, row, :, place[sin_row]] += sin
+            q[:, row] += a * cos + b * sin
+        return q, dq
 
     def load_per_mass(self, run: PreparedRun) -> float:
         """Gravity load of 1 kg in the hand on the driven joint at the run's start [N m/kg]."""
@@ -451,6 +713,19 @@ class PayloadProblem:
             self._world_runs[guesses] = _read_only(np.tile(np.arange(len(self.runs), dtype=np.int32), guesses))
         return self._world_runs[guesses]
 
+    def _rollouts(
+        self, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and tangents of worlds (W, P) with tangent directions (W, P, F)."""
+        worlds = self._worlds(len(p) // len(self.runs))
+        if dp.shape[2] <= len(PARAMETERS):
+            return self.simulator.jacobian(worlds, p, dp, counts)
+        key = len(p)
+        if key not in self._identities:
+            self._identities[key] = _read_only(np.tile(np.eye(len(PARAMETERS)), (key, 1, 1)))
+        q, v, dq = self.simulator.jacobian(worlds, p, self._identities[key], counts)
+        return q, v, dq @ dp
+
     def linearise(
         self, internal: np.ndarray, counts: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -470,21 +745,23 @@ class PayloadProblem:
         guesses, size = internal.shape
         p, dp = self._kernel_parameters(physical)
         runs = len(self.runs)
-        q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, dp, counts)
         weight = self.weight
         if counts is not None:
             weight = weight * (self._columns < counts[:, None])
         seen = weight > 0.0
-        residual = np.where(seen, (q.reshape(guesses, runs, -1) - self.measured) * weight, 0.0).reshape(guesses, -1)
-        sensitivity = np.where(seen[None, :, :, None], dq.reshape(guesses, runs, -1, size) * weight[..., None], 0.0)
-        sensitivity = sensitivity.reshape(guesses, -1, size)
-        prior = (physical - coordinates.prior_mean) * coordinates.prior_weight
-        cost = 0.5 * (np.einsum("sn,sn->s", residual, residual) + np.einsum("sf,sf->s", prior, prior))
-        transposed = sensitivity.transpose(0, 2, 1)
-        gradient = (transposed @ residual[..., None])[..., 0] + prior * coordinates.prior_weight
-        matrix = transposed @ sensitivity
-        diagonal = np.arange(size)
-        matrix[:, diagonal, diagonal] += coordinates.prior_weight**2
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, _, dq = self._rollouts(p, dp, counts)
+            q, dq = q.reshape(guesses, runs, -1), dq.reshape(guesses, runs, -1, size)
+            if self._ripples:
+                q, dq = self._observe(self.all_values(physical), q.copy(), dq.copy(), self.free)
+            residual = np.where(seen, (q - self.measured) * weight, 0.0).reshape(guesses, -1)
+            sensitivity = np.where(seen[None, :, :, None], dq * weight[..., None], 0.0).reshape(guesses, -1, size)
+            off = physical - coordinates.prior_mean
+            pull = off @ coordinates.prior_precision
+            cost = 0.5 * (np.einsum("sn,sn->s", residual, residual) + np.einsum("sf,sf->s", off, pull))
+            transposed = sensitivity.transpose(0, 2, 1)
+            gradient = (transposed @ residual[..., None])[..., 0] + pull
+            matrix = transposed @ sensitivity + coordinates.prior_precision
         gradient = gradient * slope
         matrix = matrix * slope[:, :, None] * slope[:, None, :]
         massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, runs).any(axis=1)
@@ -495,7 +772,7 @@ class PayloadProblem:
         return cost, gradient, matrix
 
     def simulate(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities and sensitivities by chosen unknowns at given values of all of them.
+        """What the encoder shows, velocities, and sensitivities by chosen unknowns at given values of all of them.
 
         Args:
             values: shape (S, N); columns: shape (F,).
@@ -504,8 +781,13 @@ class PayloadProblem:
             q (S, R, T), v (S, R, T), dq (S, R, T, F), copies.
         """
         p, dp = self.parameters(values, columns)
-        q, v, dq = self.simulator.jacobian(
-            self._worlds(len(values)), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
-        )
+        q, v, dq = self._rollouts(p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:]), None)
         shape = (len(values), len(self.runs), -1)
-        return q.reshape(shape).copy(), v.reshape(shape).copy(), dq.reshape(*shape, len(columns)).copy()
+        q, dq = self._observe(values, q.reshape(shape).copy(), dq.reshape(*shape, len(columns)).copy(), columns)
+        return q, v.reshape(shape).copy(), dq
+
+
+def _inertial_parameters(load: KnownLoad) -> np.ndarray:
+    """The ten inertial parameters of a known load, shape (10,)."""
+    facts = load.facts
+    return payload_parameters(np.array(load.mass), facts.com, facts.shape.second_moment_per_mass)

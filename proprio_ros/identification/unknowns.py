@@ -58,13 +58,15 @@ class Unknown:
 
 
 class Coordinates:
-    """Maps between physical values and solver coordinates of a list of unknowns.
+    """Maps between physical values and solver coordinates of a list of unknowns, and holds their joint prior.
 
     Args:
         unknowns: the free unknowns, in solver order.
+        correlated: names and covariance (physical units) of those whose priors belong together, as a calibration leaves them;
+            the others are independent. Names that are not among the unknowns are marginalised out.
     """
 
-    def __init__(self, unknowns: Sequence[Unknown]) -> None:
+    def __init__(self, unknowns: Sequence[Unknown], correlated: tuple[Sequence[str], np.ndarray] | None = None) -> None:
         scales = np.array([u.asinh_scale for u in unknowns])
         self._curved = scales > 0.0
         self._scales = np.where(self._curved, scales, 1.0)
@@ -73,11 +75,23 @@ class Coordinates:
         self.prior_mean = np.array([u.value for u in unknowns])
         stds = np.array([u.std for u in unknowns])
         with np.errstate(divide="ignore"):
-            self.prior_weight = np.where(np.isfinite(stds), 1.0 / stds, 0.0)
+            self.prior_precision = np.diag(np.where(np.isfinite(stds), 1.0 / stds**2, 0.0))
+        if correlated is not None:
+            self._correlate([u.name for u in unknowns], *correlated)
         # one step of the solver never leaves the range in which the linearisation means something
         self.step_limit = np.where(self._curved, 1.5, np.where(np.isfinite(stds), 5.0 * stds, np.inf))
         # a natural length per coordinate, for solvers that want one (Adam, CMA-ES)
         self.natural = np.where(self._curved, 1.0, np.where(np.isfinite(stds), stds, 1.0))
+
+    def _correlate(self, free: Sequence[str], names: Sequence[str], covariance: np.ndarray) -> None:
+        where = {name: row for row, name in enumerate(names)}
+        own = [row for row, name in enumerate(free) if name in where]
+        if own:
+            given = [where[free[row]] for row in own]
+            block = covariance[np.ix_(given, given)]
+            scale = 1.0 / np.sqrt(np.diag(block))
+            inverse = np.linalg.inv(block * scale[:, None] * scale[None, :])
+            self.prior_precision[np.ix_(own, own)] = inverse * scale[:, None] * scale[None, :]
 
     def internal(self, physical: np.ndarray) -> np.ndarray:
         """Solver coordinates of physical values, shape (..., F)."""

@@ -13,7 +13,7 @@ rejected.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from proprio_ros.identification.estimate import (
     Z95,
     Estimate,
     Fit,
-    RunFit,
     Scan,
     SolverSummary,
     StartPath,
@@ -31,9 +30,21 @@ from proprio_ros.identification.estimate import (
     Value,
     Verdict,
 )
+from proprio_ros.identification.gates import (
+    LITTLE_TRAVEL,
+    MISFIT_LIMIT,
+    Findings,
+    chi2_limit,
+    contradicting,
+    look_at_run,
+    never_reversed,
+    unusable,
+)
+from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
     START_VELOCITY_STD,
+    KnownLoad,
     PayloadProblem,
     PreparedRun,
     payload_unknowns,
@@ -44,17 +55,8 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-MIN_USED = 5
-STUCK_TRAVEL = 0.1
-"""Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
-LITTLE_TRAVEL = 0.3
-"""Travel that a trustworthy weighing has (HARDWARE: rounding costs 2-4 g when the joint barely creeps)."""
-HELD_SPAN = 0.03
-"""rad: a held joint that moves more changes the load on the driven one by more than a gram."""
-MISFIT_SIGMAS = 3.0902
-"""A fit worse than chance makes one in a thousand (so many standard deviations of a normal) contradicts the model."""
-MISFIT_LIMIT = 9.0
-"""Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
+DRIFT_SIGMAS = 3.0
+"""How far from nothing an empty hand may weigh before the calibration is called out of date."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,6 @@ class WeighingOptions:
             raise ConfigurationError(f"--solver {self.solver}: choose one of {', '.join(solvers.SOLVERS)}")
 
 
-@dataclass
-class _Findings:
-    """What was found on the way, in the order in which a reader wants it."""
-
-    reasons: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
 @dataclass(frozen=True)
 class _FitResult:
     problem: PayloadProblem
@@ -104,18 +98,12 @@ class _FitResult:
         return self.chi2 <= chi2_limit(self.dof)
 
 
-def chi2_limit(dof: int) -> float:
-    """Chi-square that chance exceeds once in a thousand times.
-
-    Wilson & Hilferty 1931: the cube root of chi-square over its degrees of freedom is nearly normal; good to 1 % from four degrees
-    of freedom on, and it saves the half second that importing ``scipy.stats`` takes.
-    """
-    spread = 2.0 / (9.0 * dof)
-    return float(dof * (1.0 - spread + MISFIT_SIGMAS * np.sqrt(spread)) ** 3)
-
-
 def weigh(
-    robot: Robot, runs: Sequence[Run], facts: PayloadFacts | None = None, options: WeighingOptions | None = None
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: PayloadFacts | None = None,
+    options: WeighingOptions | None = None,
+    baseline: Sequence[Run] = (),
 ) -> Estimate:
     """Identify the payload that all ``runs`` share.
 
@@ -124,70 +112,102 @@ def weigh(
         runs: at least one, of any of the robot's joints.
         facts: shape and place of the payload; default a ball of unknown size at the payload frame.
         options: solver and limits.
+        baseline: runs with nothing in the hand, fitted together with the others; they tell whether the robot has changed since
+            its calibration.
 
     Raises:
         RecordingError: a run cannot be related to the robot at all (unknown joint, missing held joint).
     """
     facts = facts or PayloadFacts()
     options = options or WeighingOptions()
-    found = _Findings()
+    found = Findings()
     usable: list[PreparedRun] = []
-    for run in runs:
-        prepared = prepare_run(robot, run)
-        problem = _unusable(prepared)
+    weighing = 0
+    for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
+        prepared = prepare_run(robot, run, load, facts)
+        problem = unusable(prepared)
         if problem:
             found.reasons.append(f"{run.name}: {problem}")
         else:
             usable.append(prepared)
-        _look_at_run(prepared, found)
-    if not usable:
+            weighing += load is None
+        look_at_run(robot, prepared, found)
+    if not weighing:
         return _no_answer(robot, len(runs), Verdict.NOT_IDENTIFIABLE, found)
+    drift = _drift(robot, usable[weighing:], facts, options)
 
     nominal = _solve(robot, usable, facts, options, Role.FROZEN)
     opened = _solve(robot, usable, facts, options, Role.FREE, start=nominal)
-    if not nominal.explains:
+    if not (opened if is_calibrated(robot, usable) else nominal).explains:
         again = _solve(robot, usable, facts, options, Role.FREE)
         opened = again if again.chi2 < opened.chi2 else opened
-        if opened.chi2 < 0.5 * nominal.chi2 and not _known_exactly(robot, usable):
+        if opened.chi2 < 0.5 * nominal.chi2 and not robot.calibrated and not _known_exactly(robot, usable):
             found.notes.append(
                 "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, "
                 "under its priors"
             )
-    return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs))
+    return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs), drift)
+
+
+def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> str:
+    """What an empty hand that does not weigh nothing says about the calibration; empty where all is well."""
+    if not baseline:
+        return ""
+    runs = [replace(run, load=None) for run in baseline]
+    nominal = _solve(robot, runs, facts, options, Role.FROZEN)
+    fit = _solve(robot, runs, facts, options, Role.FREE, start=nominal)
+    row = fit.problem.index["payload_mass"]
+    mass = float(fit.values[row])
+    std = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[row, row]))
+    since = "its calibration" if robot.calibration is not None else "its robot file was written"
+    if not fit.explains:
+        return (
+            f"drift: the empty-hand run is no longer explained by the robot as it was at {since} (reduced chi-square "
+            f"{fit.reduced_chi2:.1f}): calibrate again"
+        )
+    if abs(mass) > DRIFT_SIGMAS * std:
+        return (
+            f"drift: the empty hand now weighs {1e3 * mass:+.1f} g, where {1e3 * std:.1f} g is the standard deviation: the robot "
+            f"has changed since {since}; calibrate again"
+        )
+    return ""
+
+
+def on_bound(fit: _FitResult) -> bool:
+    """Whether the mass went as far as the search allows."""
+    row = fit.problem.index["payload_mass"]
+    unknown, mass = fit.problem.unknowns[row], float(fit.values[row])
+    return mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6)
+
+
+def _contradiction_reason(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, odd: int, mass: float
+) -> str:
+    name = runs[odd].run.name
+    if runs[odd].load is not None:
+        return f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
+    masses = []
+    for group in ([runs[odd]], [run for row, run in enumerate(runs) if row != odd]):
+        if any(run.load is None for run in group):
+            nominal = _solve(robot, group, facts, options, Role.FROZEN)
+            fit = _solve(robot, group, facts, options, Role.FREE, start=nominal)
+            masses.append(f"{1e3 * float(fit.values[fit.problem.index['payload_mass']]):.1f} g")
+    if len(masses) < 2:
+        return f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
+    return (
+        f"{name} contradicts the other runs: it says {masses[0]}, they say {masses[1]}; "
+        "was the same object held in the same place?"
+    )
+
+
+def is_calibrated(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
+    """Whether the robot's calibration knows the drive trains of all joints that these runs drive."""
+    return robot.calibration is not None and all(run.run.joint in robot.calibration.joints for run in runs)
 
 
 def _known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     """Whether the file leaves no drive-train term of the probed joints open."""
     return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
-
-
-def _unusable(run: PreparedRun) -> str:
-    if run.used < MIN_USED:
-        return f"only {run.used} usable samples, because {run.cut_reason or 'the probe was too short'}"
-    if abs(run.travel) < STUCK_TRAVEL:
-        return (
-            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is: "
-            f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
-        )
-    return ""
-
-
-def _look_at_run(run: PreparedRun, found: _Findings) -> None:
-    name = run.run.name
-    found.notes.extend(f"{name}: {note}" for note in run.run.notes)
-    if run.used < MIN_USED:
-        return
-    if run.cut_reason:
-        said = found.reasons if run.hit_limit else found.notes
-        said.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples were left out")
-    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL:
-        found.reasons.append(
-            f"{name}: {run.run.joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
-            f"{LITTLE_TRAVEL} rad tells much more"
-        )
-    for joint, span in run.run.held_span.items():
-        if joint in run.coefficients.pose and span > HELD_SPAN:
-            found.reasons.append(f"{name}: {joint} should be held but moved by {span:.3f} rad")
 
 
 def _solve(
@@ -233,20 +253,25 @@ def _conclude(
     options: WeighingOptions,
     nominal: _FitResult,
     opened: _FitResult,
-    found: _Findings,
+    found: Findings,
     run_count: int,
+    drift: str,
 ) -> Estimate:
-    fit = nominal if nominal.explains else opened
+    known = is_calibrated(robot, runs)
+    fit = nominal if nominal.explains and not known else opened
     row = fit.problem.index["payload_mass"]
     fits, rms, expected = run_fits(fit.problem, fit.values, runs)
-    inflation = max(1.0, fit.reduced_chi2)
-    covariance, condition = _covariance(opened, inflation)
+    # where the robot was calibrated its residuals are known, and only more than chance makes the interval wider
+    inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
+    posterior = Posterior(opened.problem, opened.values, inflation)
+    covariance, condition = posterior.whole_covariance(), posterior.condition
     budget = _budget(opened, covariance)
     mass = float(fit.values[row])
-    # the nominal mass may sit anywhere inside the open fit's interval: count how far
-    covariance[row, row] += (mass - float(opened.values[row])) ** 2
-    # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
-    covariance[row, row] += _static_std(fit.problem, runs) ** 2
+    if not known:
+        # the nominal mass may sit anywhere inside the open fit's interval: count how far
+        covariance[row, row] += (mass - float(opened.values[row])) ** 2
+        # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
+        covariance[row, row] += _static_std(fit.problem, runs) ** 2
     std = float(np.sqrt(covariance[row, row]))
     quality = Fit(rms, expected, fit.reduced_chi2, condition=condition)
     moving = [] if fit.explains else _moving_starts(robot, runs, facts, options, fit)
@@ -255,17 +280,34 @@ def _conclude(
     if not np.isfinite(fit.chi2):
         verdict, withheld = Verdict.REJECTED, "no guess of the mass could be simulated"
         found.reasons.insert(0, withheld + ": check the robot file's inertias")
+    elif drift:
+        verdict, withheld = Verdict.REJECTED, "the robot has changed since its calibration"
+        found.reasons.insert(0, drift)
+    elif (odd := contradicting(posterior)) is not None:
+        verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
+        found.reasons.insert(0, _contradiction_reason(robot, runs, facts, options, odd, mass))
     elif fit.reduced_chi2 > MISFIT_LIMIT or moving:
         verdict = Verdict.REJECTED
         withheld = "the model does not explain the recording"
         found.reasons[:0] = [_misfit_reason(rms, expected, mass, fit.reduced_chi2), *(moving or _other_suspects(robot))]
+    elif on_bound(fit):
+        verdict, withheld = Verdict.REJECTED, "the mass ended on a bound of the search"
+        found.reasons.insert(
+            0,
+            f"the mass ended on a bound of the search ({mass:.3g} kg): is this the right robot, joint and unit of current?",
+        )
     elif mass + Z95 * std < 0.0:
         verdict, withheld = Verdict.REJECTED, "the hand seems lighter than empty"
         found.reasons.insert(
             0,
             f"the hand with its load seems {-1e3 * mass:.1f} g lighter than the robot file's empty hand: calibrate the robot",
         )
-    elif fit is opened and (slow := [r for r in runs if abs(r.travel) < LITTLE_TRAVEL]) and len(slow) == len(runs):
+    elif (
+        fit is opened
+        and not known
+        and (slow := [r for r in runs if abs(r.travel) < LITTLE_TRAVEL])
+        and len(slow) == len(runs)
+    ):
         verdict, withheld = Verdict.NOT_IDENTIFIABLE, "too little travel to tell friction from weight"
         found.reasons.insert(
             0,
@@ -292,6 +334,8 @@ def _conclude(
                 "the interval was widened by that factor"
             )
         _say_if_uncalibrated(robot, runs, budget, found)
+        if not known:
+            found.reasons.extend([] if _known_exactly(robot, runs) else never_reversed(runs))
     return Estimate(
         probe="payload",
         robot=robot.name,
@@ -349,7 +393,7 @@ def _centre_of_mass(fit: _FitResult, covariance: np.ndarray, rows: list[int], wi
 
 
 def _say_if_uncalibrated(
-    robot: Robot, runs: Sequence[PreparedRun], budget: list[tuple[str, float]], found: _Findings
+    robot: Robot, runs: Sequence[PreparedRun], budget: list[tuple[str, float]], found: Findings
 ) -> None:
     if robot.calibrated or _known_exactly(robot, runs):
         return
@@ -361,24 +405,6 @@ def _say_if_uncalibrated(
 
 
 ENCODER = "encoder"
-
-
-def _covariance(fit: _FitResult, inflation: float) -> tuple[np.ndarray, float]:
-    """Posterior covariance of all unknowns, shape (N, N), and the condition number of the scaled normal matrix.
-
-    Gauss-Newton at the estimate; the encoder's variance is multiplied by ``inflation``, the priors stay.
-    """
-    problem = fit.problem
-    _, _, dq = problem.simulate(fit.values[None], problem.free)
-    weight = problem.weight[..., None]
-    sensitivity = np.where(weight > 0.0, dq[0] * weight, 0.0).reshape(-1, len(problem.free))
-    normal = sensitivity.T @ sensitivity / inflation + np.diag(problem.coordinates.prior_weight**2)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal * scale[:, None] * scale[None, :]
-    covariance = np.zeros((len(problem.unknowns), len(problem.unknowns)))
-    inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
-    covariance[np.ix_(problem.free, problem.free)] = inverse * scale[:, None] * scale[None, :]
-    return covariance, float(np.linalg.cond(scaled))
 
 
 def _static_std(problem: PayloadProblem, runs: Sequence[PreparedRun]) -> float:
@@ -462,40 +488,6 @@ def _moving_starts(
     return reasons
 
 
-def run_fits(
-    problem: PayloadProblem, values: np.ndarray, runs: Sequence[PreparedRun]
-) -> tuple[tuple[RunFit, ...], float, float]:
-    """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
-    q, _, _ = problem.simulate(values[None], problem.free)
-    fits, squares, expected, samples = [], 0.0, 0.0, 0
-    for row, prepared in enumerate(runs):
-        run, used = prepared.run, prepared.used
-        simulated = q[0, row, :used]
-        squares += float(np.sum((simulated - prepared.position) ** 2))
-        expected += float(np.sum(prepared.sigma**2))
-        samples += used
-        driven = run.input_current_A[np.argmax(np.abs(run.input_current_A))]
-        fits.append(
-            RunFit(
-                run.name,
-                run.joint,
-                run.source,
-                float(driven),
-                prepared.times_s,
-                prepared.position,
-                simulated,
-                prepared.sigma,
-                run.times_s[used:],
-                run.position[used:],
-                prepared.travel,
-                float(values[problem.index[f"v0[{row}]"]]),
-                prepared.cut_reason,
-                run.notes,
-            )
-        )
-    return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))
-
-
 def _summary(fit: _FitResult, options: WeighingOptions, std: float) -> SolverSummary:
     """What every start did. Starts agree when they explain the recording alike, at masses that the interval cannot tell apart."""
     solution = fit.solution
@@ -570,7 +562,7 @@ def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, no
     )
 
 
-def _no_answer(robot: Robot, run_count: int, verdict: Verdict, found: _Findings) -> Estimate:
+def _no_answer(robot: Robot, run_count: int, verdict: Verdict, found: Findings) -> Estimate:
     return Estimate(
         probe="payload",
         robot=robot.name,

@@ -3,12 +3,14 @@
 The paper's equation (1) for one degree of freedom, with the drive train it leaves out:
 
     J a + g(q) = tau_m - (f_c + f_l |tau_m|) tanh(v / v_s) - f_v v,      tau_m = k_t i
-    g(q) = g_a cos q + g_b sin q + g_c
+    g(q) = g_a cos q + g_b sin q + g_c + e_0(t) + m e_1(t)
     i    = command, held inside what the supply can push against the back-EMF: |i| <= (V -+ k_e v) / R
 
 ``J`` holds the merged arm, the payload and the armature; ``g_a, g_b, g_c`` its gravity load (``payload.py`` says how they come
-from inertial parameters). The rollout starts when the command does, at time 0 in state (q0, v0); sample k is compared at
-``t_k - delay``, so the delay from command to motion shifts the observation and needs no moving discontinuity.
+from inertial parameters). ``e_0, e_1`` is the torque that the held joints cause by yielding, with nothing in the hand and per
+kilogram of payload ``m``; it is given with the current, piecewise constant. The rollout starts when the command does, at time 0
+in state (q0, v0); sample k is compared at ``t_k - delay``, so the delay from command to motion shifts the observation and needs
+no moving discontinuity.
 
 Departures from the paper: armature, friction, supply limit and delay are ours (HARDWARE: each of them is worth 10 g or more);
 the default integrator is RK4, because the substep error of the paper's equation (2), semi-implicit Euler, is itself grams of
@@ -42,8 +44,9 @@ PARAMETERS = (
     "delay",
     "q0",
     "v0",
+    "carried",
 )
-"""Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s (kg, N, m for a slide)."""
+"""Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg (kg, N, m for a slide)."""
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 
 INTEGRATORS = ("rk4", "semi_implicit")
@@ -52,6 +55,7 @@ MAX_STEPS = 200_000
 TIME_EPS = 1e-9  # s; two instants closer than this are one
 
 runtime.start()
+_VEC2 = wp.types.vector(length=2, dtype=FLOAT)
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,8 @@ class JointRun:
         sample_times_s: encoder stamps after command onset [s], shape (T,), increasing.
         input_times_s: when the current changes [s], shape (S,), increasing, first at 0.
         input_current_A: the current from each of those instants on [A], shape (S,).
+        input_load: load from each of those instants on beside gravity's, shape (S, 2): with an empty hand [N m], and what each
+            kilogram carried adds [N m/kg]; None is none.
         supply: (voltage [V], back-EMF constant [V s/rad], resistance [ohm]); voltage 0 means no limit.
         friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
         step_s: longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
@@ -75,6 +81,7 @@ class JointRun:
     friction_velocity: float = 1e-3
     step_s: float = 1.0 / 240.0
     fine_step_s: float = 1.0 / 240.0
+    input_load: np.ndarray | None = None
 
 
 @wp.func
@@ -101,6 +108,7 @@ def _acceleration(
     q: FLOAT,
     v: FLOAT,
     command: FLOAT,
+    extra: FLOAT,
     p: wp.array2d(dtype=FLOAT),
     world: wp.int32,
     constants: wp.array2d(dtype=FLOAT),
@@ -109,7 +117,7 @@ def _acceleration(
     i, _slope = limited_current(command, v, constants[run, 0], constants[run, 1], constants[run, 2])
     motor = p[world, 4] * i
     friction = (p[world, 5] + p[world, 7] * wp.abs(motor)) * wp.tanh(v / constants[run, 3]) + p[world, 6] * v
-    load = p[world, 1] * wp.cos(q) + p[world, 2] * wp.sin(q) + p[world, 3]
+    load = p[world, 1] * wp.cos(q) + p[world, 2] * wp.sin(q) + p[world, 3] + extra
     return (motor - friction - load) / p[world, 0]
 
 
@@ -119,6 +127,7 @@ def _rk4(
     v: FLOAT,
     h: FLOAT,
     command: FLOAT,
+    extra: FLOAT,
     p: wp.array2d(dtype=FLOAT),
     world: wp.int32,
     constants: wp.array2d(dtype=FLOAT),
@@ -127,13 +136,13 @@ def _rk4(
     """The state one step later."""
     half = FLOAT(0.5)
     two = FLOAT(2.0)
-    a1 = _acceleration(q, v, command, p, world, constants, run)
+    a1 = _acceleration(q, v, command, extra, p, world, constants, run)
     v2 = v + half * h * a1
-    a2 = _acceleration(q + half * h * v, v2, command, p, world, constants, run)
+    a2 = _acceleration(q + half * h * v, v2, command, extra, p, world, constants, run)
     v3 = v + half * h * a2
-    a3 = _acceleration(q + half * h * v2, v3, command, p, world, constants, run)
+    a3 = _acceleration(q + half * h * v2, v3, command, extra, p, world, constants, run)
     v4 = v + h * a3
-    a4 = _acceleration(q + h * v3, v4, command, p, world, constants, run)
+    a4 = _acceleration(q + h * v3, v4, command, extra, p, world, constants, run)
     sixth = h / FLOAT(6.0)
     return q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4)
 
@@ -144,13 +153,14 @@ def _semi_implicit(
     v: FLOAT,
     h: FLOAT,
     command: FLOAT,
+    extra: FLOAT,
     p: wp.array2d(dtype=FLOAT),
     world: wp.int32,
     constants: wp.array2d(dtype=FLOAT),
     run: wp.int32,
 ):
     """The paper's equation (2)."""
-    later = v + h * _acceleration(q, v, command, p, world, constants, run)
+    later = v + h * _acceleration(q, v, command, extra, p, world, constants, run)
     return q + h * later, later
 
 
@@ -212,6 +222,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         sample_count: wp.array(dtype=wp.int32),
         input_times: wp.array2d(dtype=FLOAT),
         input_current: wp.array2d(dtype=FLOAT),
+        input_load: wp.array2d(dtype=_VEC2),
         input_count: wp.array(dtype=wp.int32),
         constants: wp.array2d(dtype=FLOAT),
         # World data in:
@@ -228,7 +239,9 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         inertia = p_in[w, 0]
         ga = p_in[w, 1]
         gb = p_in[w, 2]
-        gc = p_in[w, 3]
+        carried = p_in[w, 11]
+        extra = input_load[r, 0]
+        gc = p_in[w, 3] + extra[0] + carried * extra[1]
         kt = p_in[w, 4]
         fc = p_in[w, 5]
         fv = p_in[w, 6]
@@ -239,7 +252,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         d_inertia = dp_in[w, 0]
         d_ga = dp_in[w, 1]
         d_gb = dp_in[w, 2]
-        d_gc = dp_in[w, 3]
+        d_gc = dp_in[w, 3] + extra[1] * dp_in[w, 11]
         d_kt = dp_in[w, 4]
         d_fc = dp_in[w, 5]
         d_fv = dp_in[w, 6]
@@ -341,6 +354,9 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                     if switches == 1:
                         segment = segment + 1
                         command = input_current[r, segment]
+                        extra = input_load[r, segment]
+                        gc = p_in[w, 3] + extra[0] + carried * extra[1]
+                        d_gc = dp_in[w, 3] + extra[1] * dp_in[w, 11]
                     else:
                         arrived = 1
                 q_out[w, k] = q
@@ -362,6 +378,7 @@ def _schedule_kernel(integrator: str) -> Any:
         sample_count: wp.array(dtype=wp.int32),
         input_times: wp.array2d(dtype=FLOAT),
         input_current: wp.array2d(dtype=FLOAT),
+        input_load: wp.array2d(dtype=_VEC2),
         input_count: wp.array(dtype=wp.int32),
         constants: wp.array2d(dtype=FLOAT),
         # World data in:
@@ -372,6 +389,7 @@ def _schedule_kernel(integrator: str) -> Any:
         step_out: wp.array2d(dtype=FLOAT),
         step_by_delay_out: wp.array2d(dtype=FLOAT),
         command_out: wp.array2d(dtype=FLOAT),
+        load_out: wp.array2d(dtype=_VEC2),
         steps_out: wp.array(dtype=wp.int32),
         sample_step_out: wp.array2d(dtype=wp.int32),
     ):
@@ -387,6 +405,8 @@ def _schedule_kernel(integrator: str) -> Any:
         moved = FLOAT(0.0)  # d t / d delay
         segment = wp.int32(0)
         command = input_current[r, 0]
+        loads = input_load[r, 0]
+        extra = loads[0] + p_in[w, 11] * loads[1]
         n = wp.int32(0)
         for k in range(sample_count[r]):
             goal = sample_times[r, k] - delay
@@ -404,7 +424,7 @@ def _schedule_kernel(integrator: str) -> Any:
                             switches = 1
                     last = wp.int32(0)
                     while last == 0 and n < capacity:
-                        a1 = _acceleration(q, v, command, p_in, w, constants, r)
+                        a1 = _acceleration(q, v, command, extra, p_in, w, constants, r)
                         h = coarse
                         if fine < coarse:
                             if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a1) * coarse:
@@ -417,7 +437,8 @@ def _schedule_kernel(integrator: str) -> Any:
                         step_out[w, n] = h
                         step_by_delay_out[w, n] = dh
                         command_out[w, n] = command
-                        q_next, v_next = step(q, v, h, command, p_in, w, constants, r)
+                        load_out[w, n] = loads
+                        q_next, v_next = step(q, v, h, command, extra, p_in, w, constants, r)
                         q = q_next
                         v = v_next
                         n = n + 1
@@ -430,6 +451,8 @@ def _schedule_kernel(integrator: str) -> Any:
                     elif switches == 1:
                         segment = segment + 1
                         command = input_current[r, segment]
+                        loads = input_load[r, segment]
+                        extra = loads[0] + p_in[w, 11] * loads[1]
                     else:
                         arrived = 1
                 sample_step_out[w, k] = n
@@ -454,6 +477,7 @@ def _taped_kernels(integrator: str) -> tuple[Any, Any]:
         step_in: wp.array2d(dtype=FLOAT),
         step_by_delay_in: wp.array2d(dtype=FLOAT),
         command_in: wp.array2d(dtype=FLOAT),
+        load_in: wp.array2d(dtype=_VEC2),
         steps_in: wp.array(dtype=wp.int32),
         # World data out:
         q_out: wp.array2d(dtype=FLOAT),
@@ -466,7 +490,9 @@ def _taped_kernels(integrator: str) -> tuple[Any, Any]:
         v_out[w, 0] = p_in[w, 10]
         for n in range(steps_in[w]):
             h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
-            q_next, v_next = step(q_out[w, n], v_out[w, n], h, command_in[w, n], p_in, w, constants, r)
+            loads = load_in[w, n]
+            extra = loads[0] + p_in[w, 11] * loads[1]
+            q_next, v_next = step(q_out[w, n], v_out[w, n], h, command_in[w, n], extra, p_in, w, constants, r)
             q_out[w, n + 1] = q_next
             v_out[w, n + 1] = v_next
 
@@ -519,15 +545,19 @@ class JointSimulator:
         samples = np.zeros((len(runs), self._width))
         switch_times = np.zeros((len(runs), int(input_counts.max())))
         switch_current = np.zeros_like(switch_times)
+        switch_load = np.zeros((*switch_times.shape, 2))
         constants = np.zeros((len(runs), 6))
         for row, run in enumerate(runs):
             samples[row, : self.sample_counts[row]] = run.sample_times_s
             switch_times[row, : input_counts[row]] = run.input_times_s
             switch_current[row, : input_counts[row]] = run.input_current_A
+            if run.input_load is not None:
+                switch_load[row, : input_counts[row]] = run.input_load
             constants[row] = (*run.supply, run.friction_velocity, run.step_s, min(run.fine_step_s, run.step_s))
         self._samples = self._array(samples)
         self._switch_times = self._array(switch_times)
         self._switch_current = self._array(switch_current)
+        self._switch_load = wp.array(switch_load, dtype=_VEC2, device=device)
         self._constants = self._array(constants)
         self._input_counts = wp.array(input_counts, dtype=wp.int32, device=device)
         self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device=device)
@@ -597,7 +627,8 @@ class _Launch:
             kernel,
             dim=worlds,
             inputs=[
-                owner._samples, self._counts, owner._switch_times, owner._switch_current, owner._input_counts,
+                owner._samples, self._counts, owner._switch_times, owner._switch_current, owner._switch_load,
+                owner._input_counts,
                 owner._constants, self._world_run, self._p, self._dp,
             ],
             outputs=[self._q, self._v, self._dq],
@@ -666,16 +697,18 @@ class TapedRollout:
         step = wp.zeros((worlds, capacity), dtype=FLOAT, device=device)
         step_by_delay = wp.zeros((worlds, capacity), dtype=FLOAT, device=device)
         command = wp.zeros((worlds, capacity), dtype=FLOAT, device=device)
+        load = wp.zeros((worlds, capacity), dtype=_VEC2, device=device)
         steps = wp.zeros(worlds, dtype=wp.int32, device=device)
         sample_step = wp.zeros((worlds, owner._width), dtype=wp.int32, device=device)
         wp.launch(
             _schedule_kernel(owner.integrator),
             dim=worlds,
             inputs=[
-                owner._samples, owner._full_counts, owner._switch_times, owner._switch_current, owner._input_counts,
+                owner._samples, owner._full_counts, owner._switch_times, owner._switch_current, owner._switch_load,
+                owner._input_counts,
                 owner._constants, runs, self._p, capacity,
             ],
-            outputs=[step, step_by_delay, command, steps, sample_step],
+            outputs=[step, step_by_delay, command, load, steps, sample_step],
             device=device,
         )  # fmt: skip
         roll, observe = _taped_kernels(owner.integrator)
@@ -688,7 +721,7 @@ class TapedRollout:
             wp.launch(
                 roll,
                 dim=worlds,
-                inputs=[owner._constants, runs, self._p, delay_at, step, step_by_delay, command, steps],
+                inputs=[owner._constants, runs, self._p, delay_at, step, step_by_delay, command, load, steps],
                 outputs=[q, v],
                 device=device,
             )

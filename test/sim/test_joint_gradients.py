@@ -20,6 +20,7 @@ SCALES = {
     "delay": 0.004,
     "q0": 0.6,
     "v0": 0.1,
+    "carried": 0.05,
 }
 POINTS = 4
 
@@ -35,6 +36,7 @@ def simulator(integrator: str) -> JointSimulator:
         friction_velocity=1e-3,
         step_s=1 / 240,
         fine_step_s=1 / 240 if integrator == "semi_implicit" else 1 / 4000,
+        input_load=np.array([[0.01, 0.2], [-0.02, 0.3], [0.015, -0.1]]),
     )
     return JointSimulator([run], integrator)
 

@@ -1,0 +1,115 @@
+"""When a recording cannot be trusted, and the sentence that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.robot import Robot
+
+MIN_USED = 5
+STUCK_TRAVEL = 0.1
+"""Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
+LITTLE_TRAVEL = 0.3
+"""Travel that a trustworthy weighing has (HARDWARE: rounding costs 2-4 g when the joint barely creeps)."""
+HELD_SPAN = 0.03
+"""rad: what a held joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
+MISFIT_SIGMAS = 3.0902
+"""A fit worse than chance makes one in a thousand (so many standard deviations of a normal) contradicts the model."""
+MISFIT_LIMIT = 9.0
+"""Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
+CONTRADICTION = 3.0
+"""Reduced chi-square with which the other runs may foretell a run: beyond it, and beyond chance, the run contradicts them."""
+
+
+@dataclass
+class Findings:
+    """What was found on the way, in the order in which a reader wants it."""
+
+    reasons: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def chi2_limit(dof: int) -> float:
+    """Chi-square that chance exceeds once in a thousand times.
+
+    Wilson & Hilferty 1931: the cube root of chi-square over its degrees of freedom is nearly normal; good to 1 % from four degrees
+    of freedom on, and it saves the half second that importing ``scipy.stats`` takes.
+    """
+    spread = 2.0 / (9.0 * dof)
+    return float(dof * (1.0 - spread + MISFIT_SIGMAS * np.sqrt(spread)) ** 3)
+
+
+def unusable(run: PreparedRun) -> str:
+    """Why a run tells nothing, or an empty string."""
+    if run.used < MIN_USED:
+        return f"only {run.used} usable samples, because {run.cut_reason or 'the probe was too short'}"
+    if abs(run.travel) < STUCK_TRAVEL:
+        return (
+            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is: "
+            f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
+        )
+    return ""
+
+
+def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
+    """Say what is odd about a run by itself."""
+    name, joint = run.run.name, run.run.joint
+    found.notes.extend(f"{name}: {note}" for note in run.run.notes)
+    if run.used < MIN_USED:
+        return
+    if run.cut_reason:
+        found.reasons.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples were left out")
+    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL:
+        found.reasons.append(
+            f"{name}: {joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
+            f"{LITTLE_TRAVEL} rad tells much more"
+        )
+    limits = robot.model.joint(joint)
+    per_rad = run.drive.transmission
+    margin = 2.0 * run.drive.encoder_resolution
+    for limit, side in ((limits.lower / per_rad, -1.0), (limits.upper / per_rad, 1.0)):
+        if side * (run.rest.value - limit) > -margin:
+            found.reasons.append(
+                f"{name}: {joint} starts at its limit ({run.rest.value:.3f} rad), where the stop may carry part of the weight: "
+                "start away from it"
+            )
+    current = float(np.abs(run.run.input_current_A).max())
+    allowed = robot.motors[joint].current_limit_A
+    if current > allowed:
+        found.reasons.append(
+            f"{name}: {1e3 * current:.0f} mA were commanded, but {joint} is limited to {1e3 * allowed:.0f} mA, so less flowed than "
+            "the input says: probe below the limit, or correct current_limit_A in the robot file"
+        )
+    for held, span in run.run.held_span.items():
+        if held in run.coefficients.pose and span > HELD_SPAN:
+            found.reasons.append(f"{name}: {held} should be held but moved by {span:.3f} rad")
+
+
+def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
+    """A sentence for each joint that all runs drive in the same direction."""
+    sentences = []
+    for joint in dict.fromkeys(run.run.joint for run in runs):
+        signs = {float(np.sign(run.travel)) for run in runs if run.run.joint == joint}
+        if len(signs) == 1:
+            towards, back = ("positive", "negative") if signs == {1.0} else ("negative", "positive")
+            sentences.append(
+                f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed and cannot be told "
+                f"from torque and weight: add a run in which it moves in the {back} direction"
+            )
+    return sentences
+
+
+def contradicting(posterior: Posterior) -> int | None:
+    """The run that the others foretell worst, if that is beyond chance and beyond ``CONTRADICTION``."""
+    count = len(posterior.problem.runs)
+    if count < 2:
+        return None
+    held_out = [posterior.held_out(row) for row in range(count)]
+    ratios = [held.chi2 / max(CONTRADICTION * held.samples, chi2_limit(held.samples)) for held in held_out]
+    worst = int(np.argmax(ratios))
+    return worst if ratios[worst] > 1.0 else None

@@ -1,0 +1,112 @@
+"""What is known after a fit: the covariance of every unknown, and how well each run is foretold by the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.identification.estimate import RunFit
+from proprio_ros.identification.problem import PayloadProblem, PreparedRun
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One run as the others foretell it.
+
+    Attributes:
+        residual: measured less foretold at each used sample [rad], shape (K,).
+        chi2: of these residuals under the covariance with which they are foretold; near K where the run fits the others.
+        samples: K.
+    """
+
+    residual: np.ndarray
+    chi2: float
+    samples: int
+
+
+class Posterior:
+    """Gauss-Newton posterior of a problem's free unknowns at given values.
+
+    Args:
+        problem: runs, priors and unknowns.
+        values: of all unknowns, shape (N,).
+        inflation: factor on the encoder's variance; the priors stay.
+
+    Attributes:
+        residual: whitened, shape (M,); sensitivity: whitened, shape (M, F); run: which run each sample is of, shape (M,).
+        covariance: of the free unknowns in physical units, shape (F, F).
+        condition: of the normal matrix scaled to a unit diagonal.
+    """
+
+    def __init__(self, problem: PayloadProblem, values: np.ndarray, inflation: float = 1.0) -> None:
+        self.problem = problem
+        self.values = values
+        q, v, dq = problem.simulate(values[None], problem.free)
+        seen = problem.weight > 0.0
+        weight = problem.weight[seen] / np.sqrt(inflation)
+        self.residual = (problem.measured - q[0])[seen] * weight
+        self.velocity = v[0][seen]
+        self.sensitivity = dq[0][seen] * weight[:, None]
+        self.run = np.repeat(np.arange(len(problem.runs)), problem.weight.shape[1]).reshape(seen.shape)[seen]
+        self._weight = weight
+        normal = self.sensitivity.T @ self.sensitivity + problem.coordinates.prior_precision
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal * scale[:, None] * scale[None, :]
+        inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
+        self.covariance = inverse * scale[:, None] * scale[None, :]
+        self.condition = float(np.linalg.cond(scaled))
+
+    def whole_covariance(self) -> np.ndarray:
+        """Covariance of all unknowns, shape (N, N); zero where an unknown is not free."""
+        size = len(self.problem.unknowns)
+        covariance = np.zeros((size, size))
+        covariance[np.ix_(self.problem.free, self.problem.free)] = self.covariance
+        return covariance
+
+    def leverage(self) -> np.ndarray:
+        """Variance of the fitted value of each sample in units of the sample's own, shape (M,)."""
+        return np.einsum("mf,fg,mg->m", self.sensitivity, self.covariance, self.sensitivity)
+
+    def held_out(self, run: int) -> HeldOut:
+        """A run as foretold without it (exact for a linear model: deletion residuals, Cook & Weisberg 1982, sec. 2.2)."""
+        rows = self.run == run
+        own = self.sensitivity[rows]
+        kept = np.eye(int(rows.sum())) - own @ self.covariance @ own.T
+        whitened = np.linalg.solve(kept, self.residual[rows])
+        return HeldOut(whitened / self._weight[rows], float(self.residual[rows] @ whitened), int(rows.sum()))
+
+
+def run_fits(
+    problem: PayloadProblem, values: np.ndarray, runs: Sequence[PreparedRun]
+) -> tuple[tuple[RunFit, ...], float, float]:
+    """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
+    q, _, _ = problem.simulate(values[None], problem.free)
+    fits, squares, expected, samples = [], 0.0, 0.0, 0
+    for row, prepared in enumerate(runs):
+        run, used = prepared.run, prepared.used
+        simulated = q[0, row, :used]
+        squares += float(np.sum((simulated - prepared.position) ** 2))
+        expected += float(np.sum(prepared.sigma**2))
+        samples += used
+        driven = run.input_current_A[np.argmax(np.abs(run.input_current_A))]
+        fits.append(
+            RunFit(
+                run.name,
+                run.joint,
+                run.source,
+                float(driven),
+                prepared.times_s,
+                prepared.position,
+                simulated,
+                prepared.sigma,
+                run.times_s[used:],
+                run.position[used:],
+                prepared.travel,
+                float(values[problem.index[f"v0[{row}]"]]),
+                prepared.cut_reason,
+                run.notes,
+            )
+        )
+    return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))
