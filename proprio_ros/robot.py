@@ -685,7 +685,8 @@ class DriveTrain:
     """Motor and gears of a joint, all seen at the motor's output shaft.
 
     The torque that reaches the joint is ``torque_constant x current - armature x acceleration``, less friction against
-    the motion: ``coulomb + load_friction x |torque| + viscous x |velocity|``.
+    the motion: ``(coulomb + load_friction x |torque|) x (1 + stribeck x exp(-(velocity / stribeck_velocity)^2)) + viscous
+    x |velocity|``.
 
     Attributes:
         torque_constant: [N m/A].
@@ -705,6 +706,8 @@ class DriveTrain:
             two fingers moves this far).
         encoder_once_per_turn: Standard deviation of the sine and of the cosine part of the encoder's once-per-turn
             error, which a magnet off the axis makes [rad].
+        stribeck: By how much of itself dry friction is greater at rest.
+        stribeck_velocity: Speed at which 1/e of that is left [rad/s].
     """
 
     torque_constant: Quantity
@@ -722,6 +725,8 @@ class DriveTrain:
     encoder_noise: float
     transmission: float = 1.0
     encoder_once_per_turn: float = 0.0
+    stribeck: Quantity = field(default_factory=lambda: Quantity(0.0))
+    stribeck_velocity: Quantity = field(default_factory=lambda: Quantity(0.1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -921,6 +926,8 @@ _DRIVE_TRAIN = {
     "load_friction": _Field(_quantity(_not_negative)),
     "armature_kg_m2": _Field(_quantity(_not_negative)),
     "zero_rad": _Field(_quantity(_real), Quantity(0.0)),
+    "stribeck": _Field(_quantity(_not_negative), Quantity(0.0)),
+    "stribeck_velocity_rad_s": _Field(_quantity(_positive), Quantity(0.1)),
 }
 _JOINT = {
     "usable_velocity_rad_s": _Field(_positive, math.inf),
@@ -946,13 +953,15 @@ _ROBOT = {
 _FILE_ONLY = ("model_fingerprint", "calibration")  # no --set
 
 
-_CALIBRATED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero")
+_CALIBRATED_TERMS = (
+    "torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity",
+)  # fmt: skip
 
 
 def _unknown_of(path: tuple[str, ...]) -> str:
     """Name of the unknown that a setting states, such as ``coulomb[joint3]``; any other text where it states none."""
     name = path[-1]
-    for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad", "_s"):
+    for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad_s", "_rad", "_s"):
         name = name.removesuffix(unit)
     return name if len(path) == 1 else f"{name}[{path[1]}]"
 
@@ -1160,6 +1169,8 @@ def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, M
             load_friction=drive["load_friction"],
             armature=drive["armature_kg_m2"],
             zero=drive["zero_rad"],
+            stribeck=drive["stribeck"],
+            stribeck_velocity=drive["stribeck_velocity_rad_s"],
             nominal_torque_constant=motor["nominal_torque_constant_N_m_per_A"],
             supply_voltage_V=motor["supply_voltage_V"],
             back_emf_V_s_per_rad=motor["back_emf_V_s_per_rad"],

@@ -32,8 +32,18 @@ from proprio_ros.sim.payload import (
 
 START_VELOCITY_STD = 0.01
 """rad/s: how still a held joint is when the current comes on. A probe starts from rest; this is its measure."""
-DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
-"""Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
+DRIVE_TERMS = {
+    "torque_constant": "N m/A",
+    "coulomb": "N m",
+    "viscous": "N m s/rad",
+    "load_friction": "1",
+    "armature": "kg m^2",
+    "stribeck": "1",
+    "stribeck_velocity": "rad/s",
+}
+"""Fields of a ``DriveTrain`` that are unknowns of the driven joint, and their units."""
+SLOWEST_STRIBECK = 0.02
+"""rad/s: a bump of friction narrower than this is over within a sample of any probe."""
 RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
 """The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
 LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
@@ -398,10 +408,9 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
     ]
     for name in dict.fromkeys(run.run.joint for run in runs):
         drive = robot.drive_trains[name]
-        units = ("N m/A", "N m", "N m s/rad", "1", "kg m^2")
-        fields = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature)
-        for kind, unit, quantity in zip(DRIVE_TERMS, units, fields, strict=True):
-            shared.append(_from_quantity(f"{kind}[{name}]", unit, quantity, lower=0.0))
+        for kind, unit in DRIVE_TERMS.items():
+            lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
+            shared.append(_from_quantity(f"{kind}[{name}]", unit, getattr(drive, kind), lower=lower))
     for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
         drive = robot.drive_trains.get(name)
         if drive is not None and drive.transmission == 1.0:

@@ -2,7 +2,7 @@
 
 The paper's equation (1) for one degree of freedom, with the drive train it leaves out:
 
-    J a + g(q) = tau_m - (f_c + f_l |tau_m|) tanh(v / v_s) - f_v v,      tau_m = k_t i
+    J a + g(q) = tau_m - (f_c + f_l |tau_m|) (1 + s exp(-(v / w)^2)) tanh(v / v_s) - f_v v,      tau_m = k_t i
     g(q) = g_a cos q + g_b sin q + g_c + e_0(t) + m e_1(t)
     i    = command, held inside what the supply can push against the back-EMF: |i| <= (V -+ k_e v) / R
 
@@ -45,12 +45,15 @@ PARAMETERS = (
     "q0",
     "v0",
     "carried",
+    "stribeck",
+    "stribeck_velocity",
 )
-"""Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg (kg, N, m for a slide)."""
+"""Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg, 1, rad/s (kg, N, m for a
+slide)."""
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 
 INTEGRATORS = ("rk4", "semi_implicit")
-_TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 16, 24, 32)
+_TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 14, 16, 24, 32)
 MAX_STEPS = 200_000
 TIME_EPS = 1e-9  # s; two instants closer than this are one
 
@@ -116,7 +119,11 @@ def _acceleration(
 ):
     i, _slope = limited_current(command, v, constants[run, 0], constants[run, 1], constants[run, 2])
     motor = p[world, 4] * i
-    friction = (p[world, 5] + p[world, 7] * wp.abs(motor)) * wp.tanh(v / constants[run, 3]) + p[world, 6] * v
+    dry = p[world, 5] + p[world, 7] * wp.abs(motor)
+    if p[world, 13] > FLOAT(0.0):
+        slow = v / p[world, 13]
+        dry = dry * (FLOAT(1.0) + p[world, 12] * wp.exp(-slow * slow))
+    friction = dry * wp.tanh(v / constants[run, 3]) + p[world, 6] * v
     load = p[world, 1] * wp.cos(q) + p[world, 2] * wp.sin(q) + p[world, 3] + extra
     return (motor - friction - load) / p[world, 0]
 
@@ -165,8 +172,12 @@ def _semi_implicit(
 
 
 @cache
-def _tangent_kernel(directions: int, integrator: str) -> Any:
-    """Rollout with ``directions`` exact forward sensitivities in the same thread (thread = world)."""
+def _tangent_kernel(directions: int, integrator: str, stribeck: bool) -> Any:
+    """Rollout with ``directions`` exact forward sensitivities in the same thread (thread = world).
+
+    Without ``stribeck`` its terms are left out at compile time: a robot whose friction does not rise towards standstill does not
+    pay for the exponential.
+    """
     vec = wp.types.vector(length=directions, dtype=FLOAT)
     rk4 = integrator == "rk4"
 
@@ -197,6 +208,10 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         d_fc: vec,
         d_fv: vec,
         d_fl: vec,
+        rise: FLOAT,
+        width: FLOAT,
+        d_rise: vec,
+        d_width: vec,
     ):
         i, slope = limited_current(command, v, volt, emf, ohm)
         motor = kt * i
@@ -205,13 +220,31 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         c = wp.cos(q)
         s = wp.sin(q)
         inverse = FLOAT(1.0) / inertia
-        a = (motor - (fc + fl * load) * side - fv * v - ga * c - gb * s - gc) * inverse
-        # d motor / d(.) enters the friction through |motor| as well
-        gain = FLOAT(1.0) - fl * wp.sign(motor) * side
-        by_q = ga * s - gb * c
-        by_v = gain * kt * slope - (fc + fl * load) * (FLOAT(1.0) - side * side) / vs - fv
-        total = by_q * dq + by_v * dv + (gain * i) * d_kt
-        total = total - side * d_fc - v * d_fv - (load * side) * d_fl
+        if wp.static(stribeck):
+            slow = v / width
+            bump = wp.exp(-slow * slow)
+            level = FLOAT(1.0) + rise * bump
+            dry = fc + fl * load
+            a = (motor - dry * level * side - fv * v - ga * c - gb * s - gc) * inverse
+            # d motor / d(.) enters the friction through |motor| as well
+            gain = FLOAT(1.0) - fl * level * wp.sign(motor) * side
+            by_q = ga * s - gb * c
+            by_v = gain * kt * slope - dry * level * (FLOAT(1.0) - side * side) / vs - fv
+            by_v = by_v + FLOAT(2.0) * dry * rise * bump * slow / width * side
+            total = by_q * dq + by_v * dv + (gain * i) * d_kt
+            total = total - (level * side) * d_fc - v * d_fv - (load * level * side) * d_fl
+            total = (
+                total
+                - (dry * bump * side) * d_rise
+                - (FLOAT(2.0) * dry * rise * bump * slow * slow / width * side) * d_width
+            )
+        else:
+            a = (motor - (fc + fl * load) * side - fv * v - ga * c - gb * s - gc) * inverse
+            gain = FLOAT(1.0) - fl * wp.sign(motor) * side
+            by_q = ga * s - gb * c
+            by_v = gain * kt * slope - (fc + fl * load) * (FLOAT(1.0) - side * side) / vs - fv
+            total = by_q * dq + by_v * dv + (gain * i) * d_kt
+            total = total - side * d_fc - v * d_fv - (load * side) * d_fl
         total = total - c * d_ga - s * d_gb - d_gc - a * d_inertia
         return a, inverse * total
 
@@ -258,6 +291,10 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
         d_fv = dp_in[w, 6]
         d_fl = dp_in[w, 7]
         d_delay = dp_in[w, 8]
+        rise = p_in[w, 12]
+        width = p_in[w, 13]
+        d_rise = dp_in[w, 12]
+        d_width = dp_in[w, 13]
         volt = constants[r, 0]
         emf = constants[r, 1]
         ohm = constants[r, 2]
@@ -300,7 +337,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                     while last == 0:
                         a1, da1 = linearised(
                             q, v, dq, dv, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs,
-                            d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl,
+                            d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl, rise, width, d_rise, d_width,
                         )  # fmt: skip
                         h = coarse
                         if fine < coarse:
@@ -318,7 +355,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                             dv2 = dv + (half * h) * da1 + (half * a1) * dh
                             a2, da2 = linearised(
                                 q2, v2, dq2, dv2, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs,
-                                d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl,
+                                d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl, rise, width, d_rise, d_width,
                             )  # fmt: skip
                             q3 = q + half * h * v2
                             v3 = v + half * h * a2
@@ -326,7 +363,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                             dv3 = dv + (half * h) * da2 + (half * a2) * dh
                             a3, da3 = linearised(
                                 q3, v3, dq3, dv3, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs,
-                                d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl,
+                                d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl, rise, width, d_rise, d_width,
                             )  # fmt: skip
                             q4 = q + h * v3
                             v4 = v + h * a3
@@ -334,7 +371,7 @@ def _tangent_kernel(directions: int, integrator: str) -> Any:
                             dv4 = dv + h * da3 + a3 * dh
                             a4, da4 = linearised(
                                 q4, v4, dq4, dv4, command, inertia, ga, gb, gc, kt, fc, fv, fl, volt, emf, ohm, vs,
-                                d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl,
+                                d_inertia, d_ga, d_gb, d_gc, d_kt, d_fc, d_fv, d_fl, rise, width, d_rise, d_width,
                             )  # fmt: skip
                             mean_v = sixth * (v + two * v2 + two * v3 + v4)
                             mean_a = sixth * (a1 + two * a2 + two * a3 + a4)
@@ -561,7 +598,7 @@ class JointSimulator:
         self._constants = self._array(constants)
         self._input_counts = wp.array(input_counts, dtype=wp.int32, device=device)
         self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device=device)
-        self._launches: dict[tuple[int, int], _Launch] = {}
+        self._launches: dict[tuple[int, int, bool], _Launch] = {}
 
     def _array(self, values: np.ndarray) -> wp.array:
         return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=FLOAT, device=self.device)
@@ -592,9 +629,10 @@ class JointSimulator:
         """
         worlds, _, directions = dp.shape
         size = next((s for s in _TANGENT_SIZES if s >= directions), directions)
-        launch = self._launches.get((worlds, size))
+        stribeck = bool(p[:, INDEX["stribeck"]].any() or dp[:, INDEX["stribeck"]].any())
+        launch = self._launches.get((worlds, size, stribeck))
         if launch is None:
-            launch = self._launches[worlds, size] = _Launch(self, worlds, size)
+            launch = self._launches[worlds, size, stribeck] = _Launch(self, worlds, size, stribeck)
         q, v, dq = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
         return q, v, dq[:, :, :directions]
 
@@ -611,8 +649,8 @@ class JointSimulator:
 class _Launch:
     """Buffers and recorded launch for one batch shape: a recorded launch costs a fifth of a fresh one."""
 
-    def __init__(self, owner: JointSimulator, worlds: int, size: int) -> None:
-        kernel = _tangent_kernel(size, owner.integrator)
+    def __init__(self, owner: JointSimulator, worlds: int, size: int, stribeck: bool) -> None:
+        kernel = _tangent_kernel(size, owner.integrator, stribeck)
         vec = wp.types.vector(length=size, dtype=FLOAT)
         device = owner.device
         self._given: dict[str, np.ndarray | None] = {}

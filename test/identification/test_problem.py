@@ -58,7 +58,7 @@ def test_everything_is_unknown_here(problem: PayloadProblem) -> None:
     kinds = {name.split("[")[0] for name in problem.index}
     assert kinds == {
         "payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale", "arm_scale", "delay", "torque_constant",
-        "coulomb", "viscous", "load_friction", "armature", "zero", "ripple_cos", "ripple_sin", "link_mass", "link_com_x", "link_com_z",
+        "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity", "zero", "ripple_cos", "ripple_sin", "link_mass", "link_com_x", "link_com_z",
         "link_inertia", "q0", "v0", "onset", "disturbance",
     }  # fmt: skip
     assert len(problem.free) == len(problem.unknowns)
@@ -69,7 +69,7 @@ def test_jacobian_against_central_differences(problem: PayloadProblem) -> None:
     for values in points(problem, 4):
         _, _, exact = problem.simulate(values[None], columns)
         for column, unknown in enumerate(problem.unknowns):
-            step = 3e-3 * (unknown.std if np.isfinite(unknown.std) else 0.02)
+            step = 4e-4 * (unknown.std if np.isfinite(unknown.std) else 0.02)
             shifted = np.tile(values, (4, 1))
             shifted[:, column] += step * np.array([-2.0, -1.0, 1.0, 2.0])
             q, _, _ = problem.simulate(shifted, columns[:1])

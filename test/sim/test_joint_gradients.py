@@ -21,6 +21,8 @@ SCALES = {
     "q0": 0.6,
     "v0": 0.1,
     "carried": 0.05,
+    "stribeck": 0.4,
+    "stribeck_velocity": 0.3,
 }
 POINTS = 4
 
@@ -54,7 +56,8 @@ def test_sensitivities_against_central_differences(integrator: str, seed: int) -
     sim, p = simulator(integrator), point(seed)
     exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])[2].copy()
     for name, row in INDEX.items():
-        step = 1e-6 * max(1e-1, abs(SCALES[name]))
+        # the rise of friction at rest moves little: its difference must rise above the rounding of a stiff rollout
+        step = 1e-4 if name.startswith("stribeck") else 1e-6 * max(1e-1, abs(SCALES[name]))
         up, down = p.copy(), p.copy()
         up[0, row] += step
         down[0, row] -= step
