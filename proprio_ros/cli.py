@@ -63,12 +63,75 @@ def _parser() -> argparse.ArgumentParser:
         "bags", nargs="+", metavar="BAG", help="bag folder or file, or a folder with trajectory.csv, setting.json"
     )
     replay.add_argument("--probe", required=True, choices=("payload", "container", "softness"), help="what to identify")
+    _add_robot(replay)
+    replay.add_argument("--calibration", metavar="FILE", help="what `proprio calibrate` wrote")
     replay.add_argument(
+        "--baseline",
+        nargs="+",
+        metavar="BAG",
+        default=[],
+        help="runs with an empty hand, fitted together with the others: they tell whether the robot changed since its calibration",
+    )
+    _add_set(replay)
+    replay.add_argument("--solver", default="lm", choices=("lm", "adam", "cma"))
+    replay.add_argument(
+        "--profile", default="default", choices=("default", "paper"), help="paper: the paper's own method"
+    )
+    _add_topics(replay)
+    _add_output(replay)
+    replay.set_defaults(command=_replay)
+
+    calibrate = commands.add_parser(
+        "calibrate",
+        help="learn the robot from empty-hand runs",
+        description="Learn torque constants, friction, armature and the arm's weight from runs with nothing in the hand, and "
+        "optionally with a weighed reference. Lift, lower and drive each joint; `proprio plan` and the result say which runs help.",
+        epilog="Exit code: 0 accepted, 2 bad input, 3 rejected or not identifiable.",
+    )
+    calibrate.add_argument("bags", nargs="*", metavar="BAG", help="runs with nothing in the hand")
+    calibrate.add_argument(
+        "--reference",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="BAG=KG",
+        help="runs with a weighed object in the hand, and its mass; where it sits and its shape come from --set payload...",
+    )
+    calibrate.add_argument(
+        "--output", required=True, metavar="FILE.yaml", help="the calibration, for `replay --calibration`"
+    )
+    _add_robot(calibrate)
+    _add_set(calibrate)
+    _add_topics(calibrate)
+    _add_output(calibrate)
+    calibrate.set_defaults(command=_calibrate)
+
+    plan = commands.add_parser(
+        "plan",
+        help="which run to make for an object of about this mass",
+        description="Rank start poses and currents by the interval that a weighing from there would give.",
+    )
+    plan.add_argument("--probe", default="payload", choices=("payload",), help="what is to be identified")
+    plan.add_argument(
+        "--mass", required=True, metavar="KG|KG..KG", help="mass, or lightest and heaviest, of what the hand will hold"
+    )
+    plan.add_argument("--count", type=int, default=10, metavar="N", help="at most so many plans (default 10)")
+    _add_robot(plan)
+    plan.add_argument("--calibration", metavar="FILE", help="what `proprio calibrate` wrote")
+    _add_set(plan)
+    plan.add_argument("--json", action="store_true", help="print one JSON object")
+    plan.set_defaults(command=_plan)
+    return parser
+
+
+def _add_robot(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         "--robot", metavar="NAME|FILE", help="robot of config/robots, or a robot file (default open_manipulator_x)"
     )
-    replay.add_argument("--calibration", metavar="FILE", help="what `proprio calibrate` wrote")
-    replay.add_argument("--baseline", nargs="+", metavar="BAG", default=[], help="runs with the empty container")
-    replay.add_argument(
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         "--set",
         action="append",
         default=[],
@@ -76,27 +139,24 @@ def _parser() -> argparse.ArgumentParser:
         help="a fact about the object or a setting, VALUE in JSON: payload.com=[0,0,0.01], payload.shape=cube, payload.size=0.03, "
         "held.joint1=0.2, robot.joints.joint3.drive_train.coulomb_N_m=0.05",
     )
-    replay.add_argument("--solver", default="lm", choices=("lm", "adam", "cma"))
-    replay.add_argument(
-        "--profile", default="default", choices=("default", "paper"), help="paper: the paper's own method"
-    )
-    replay.add_argument("--state-topic", metavar="T")
-    replay.add_argument("--command-topic", metavar="T")
-    replay.add_argument(
+
+
+def _add_topics(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--state-topic", metavar="T")
+    parser.add_argument("--command-topic", metavar="T")
+    parser.add_argument(
         "--effort-unit",
         choices=("N.m", "A", "mA", "raw"),
         help="what `effort` of the joint states means; never guessed",
     )
-    replay.add_argument("--json", action="store_true", help="print one JSON object")
-    replay.add_argument("--report", metavar="FILE.html", help="write a page with plots")
-    replay.set_defaults(command=_replay)
-    return parser
+
+
+def _add_output(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--report", metavar="FILE.html", help="write a page with plots")
 
 
 def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
-    if options.calibration or options.baseline:
-        what = "--calibration" if options.calibration else "--baseline"
-        raise ConfigurationError(f"{what} is not available in version {__version__}; leave it out")
     settings = _settings(options.set)
     # heavy imports only now, so that --help and a mistyped option answer at once
     from proprio_ros.replay import ReplayOptions, replay
@@ -109,6 +169,8 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
             settings=settings,
             solver=options.solver,
             profile=options.profile,
+            calibration=options.calibration,
+            baseline=tuple(options.baseline),
             state_topic=options.state_topic,
             command_topic=options.command_topic,
             effort_unit=options.effort_unit,
@@ -124,6 +186,94 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
         write_report(estimate, Path(options.report), command="proprio " + " ".join(given), sources=options.bags)
         print(f"proprio: report written to {options.report}", file=sys.stderr)
     return EXIT_OK if estimate.verdict.value == "accepted" else EXIT_NO_ANSWER
+
+
+def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
+    settings = _settings(options.set)
+    references = {}
+    for pair in options.reference:
+        path, _, mass = pair.rpartition("=")
+        try:
+            references[path] = float(mass)
+        except ValueError:
+            path = ""
+        if not path:
+            raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
+    from proprio_ros.calibrate import calibrate_from_bags
+    from proprio_ros.replay import ReplayOptions
+
+    estimate = calibrate_from_bags(
+        options.bags,
+        references,
+        ReplayOptions(
+            robot=options.robot,
+            settings=settings,
+            state_topic=options.state_topic,
+            command_topic=options.command_topic,
+            effort_unit=options.effort_unit,
+        ),
+        options.output,
+        _progress,
+    )
+    accepted = estimate.verdict.value == "accepted"
+    if options.json:
+        written = {"output": str(options.output) if accepted else None}
+        print(json.dumps({**estimate.as_json(), **written}, indent=1))
+    else:
+        print(_calibration_as_text(estimate))
+    if options.report:
+        from proprio_ros.report import write_calibration_report
+
+        write_calibration_report(
+            estimate, Path(options.report), command="proprio " + " ".join(given), sources=[*options.bags, *references]
+        )
+        print(f"proprio: report written to {options.report}", file=sys.stderr)
+    if accepted:
+        print(f"proprio: calibration written to {options.output}", file=sys.stderr)
+    return EXIT_OK if accepted else EXIT_NO_ANSWER
+
+
+def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
+    masses = _masses(options.mass)
+    if options.count < 1:
+        raise ConfigurationError(f"--count {options.count}: must be at least 1")
+    settings = _settings(options.set)
+    from proprio_ros.calibrate import plan_probes
+    from proprio_ros.replay import ReplayOptions
+
+    asked = ReplayOptions(robot=options.robot, settings=settings, calibration=options.calibration)
+    robot, plans = plan_probes(masses, asked, options.count, _progress)
+    if options.json:
+        content = {
+            "probe": options.probe,
+            "robot": robot.name,
+            "calibrated": robot.calibration is not None,
+            "masses_kg": masses,
+            "plans": [plan.as_json() for plan in plans],
+        }
+        print(json.dumps(content, indent=1))
+        return EXIT_OK
+    if robot.calibration is None:
+        print("the robot has not been calibrated: the intervals carry what its file leaves open")
+    for number, plan in enumerate(plans, start=1):
+        print(f"{number:2d}. " + _plan_as_text(plan))
+    return EXIT_OK
+
+
+def _masses(text: str) -> list[float]:
+    """``0.05``, or ``0.01..0.2``: then the middle of the range, too."""
+    try:
+        ends = [float(part) for part in text.split("..")]
+    except ValueError:
+        ends = []
+    if not 1 <= len(ends) <= 2 or min(ends) <= 0.0 or ends[0] > ends[-1]:
+        raise ConfigurationError(f"--mass {text}: write one mass in kg, or lightest..heaviest, e.g. 0.01..0.2")
+    return ends if len(ends) == 1 else [ends[0], (ends[0] * ends[1]) ** 0.5, ends[1]]
+
+
+def _progress(message: str) -> None:
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"proprio: {message}", file=sys.stderr)
 
 
 def _settings(pairs: Sequence[str]) -> dict[str, Any]:
@@ -161,6 +311,43 @@ def _as_text(estimate: Any) -> str:
     for note in estimate.notes:
         lines.append(f"  note: {note}")
     return "\n".join(lines)
+
+
+def _calibration_as_text(estimate: Any) -> str:
+    lines = [
+        f"{estimate.verdict.value}  (calibration, {estimate.robot}, {len(estimate.run_fits)} of {estimate.runs} runs used)"
+    ]
+    lines += [f"  - {reason}" for reason in estimate.reasons]
+    shown = [row for row in estimate.unknowns if not row.name.startswith(("link_", "ripple_", "zero["))]
+    for row in shown:
+        unit = "" if row.unit == "1" else " " + row.unit
+        lines.append(
+            f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   (file: {row.prior:.5f} +- {row.prior_std:.5f})"
+        )
+    if len(shown) < len(estimate.unknowns):
+        lines.append(
+            f"  and {len(estimate.unknowns) - len(shown)} more: zeros, encoder errors and links (see --json, --report)"
+        )
+    if estimate.fit is not None:
+        fit = estimate.fit
+        lines.append(f"  fit: rms {1e3 * fit.rms:.3f} m{fit.unit}, expected {1e3 * fit.expected_rms:.3f} m{fit.unit}")
+    if estimate.held_out:
+        worst = max(estimate.held_out, key=lambda run: run.reduced_chi2)
+        lines.append(
+            f"  foretelling each run from the others: reduced chi-square at most {worst.reduced_chi2:.2f} ({worst.name})"
+        )
+    lines += [f"  not told apart: {sentence}" for sentence in estimate.not_told_apart]
+    lines += [f"  next run: {_plan_as_text(plan)}" for plan in estimate.advice]
+    lines += [f"  note: {note}" for note in estimate.notes]
+    return "\n".join(lines)
+
+
+def _plan_as_text(plan: Any) -> str:
+    start = ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items())
+    return (
+        f"{plan.joint} {1e3 * plan.current_A:+.0f} mA for {plan.duration_s:g} s from ({start}), {plan.kind}: {plan.reason}; "
+        f"{100 * plan.clearance_m:.0f} cm above the table"
+    )
 
 
 def _value_text(value: Any) -> str:

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.paper import FRAME_S, PaperOptions, weigh_as_paper
 from proprio_ros.identification.weighing import WeighingOptions, weigh
@@ -41,6 +41,8 @@ class ReplayOptions:
 
     Attributes:
         settings: dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values.
+        calibration: what ``proprio calibrate`` wrote.
+        baseline: recordings of the same robot with nothing in the hand, made with the others.
     """
 
     probe: str = "payload"
@@ -48,6 +50,8 @@ class ReplayOptions:
     settings: Mapping[str, Any] = field(default_factory=dict)
     solver: str = "lm"
     profile: str = "default"
+    calibration: str | Path | None = None
+    baseline: Sequence[str | Path] = ()
     state_topic: str | None = None
     command_topic: str | None = None
     effort_unit: str | None = None
@@ -73,9 +77,9 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
         raise ConfigurationError("no recording given: name at least one bag")
     settings = Settings(options.settings)
     texts = [Path(path) for path in paths if is_text_recording(path)]
-    robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else DEFAULT_ROBOT)
+    robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else None)
     overrides = settings.take_prefix("robot.")
-    robot = load_robot(robot_name)
+    robot = robot_of(robot_name, options.calibration)
     if overrides:
         robot = robot.with_overrides(overrides)
     frame = settings.take("payload.frame", None)
@@ -84,16 +88,15 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
         if frame not in links:
             raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
         robot = replace(robot, payload_frame=str(frame))
-    held = {name: _number(f"held.{name}", value) for name, value in settings.take_prefix("held.").items()}
-    for name in held:
-        robot.model.joint(name)
-    probe = _probe_file(options.probe)
+    held = held_positions(robot, settings)
+    probe = probe_file(options.probe)
     facts = payload_facts(settings, probe["payload"])
     weighing = replace(_options(WeighingOptions, settings, "solver.", probe["solver"]), solver=options.solver)
     paper = _options(PaperOptions, settings, "paper.", probe["paper"])
 
     loaded = time.perf_counter()
     runs: list[Run] = []
+    baseline = [run for path in options.baseline for run in bag_runs(Path(path), robot, options, held)]
     for path in paths:
         if Path(path) in texts:
             text = read_text_recording(path)
@@ -101,18 +104,54 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
             runs.append(_text_run(robot, text, held))
             paper = _text_paper(paper, text, settings)
         else:
-            runs.extend(_bag_runs(Path(path), robot, options, held))
+            runs.extend(bag_runs(Path(path), robot, options, held))
     settings.refuse_rest()
     read = time.perf_counter()
-    estimate = (
-        weigh_as_paper(robot, runs, facts, paper) if options.profile == "paper" else weigh(robot, runs, facts, weighing)
-    )
+    if options.profile == "paper":
+        estimate = weigh_as_paper(robot, runs, facts, paper)
+    else:
+        estimate = weigh(robot, runs, facts, weighing, baseline)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
     return replace(estimate, timing_s=timing)
 
 
-def _bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> tuple[Run, ...]:
+def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
+    """The robot of a name or file, with its calibration where there is one.
+
+    Raises:
+        RobotError: either cannot be read, or the calibration is of another robot.
+    """
+    if calibration is None:
+        return load_robot(name or DEFAULT_ROBOT)
+    if Path(calibration).suffix not in (".yaml", ".yml"):
+        raise RobotError(
+            f"--calibration {calibration}: expected the .yaml file that `proprio calibrate --output` wrote"
+        )
+    robot = load_robot(calibration)
+    if robot.calibration is None:
+        raise RobotError(
+            f"--calibration {calibration}: holds no calibration; write it with `proprio calibrate --output`"
+        )
+    if name is not None:
+        asked = load_robot(name)
+        if asked.model.fingerprint() != robot.model.fingerprint():
+            raise RobotError(
+                f"--calibration {calibration} is of {robot.name}, whose URDF is not that of --robot {name}: calibrate that robot"
+            )
+    return robot
+
+
+def held_positions(robot: Robot, settings: Settings) -> dict[str, float]:
+    """The user's ``held.JOINT`` settings."""
+    held = {name: _number(f"held.{name}", value) for name, value in settings.take_prefix("held.").items()}
+    for name in held:
+        robot.model.joint(name)
+    return held
+
+
+def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> tuple[Run, ...]:
+    """The runs of one bag, named after it."""
     joints = list(robot.drive_trains)
     recording = read_recording(
         path,
@@ -278,7 +317,7 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0)
 
 
-def _probe_file(probe: str) -> dict[str, Any]:
+def probe_file(probe: str) -> dict[str, Any]:
     path = resource("probes", probe)
     try:
         content = YAML(typ="safe", pure=True).load(path)

@@ -787,20 +787,13 @@ class Robot:
         Raises:
             RobotError: A key is unknown or a value does not fit it.
         """
-        paths = _override_paths(self.model.independent_joints)
-        settings = copy.deepcopy(dict(self.settings))
-        for key, value in overrides.items():
-            if key not in paths:
-                raise RobotError(_unknown_override(key, paths, self.model.independent_joints))
-            addition: Any = copy.deepcopy(value)
-            for part in reversed(paths[key]):
-                addition = {part: addition}
-            settings = _merged(settings, addition)
+        settings = _merged(copy.deepcopy(dict(self.settings)), nested_settings(self.model, overrides))
         settings.pop("calibration", None)
         robot = _robot(settings, self.source, self.model)
         if self.calibration is None:
             return robot
         # what the user states stands beside the calibration and replaces its number
+        paths = _override_paths(self.model.independent_joints)
         stated = {_unknown_of(paths[key]) for key in overrides}
         return robot.with_calibration(self.calibration.without(stated))
 
@@ -999,6 +992,24 @@ def _override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
         paths += [("joints", joint, "drive_train", key) for key in _DRIVE_TRAIN]
         paths += [("joints", joint, key) for key in _JOINT]
     return {".".join(path): path for path in paths}
+
+
+def nested_settings(model: RobotModel, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted settings as the robot file nests them.
+
+    Raises:
+        RobotError: A key is unknown.
+    """
+    paths = _override_paths(model.independent_joints)
+    settings: dict[str, Any] = {}
+    for key, value in overrides.items():
+        if key not in paths:
+            raise RobotError(_unknown_override(key, paths, model.independent_joints))
+        addition: Any = copy.deepcopy(value)
+        for part in reversed(paths[key]):
+            addition = {part: addition}
+        settings = _merged(settings, addition)
+    return settings
 
 
 def _unknown_override(key: str, paths: Mapping[str, tuple[str, ...]], joints: Sequence[str]) -> str:

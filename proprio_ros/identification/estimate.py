@@ -191,7 +191,7 @@ class Estimate:
                 "reduced_chi2": self.fit.reduced_chi2,
                 "condition": self.fit.condition,
             }
-        return _plain(
+        return plain(
             {
                 "probe": self.probe,
                 "robot": self.robot,
@@ -208,12 +208,12 @@ class Estimate:
         )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """JSON has no NaN, and no numpy: both become what a reader of the contract expects."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, (float, np.floating)):
         return float(value) if np.isfinite(value) else None
     if isinstance(value, np.integer):

@@ -22,7 +22,7 @@ MISFIT_SIGMAS = 3.0902
 """A fit worse than chance makes one in a thousand (so many standard deviations of a normal) contradicts the model."""
 MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
-CONTRADICTION = 3.0
+CONTRADICTION = 2.5
 """Reduced chi-square with which the other runs may foretell a run: beyond it, and beyond chance, the run contradicts them."""
 
 

@@ -9,15 +9,28 @@ the shared unknowns, which later weighings take as their prior, correlations inc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from proprio_ros.calibration import Calibration
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, robot_unknowns
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, HeldOutRun, ProbePlan
+from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
+from proprio_ros.identification.gates import Findings, contradicting, look_at_run, never_reversed, unusable
+from proprio_ros.identification.planning import advise
+from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.problem import (
+    DRIVE_TERMS,
+    KnownLoad,
+    PayloadProblem,
+    PreparedRun,
+    prepare_run,
+    robot_unknowns,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -30,6 +43,19 @@ PSEUDO_RUNS = 3.0
 """Weight of the robot file's word on run-to-run torque, in runs."""
 PSEUDO_SAMPLES = 10.0
 """Weight of the robot file's word on encoder noise and stamp jitter, in samples."""
+
+
+LEFT_OUT_AT_MOST = 0.25
+"""Part of the runs that may contradict the others before the whole calibration is refused."""
+STRANGE_TORQUE = 4.0
+"""Torque of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
+COARSE = 3.0
+"""Residuals so many times coarser than encoder and stamps explain: the model does not describe this robot."""
+UNLEARNT = 0.7
+"""Posterior over prior standard deviation above which the runs have not told an unknown."""
+INSEPARABLE = 0.95
+"""Correlation above which two unknowns are told only together."""
+SAID_AT_MOST = 6
 
 
 @dataclass(frozen=True)
@@ -56,6 +82,183 @@ class _Fitted:
     posterior: Posterior
     solution: solvers.Solution
     noise: _Noise
+
+
+def calibrate(
+    robot: Robot, runs: Sequence[LoadedRun], advice: int = 3, progress: Callable[[str], None] = lambda _: None
+) -> CalibrationEstimate:
+    """Learn the robot from runs whose load is known.
+
+    Args:
+        robot: as its file states it; its standard deviations are the priors.
+        runs: empty-hand runs, and runs with a weighed reference.
+        advice: how many further runs to suggest.
+        progress: told what is going on.
+
+    Raises:
+        ConfigurationError: the robot is calibrated already.
+        RecordingError: a run cannot be related to the robot at all.
+    """
+    if robot.calibration is not None:
+        raise ConfigurationError(
+            f"{robot.source.name} is a calibration already; start from the robot it extends, with all runs together"
+        )
+    started = time.perf_counter()
+    found = Findings()
+    usable: list[PreparedRun] = []
+    for loaded in runs:
+        prepared = prepare_run(robot, loaded.run, loaded.load)
+        problem = unusable(prepared)
+        if problem:
+            found.notes.append(f"{loaded.run.name} was left out: {problem}")
+        else:
+            usable.append(prepared)
+            odd = Findings()
+            look_at_run(robot, prepared, odd)
+            found.notes.extend([*odd.reasons, *odd.notes])  # of one run among many
+    if not usable:
+        found.reasons.insert(
+            0, "no run can be used: every probed joint must move by at least 0.1 rad inside its limits"
+        )
+        return CalibrationEstimate(
+            robot.name, Verdict.NOT_IDENTIFIABLE, tuple(found.reasons), len(runs), None, notes=tuple(found.notes)
+        )
+    progress(f"fitting {len(usable)} runs")
+    fitted, contradicting_names = _fit_what_agrees(robot, usable, progress)
+    used = list(fitted.problem.runs)
+    verdict = Verdict.ACCEPTED
+    if contradicting_names:
+        found.reasons.insert(0, _said_contradiction(contradicting_names, len(usable)))
+    if len(contradicting_names) > LEFT_OUT_AT_MOST * len(usable):
+        verdict = Verdict.REJECTED
+        found.reasons.insert(
+            0, "the runs contradict each other: was the hand empty in all of them, and is this the right robot?"
+        )
+    elif fitted.noise.residual_scale > COARSE:
+        verdict = Verdict.REJECTED
+        found.reasons.insert(
+            0,
+            f"misfit: the residuals are {fitted.noise.residual_scale:.1f} times what encoder and stamps explain: this robot file "
+            "does not describe the robot in the recordings (URDF, unit of the current, gears?)",
+        )
+    found.reasons.extend(never_reversed(used))
+    calibration = _as_calibration(fitted)
+    fits, rms, expected = run_fits(fitted.problem, fitted.values, used)
+    posterior = fitted.posterior
+    chi2 = float(posterior.residual @ posterior.residual)
+    solved = time.perf_counter()
+    suggestions: list[ProbePlan] = []
+    if advice and verdict is Verdict.ACCEPTED:
+        progress("looking for the run that would help most")
+        suggestions = advise(robot.with_calibration(calibration), calibration.joints, advice)
+    return CalibrationEstimate(
+        robot=robot.name,
+        verdict=verdict,
+        reasons=tuple(found.reasons),
+        runs=len(runs),
+        calibration=calibration,
+        fit=Fit(rms, expected, chi2 / len(posterior.residual), condition=posterior.condition),
+        run_fits=fits,
+        unknowns=_rows(fitted),
+        held_out=_held_out(fitted),
+        not_told_apart=_not_told_apart(robot, fitted, calibration),
+        advice=tuple(suggestions),
+        notes=tuple(found.notes),
+        timing_s={"solve": solved - started, "advice": time.perf_counter() - solved},
+    )
+
+
+def _fit_what_agrees(
+    robot: Robot, runs: list[PreparedRun], progress: Callable[[str], None]
+) -> tuple[_Fitted, list[str]]:
+    """Fit all runs; while one of them contradicts the rest, leave it out and fit again."""
+    left_out: list[str] = []
+    kept = list(runs)
+    fitted = fit(robot, kept)
+    while len(left_out) <= LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
+        odd = _odd_one(robot, fitted)
+        if odd is None:
+            break
+        left_out.append(kept.pop(odd).run.name)
+        progress(f"{left_out[-1]} contradicts the others; fitting without it")
+        fitted = fit(robot, kept)
+    return fitted, left_out
+
+
+def _odd_one(robot: Robot, fitted: _Fitted) -> int | None:
+    """The run that contradicts the others: foretold badly, or explained only by a torque that no other run needs."""
+    odd = contradicting(fitted.posterior)
+    if odd is not None or fitted.noise.torque_disturbance == 0.0:
+        return odd
+    found, told = _disturbances(fitted.problem, fitted.posterior, fitted.noise)
+    if len(found) < 3:
+        return None
+    largest = int(np.argmax(np.abs(found)))
+    others = np.arange(len(found)) != largest
+    usual = _disturbance_std(robot, found[others], told[others])
+    return largest if abs(found[largest]) > STRANGE_TORQUE * usual else None
+
+
+def _said_contradiction(names: Sequence[str], count: int) -> str:
+    listed = ", ".join(names)
+    return (
+        f"{listed} contradict{'s' if len(names) == 1 else ''} the other runs and {'was' if len(names) == 1 else 'were'} left out "
+        f"({len(names)} of {count}): was the hand as stated, and nothing in the way?"
+    )
+
+
+def _rows(fitted: _Fitted) -> tuple[UnknownRow, ...]:
+    stds = np.sqrt(np.diag(fitted.posterior.covariance))
+    rows = []
+    for f, row in enumerate(fitted.problem.free):
+        u = fitted.problem.unknowns[row]
+        if is_shared(u.name):
+            rows.append(
+                UnknownRow(u.name, u.unit, u.role.value, u.value, u.std, float(fitted.values[row]), float(stds[f]))
+            )
+    return tuple(rows)
+
+
+def _held_out(fitted: _Fitted) -> tuple[HeldOutRun, ...]:
+    entries = []
+    for row, run in enumerate(fitted.problem.runs):
+        held = fitted.posterior.held_out(row)
+        rms = float(np.sqrt(np.mean(held.residual**2)))
+        entries.append(HeldOutRun(run.run.name, run.run.joint, rms, held.chi2 / held.samples, held.samples))
+    return tuple(entries)
+
+
+def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> tuple[str, ...]:
+    """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
+    prior = {row.name: row for row in _rows(fitted)}
+    sentences = []
+    for name, quantity in calibration.quantities.items():
+        kind = name.split("[")[0]
+        if kind in DRIVE_TERMS and kind != "stribeck_velocity" and quantity.std > UNLEARNT * prior[name].prior_std:
+            sentences.append(
+                f"{name} was not learnt: still {quantity.value:.3g} +- {quantity.std:.2g} {prior[name].unit}"
+            )
+    correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
+    pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
+    for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
+        sentences.append(
+            f"{calibration.names[a]} and {calibration.names[b]} were only told together (correlation "
+            f"{calibration.correlation[a, b]:+.3f})"
+        )
+    if (
+        not any(run.load is not None and run.load.mass > 0.0 for run in fitted.problem.runs)
+        and robot.arm_scale.std > 0.0
+    ):
+        scale = calibration.quantities.get("arm_scale", robot.arm_scale)
+        sentences.insert(
+            0,
+            f"torque constants and the arm's weight were only told as a ratio: every mass is uncertain by {100 * scale.std:.1f} % "
+            "until a run holds a weighed reference (--reference BAG=KG)",
+        )
+    if len(sentences) > SAID_AT_MOST:
+        more = len(sentences) - SAID_AT_MOST
+        sentences = [*sentences[:SAID_AT_MOST], f"and {more} more: see the correlations"]
+    return tuple(sentences)
 
 
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: _Noise) -> PayloadProblem:
@@ -87,6 +290,7 @@ def _starts(problem: PayloadProblem) -> np.ndarray:
 
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
+    """Maximum a posteriori of all unknowns, the noise by its evidence."""
     noise = _Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance)
     problem = _problem(robot, runs, noise)
     solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=40)
@@ -133,16 +337,23 @@ def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise
             prior = PSEUDO_SAMPLES * robot.stamp_jitter_s**2
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
     disturbance = noise.torque_disturbance
-    place = {problem.unknowns[row].name: f for f, row in enumerate(problem.free)}
-    rows = [f"disturbance[{r}]" for r in range(len(problem.runs))]
-    if rows[0] in place:
-        columns = [place[name] for name in rows]
-        found = posterior.values[problem.free[columns]]
-        spread = np.diag(posterior.covariance)[columns]
-        told = len(columns) - float(spread.sum()) / disturbance**2
-        prior = PSEUDO_RUNS * robot.torque_disturbance**2
-        disturbance = float(np.sqrt((np.sum(found**2) + prior) / (max(told, 0.0) + PSEUDO_RUNS)))
+    if disturbance > 0.0:
+        disturbance = _disturbance_std(robot, *_disturbances(problem, posterior, noise))
     return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance)
+
+
+def _disturbances(problem: PayloadProblem, posterior: Posterior, noise: _Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Each run's own torque [N m], and how much of it the recording tells rather than its prior (0 to 1); shapes (R,)."""
+    place = {problem.unknowns[row].name: f for f, row in enumerate(problem.free)}
+    columns = [place[f"disturbance[{r}]"] for r in range(len(problem.runs))]
+    spread = np.diag(posterior.covariance)[columns]
+    return posterior.values[problem.free[columns]], 1.0 - spread / noise.torque_disturbance**2
+
+
+def _disturbance_std(robot: Robot, found: np.ndarray, told: np.ndarray) -> float:
+    """Standard deviation of torques from run to run, the robot file's word counting as ``PSEUDO_RUNS`` [N m]."""
+    prior = PSEUDO_RUNS * robot.torque_disturbance**2
+    return float(np.sqrt((np.sum(found**2) + prior) / (max(float(told.sum()), 0.0) + PSEUDO_RUNS)))
 
 
 def is_shared(name: str) -> bool:
@@ -150,7 +361,7 @@ def is_shared(name: str) -> bool:
     return not name.startswith(("q0[", "v0[", "onset[", "disturbance["))
 
 
-def as_calibration(fitted: _Fitted, runs: Sequence[PreparedRun]) -> Calibration:
+def _as_calibration(fitted: _Fitted) -> Calibration:
     problem = fitted.problem
     shared = [f for f, row in enumerate(problem.free) if is_shared(problem.unknowns[row].name)]
     rows = problem.free[shared]
@@ -170,6 +381,6 @@ def as_calibration(fitted: _Fitted, runs: Sequence[PreparedRun]) -> Calibration:
                 "load_kg": run.load.mass if run.load else 0.0,
                 "samples": run.used,
             }
-            for run in runs
+            for run in problem.runs
         ),
     )

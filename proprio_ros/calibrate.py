@@ -1,0 +1,173 @@
+"""From empty-hand bags to a calibration file, and from a calibration to the next run: what the command line and the nodes call."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.scalarstring import LiteralScalarString
+
+from proprio_ros import __version__
+from proprio_ros.calibration import Calibration
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.planning import plan
+from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.replay import ReplayOptions, Settings, bag_runs, held_positions, payload_facts, probe_file, robot_of
+from proprio_ros.resources import resource, resource_names
+from proprio_ros.robot import Robot, nested_settings
+
+HEAVIEST_REFERENCE_KG = 5.0
+
+
+def calibrate_from_bags(
+    paths: Sequence[str | Path],
+    references: Mapping[str | Path, float],
+    options: ReplayOptions | None = None,
+    output: str | Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> CalibrationEstimate:
+    """Calibrate a robot and write the file that ``proprio replay --calibration`` takes.
+
+    Args:
+        paths: bags with nothing in the hand.
+        references: bags with a weighed reference in the hand, and its mass [kg]; the payload settings say where it sits.
+        options: robot, settings and topics; what concerns the probe is not used.
+        output: the file; it is only written when the calibration is accepted.
+        progress: told what is going on.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+    """
+    options = options or ReplayOptions()
+    started = time.perf_counter()
+    if not paths and not references:
+        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
+    for path, mass in references.items():
+        if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
+            raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
+    settings = Settings(options.settings)
+    overrides = settings.take_prefix("robot.")
+    robot = robot_of(options.robot, None)
+    if overrides:
+        robot = robot.with_overrides(overrides)
+    held = held_positions(robot, settings)
+    facts = payload_facts(settings, probe_file("payload")["payload"])
+    settings.refuse_rest()
+    if output is not None:
+        _check_writable(Path(output))
+    loads = [*((Path(path), KnownLoad()) for path in paths)]
+    loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
+    runs = []
+    for number, (path, load) in enumerate(loads, start=1):
+        progress(f"reading {path} ({number} of {len(loads)})")
+        runs += [LoadedRun(run, load) for run in bag_runs(path, robot, options, held)]
+    read = time.perf_counter()
+    estimate = calibrate(robot, runs, progress=progress)
+    if output is not None and estimate.calibration is not None and estimate.verdict.value == "accepted":
+        write_calibration(Path(output), robot, estimate.calibration, overrides)
+    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s})
+
+
+def plan_probes(
+    masses_kg: Sequence[float],
+    options: ReplayOptions | None = None,
+    count: int = 10,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Robot, list[ProbePlan]]:
+    """The robot, and the weighings that would tell most about objects of these masses.
+
+    Raises:
+        ConfigurationError, RobotError: with one line that says what is wrong and what to do.
+    """
+    options = options or ReplayOptions()
+    settings = Settings(options.settings)
+    overrides = settings.take_prefix("robot.")
+    robot = robot_of(options.robot, options.calibration)
+    if overrides:
+        robot = robot.with_overrides(overrides)
+    facts = payload_facts(settings, probe_file("payload")["payload"])
+    settings.refuse_rest()
+    return robot, plan(robot, masses_kg, facts, count, progress=progress)
+
+
+def write_calibration(
+    path: Path, robot: Robot, calibration: Calibration, overrides: Mapping[str, Any] | None = None
+) -> None:
+    """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
+
+    Args:
+        robot: what was calibrated, overrides included.
+        overrides: dotted robot settings that were in force, so that they come back with the file.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    settings = calibration.as_settings()
+    section = CommentedMap(settings)
+    section["runs"] = [_on_one_line(run) for run in settings["runs"]]
+    section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
+    section["correlation"] = LiteralScalarString(settings["correlation"])
+    content = CommentedMap(nested_settings(robot.model, overrides or {}))
+    content.insert(0, "extends", _reference_to(robot.source, path))
+    content["calibrated"] = True
+    content["model_fingerprint"] = robot.model.fingerprint()
+    content["calibration"] = section
+    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    content.yaml_set_start_comment(
+        f"What one {robot.name} says about itself: {len(calibration.runs)} runs, {now}, proprio_ros {__version__}.\n"
+        f"Use it with: proprio replay BAG --probe payload --calibration {path.name}\n"
+    )
+    stream = io.StringIO()
+    writer = YAML()
+    writer.width = 1000
+    writer.dump(content, stream)
+    _replace(path, stream.getvalue())
+
+
+def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:
+    line = CommentedMap(entry)
+    line.fa.set_flow_style()
+    return line
+
+
+def _reference_to(source: Path, output: Path) -> str:
+    """How the file names the robot it extends: by name where the package has it, else by the way from one to the other."""
+    name = source.stem
+    if name in resource_names("robots") and resource("robots", name).resolve() == source.resolve():
+        return name
+    return os.path.relpath(source.resolve(), output.resolve().parent)
+
+
+def _check_writable(path: Path) -> None:
+    """Refuse an impossible output before the work is done."""
+    if path.suffix not in (".yaml", ".yml"):
+        raise ConfigurationError(f"--output {path}: name a .yaml file")
+    if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
+        raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=path.resolve().parent, prefix=f".{path.name}.", delete=False
+        ) as stream:
+            temporary = Path(stream.name)
+            stream.write(text)
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise ConfigurationError(f"--output {path}: cannot be written ({error.strerror})") from error

@@ -1,0 +1,376 @@
+"""Which run to make next: candidates inside the limits, simulated, and ranked by what they would tell.
+
+The interval of a run that has not been made follows from its sensitivities alone (expected Fisher information, Lehmann & Casella
+1998, sec. 2.5), under what is known about the robot: with the same prior as a weighing, so a plan made with a calibration
+promises what a weighing with it will give.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.calibration_estimate import ProbePlan
+from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
+from proprio_ros.identification.problem import (
+    KnownLoad,
+    PayloadProblem,
+    PreparedRun,
+    payload_unknowns,
+    prepare_run,
+    robot_unknowns,
+)
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts, payload_parameters
+
+RATE_HZ = 40.0
+CLEARANCE_M = 0.03
+"""Nothing may come closer to the base's plane than this; the grasped object hangs below the hand's frame."""
+LIMIT_MARGIN = 0.05
+"""rad left before a joint's limit."""
+STARTS = 6
+"""Start positions of the driven joint, over its range."""
+POSES = 4
+"""Positions of each held joint that matters, over its range."""
+PUSHES = (0.1, 0.2, 0.4)
+"""Torque beyond balance and friction, relative to the largest gravity load at that pose."""
+WIDEST = 1.5  # rad: the range searched of a joint without limits
+ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
+_PER_RUN = ("q0[", "v0[", "onset[", "disturbance[")
+SAME_KIND = 2  # plans shown of one joint and kind
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Runs of one joint from one pose, simulated with S masses (or with a known load, S = 1).
+
+    Attributes:
+        problem: of the R runs; dq: sensitivities, shape (S, R, T, F); alive: samples that would count, shape (S, R, T).
+        travel: signed [rad], shape (S, R); clearance_m: shape (R,); fits: whether a run is inside all limits, shape (S, R).
+    """
+
+    problem: PayloadProblem
+    dq: np.ndarray
+    alive: np.ndarray
+    travel: np.ndarray
+    clearance_m: np.ndarray
+    fits: np.ndarray
+
+    def posterior(self, s: int, r: int) -> tuple[list[str], np.ndarray]:
+        """Names of the unknowns that one run touches, and their covariance after it, everything else under its prior."""
+        problem = self.problem
+        names = [problem.unknowns[row].name for row in problem.free]
+        foreign = tuple(f"[{other}]" for other in range(len(problem.runs)) if other != r)
+        own = [f for f, name in enumerate(names) if not (name.startswith(_PER_RUN) and name.endswith(foreign))]
+        alive = self.alive[s, r]
+        rows = self.dq[s, r][alive][:, own] * problem.weight[r][: len(alive)][alive][:, None]
+        normal = rows.T @ rows + problem.coordinates.prior_precision[np.ix_(own, own)]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        inverse = np.linalg.pinv(normal * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
+        return [names[f] for f in own], inverse * scale[:, None] * scale[None, :]
+
+
+def plan(
+    robot: Robot,
+    masses_kg: Sequence[float],
+    facts: PayloadFacts | None = None,
+    count: int = 10,
+    duration_s: float = 0.6,
+    joints: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[ProbePlan]:
+    """Rank weighings by the widest interval they would give over the masses.
+
+    Args:
+        robot: with its calibration where there is one.
+        masses_kg: what the hand may hold; a run must suit all of them.
+        facts: place and shape of the object.
+        count: at most so many plans.
+        duration_s: of every run.
+        joints: to drive; default all that carry the hand against gravity.
+        progress: told what is being looked at.
+
+    Raises:
+        ConfigurationError: a mass is not positive, or no candidate suits all of them.
+    """
+    if not masses_kg or min(masses_kg) <= 0.0:
+        raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
+    masses = np.array(sorted(masses_kg))
+    facts = facts or PayloadFacts()
+    found: list[ProbePlan] = []
+    for joint in joints or candidate_joints(robot):
+        progress(f"simulating candidate runs of {joint}")
+        for pose in _poses(robot, joint, STARTS, POSES):
+            candidates = _candidates(robot, joint, pose, masses, facts, None, duration_s)
+            if candidates is None:
+                continue
+            for r in np.flatnonzero(candidates.fits.all(axis=0)):
+                stds = [_std_of_mass(*candidates.posterior(s, int(r))) for s in range(len(masses))]
+                found.append(_as_plan(candidates, int(r), stds, _words_for_masses(masses, stds)))
+    if not found:
+        raise ConfigurationError(
+            f"no run of {duration_s} s suits all masses from {1e3 * masses[0]:.0f} to {1e3 * masses[-1]:.0f} g inside the robot's "
+            "limits: narrow the range, plan for light and heavy objects apart, or allow more time"
+        )
+    found.sort(key=lambda p: max(p.std_kg))
+    return _varied(found, count)
+
+
+def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: float = 0.6) -> list[ProbePlan]:
+    """Empty-hand runs that would teach most about the drive trains of these joints, given the robot's calibration.
+
+    Ranked by how much each shrinks the joint uncertainty of torque constants, friction and armatures (D-optimality).
+    """
+    if robot.calibration is None:
+        raise ConfigurationError("advice on further runs needs a calibration")
+    wanted = [f"{term}[{joint}]" for joint in joints for term in ADVISED_TERMS]
+    before = robot.calibration
+    place = [before.names.index(name) for name in wanted if name in before.names]
+    wanted = [before.names[row] for row in place]
+    old = before.covariance[np.ix_(place, place)]
+    found: list[tuple[float, ProbePlan]] = []
+    for joint in joints:
+        if robot.model.joint(joint).kind == "prismatic":
+            continue
+        for pose in _poses(robot, joint, 4, 2):
+            candidates = _candidates(robot, joint, pose, np.zeros(1), PayloadFacts(), KnownLoad(), duration_s)
+            if candidates is None:
+                continue
+            for r in np.flatnonzero(candidates.fits[0]):
+                names, covariance = candidates.posterior(0, int(r))
+                # of other joints' drive trains this run tells only what is correlated with its own
+                shared = [name for name in wanted if name in names]
+                now = [names.index(name) for name in shared]
+                then = [wanted.index(name) for name in shared]
+                gain = 0.5 * (_log_volume(old[np.ix_(then, then)]) - _log_volume(covariance[np.ix_(now, now)]))
+                ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
+                best = int(np.argmin(ratio))
+                words = f"would shrink the uncertainty of {shared[best]} to {100 * ratio[best]:.0f} %"
+                found.append((gain, _as_plan(candidates, int(r), [], words)))
+    found.sort(key=lambda entry: -entry[0])
+    return _varied([entry for _, entry in found], count)
+
+
+def _log_volume(covariance: np.ndarray) -> float:
+    return float(np.linalg.slogdet(covariance)[1])
+
+
+def _std_of_mass(names: Sequence[str], covariance: np.ndarray) -> float:
+    row = names.index("payload_mass")
+    return float(np.sqrt(max(covariance[row, row], 0.0)))
+
+
+def _words_for_masses(masses: np.ndarray, stds: Sequence[float]) -> str:
+    widest = int(np.argmax(stds))
+    return f"widest 95 % interval +-{1.96e3 * stds[widest]:.1f} g, at {1e3 * masses[widest]:.0f} g"
+
+
+def _varied(plans: Sequence[ProbePlan], count: int) -> list[ProbePlan]:
+    """The best, but not ten times the same: a weighing gains from both directions and from other joints."""
+    shown: dict[tuple[str, str], int] = {}
+    kept = []
+    for entry in plans:
+        key = (entry.joint, entry.kind)
+        shown[key] = shown.get(key, 0) + 1
+        if shown[key] <= SAME_KIND:
+            kept.append(entry)
+    return kept[:count]
+
+
+def candidate_joints(robot: Robot) -> list[str]:
+    """Driven joints that carry the hand against gravity somewhere."""
+    found = []
+    for name in robot.drive_trains:
+        if robot.model.joint(name).kind == "prismatic":
+            continue
+        loads = []
+        for pose in _poses(robot, name, 2, 2):
+            run = _synthetic(name, pose, 0.0, 0.1)
+            coefficients = prepare_run(robot, run, KnownLoad()).coefficients
+            loads.append(np.abs(coefficients.payload[1:3]).max())
+        if max(loads, default=0.0) > 1e-3:
+            found.append(name)
+    return found
+
+
+def _range(robot: Robot, joint: str, count: int) -> np.ndarray:
+    limits = robot.model.joint(joint)
+    lower, upper = max(limits.lower, -WIDEST), min(limits.upper, WIDEST)
+    margin = min(2.0 * LIMIT_MARGIN, 0.1 * (upper - lower))
+    return np.linspace(lower + margin, upper - margin, count)
+
+
+def _poses(robot: Robot, joint: str, starts: int, held: int) -> list[dict[str, float]]:
+    """Start poses on a grid over the joints that matter to the driven one, high enough above the base's plane."""
+    model = robot.model
+    rest = {
+        name: float(np.clip(0.0, model.joint(name).lower, model.joint(name).upper)) for name in model.independent_joints
+    }
+    matters = prepare_run(robot, _synthetic(joint, _bent(robot, rest), 0.0, 0.1), KnownLoad()).coefficients.pose
+    others = [name for name in matters if name in robot.drive_trains]
+    grids = [_range(robot, joint, starts), *(_range(robot, name, held) for name in others)]
+    poses = []
+    for values in itertools.product(*grids):
+        pose = rest | dict(zip([joint, *others], [round(float(v), 2) for v in values], strict=True))
+        if clearance(robot, pose) >= CLEARANCE_M:
+            poses.append(pose)
+    return poses
+
+
+def _bent(robot: Robot, rest: Mapping[str, float]) -> dict[str, float]:
+    """A pose in which no lever happens to vanish."""
+    return {
+        name: float(np.clip(0.3 + 0.1 * n, robot.model.joint(name).lower, robot.model.joint(name).upper))
+        for n, name in enumerate(rest)
+    }
+
+
+def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
+    """Height above the base's plane, against gravity, of the lowest link that can be lowered, or of the hand [m]."""
+    return min((_height(robot, frame, pose) for frame in _lowerable(robot)), default=np.inf)
+
+
+def _height(robot: Robot, frame: str, pose: Mapping[str, float]) -> float:
+    up = -robot.gravity / np.linalg.norm(robot.gravity)
+    return float(up @ robot.model.frame_transform(frame, pose)[:3, 3])
+
+
+def _lowerable(robot: Robot) -> list[str]:
+    """Links whose height depends on the pose: the first of most arms stands where it stands."""
+    rest = dict.fromkeys(robot.model.independent_joints, 0.0)
+    bent = _bent(robot, rest)
+    frames = dict.fromkeys([*(joint.child for joint in robot.model.joints if joint.independent), robot.payload_frame])
+    return [frame for frame in frames if abs(_height(robot, frame, bent) - _height(robot, frame, rest)) > 1e-6]
+
+
+def _synthetic(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:
+    """A run as it would be recorded, standing still."""
+    times_s = np.arange(1, round(duration_s * RATE_HZ) + 1) / RATE_HZ
+    before_s = -np.arange(10, 0, -1) / RATE_HZ
+    held = {name: position for name, position in pose.items() if name != joint}
+    return Run(
+        name=f"{joint} {1e3 * current_A:+.0f} mA",
+        joint=joint,
+        onset_ns=0,
+        times_s=times_s,
+        position=np.full(len(times_s), pose[joint]),
+        before_times_s=before_s,
+        before_position=np.full(len(before_s), pose[joint]),
+        held=held,
+        held_span=dict.fromkeys(held, 0.0),
+        input_times_s=np.zeros(1),
+        input_current_A=np.array([current_A]),
+        duration_s=duration_s,
+        source="plan",
+    )
+
+
+def _currents(robot: Robot, run: PreparedRun, masses: np.ndarray, facts: PayloadFacts) -> list[float]:
+    """Currents that move the joint one way or the other, by a little and by more, whatever of the masses it carries."""
+    drive = run.drive
+    c = run.coefficients
+    per_mass = _per_mass(facts)
+    loads = [c.arm + mass * (c.payload @ per_mass) for mass in masses]
+    q = run.rest.value
+    balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
+    # a robot that was not calibrated may rub by as much as its file leaves open
+    dry = drive.coulomb.value + 0.5 * drive.coulomb.std
+    largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
+    kt, part = drive.torque_constant.value, drive.load_friction.value
+    limit = robot.motors[run.run.joint].current_limit_A
+    chosen = []
+    for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
+        for push in PUSHES:
+            torque = edge + sign * (dry + part * abs(edge) + push * largest)
+            current = round(torque / kt, 3)
+            if abs(current) <= limit and current != 0.0:
+                chosen.append(current)
+    return list(dict.fromkeys(chosen))
+
+
+def _per_mass(facts: PayloadFacts) -> np.ndarray:
+    return payload_parameters(np.array(1.0), facts.com, facts.shape.second_moment_per_mass)
+
+
+def _candidates(
+    robot: Robot,
+    joint: str,
+    pose: Mapping[str, float],
+    masses: np.ndarray,
+    facts: PayloadFacts,
+    load: KnownLoad | None,
+    duration_s: float,
+) -> _Candidates | None:
+    """Simulate the runs of one joint from one pose, each with every mass, or with a known load."""
+    still = prepare_run(robot, _synthetic(joint, pose, 0.01, duration_s), load, facts)
+    runs = [_synthetic(joint, pose, current, duration_s) for current in _currents(robot, still, masses, facts)]
+    if not runs:
+        return None
+    prepared = [replace(still, run=run) for run in runs]
+    if load is None:
+        unknowns = payload_unknowns(robot, prepared, facts, Role.FREE, float(masses[0]))
+    else:
+        unknowns = robot_unknowns(robot, prepared, Role.FREE)
+    problem = PayloadProblem(robot, prepared, facts, unknowns)
+    values = np.tile(problem.base, (len(masses), 1))
+    if load is None:
+        values[:, problem.index["payload_mass"]] = masses
+    # friction that the file leaves open is half as large as it may be: none at all would make every plan too bold
+    coulomb = unknowns[problem.index[f"coulomb[{joint}]"]]
+    values[:, problem.index[coulomb.name]] += 0.5 * coulomb.std * (coulomb.value < coulomb.std)
+    with np.errstate(over="ignore", invalid="ignore"):
+        q, v, dq = problem.simulate(values, problem.free)
+    drive, limits = robot.drive_trains[joint], robot.model.joint(joint)
+    start = pose[joint]
+    alive = np.cumprod(np.isfinite(q) & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
+    away = np.where(alive, q, start) - start
+    travel = np.take_along_axis(away, np.abs(away).argmax(axis=2)[..., None], axis=2)[..., 0]
+    ends = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
+    low, high = ends.min(axis=2), ends.max(axis=2)
+    clear = np.array(
+        [
+            min(clearance(robot, {**pose, joint: float(end)}) for end in (low[:, r].min(), high[:, r].max(), start))
+            for r in range(len(runs))
+        ]
+    )
+    fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
+    fits &= (np.abs(travel) >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
+    return _Candidates(problem, dq, alive, travel, clear, fits)
+
+
+def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ProbePlan:
+    prepared = candidates.problem.runs[r]
+    run, travel = prepared.run, candidates.travel[:, r]
+    pose = {**run.held, run.joint: float(run.position[0])}
+    pose = {**run.held, run.joint: float(run.position[0])}
+    current = float(run.input_current_A[0])
+    kind = _kind(prepared, current, float(travel[0]))
+    moves = f"moves {np.abs(travel).min():.2f} rad"
+    if len(travel) > 1:
+        moves = f"moves {np.abs(travel).min():.2f} to {np.abs(travel).max():.2f} rad"
+    return ProbePlan(
+        run.joint,
+        {name: pose[name] for name in candidates.problem.robot.model.independent_joints},
+        current,
+        run.duration_s,
+        kind,
+        (float(travel.min()), float(travel.max())),
+        float(candidates.clearance_m[r]),
+        tuple(float(s) for s in stds),
+        f"{moves}; {words}",
+    )
+
+
+def _kind(prepared: PreparedRun, current: float, travel: float) -> str:
+    """Who pulls: motor against gravity, gravity against the motor, or both together."""
+    if np.sign(current) != np.sign(travel):
+        return "lower"
+    arm, q = prepared.coefficients.arm, prepared.rest.value
+    gravity = -(arm[1] * np.cos(q) + arm[2] * np.sin(q) + arm[3])
+    return "driven" if np.sign(gravity) == np.sign(travel) else "lift"
