@@ -56,7 +56,7 @@ def test_text_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
         ([BAG, "--set", "payload.colour=red"], "unknown; valid keys"),
         ([BAG, "--state-topic", "/joints"], "/joint_states"),
         ([BAG, "--command-topic", "/joints"], "/current_command"),
-        ([BAG, "--calibration", "robot.yaml"], "not available in version"),
+        ([BAG, "--calibration", "robot.yaml"], "there is no robot file robot.yaml"),
         ([BAG, "--report", "/nowhere/page.html"], "exists and is writable"),
     ],
 )

@@ -82,7 +82,7 @@ def run_fits(
     problem: PayloadProblem, values: np.ndarray, runs: Sequence[PreparedRun]
 ) -> tuple[tuple[RunFit, ...], float, float]:
     """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
-    q, _, _ = problem.simulate(values[None], problem.free)
+    q, _, _ = problem.simulate(values[None], problem.free[:3])
     fits, squares, expected, samples = [], 0.0, 0.0, 0
     for row, prepared in enumerate(runs):
         run, used = prepared.run, prepared.used

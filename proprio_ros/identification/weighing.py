@@ -136,7 +136,7 @@ def weigh(
         return _no_answer(robot, len(runs), Verdict.NOT_IDENTIFIABLE, found)
     drift = _drift(robot, usable[weighing:], facts, options)
 
-    nominal = _solve(robot, usable, facts, options, Role.FROZEN)
+    nominal = _solve(robot, usable, facts, options, Role.FROZEN, rough=is_calibrated(robot, usable))
     opened = _solve(robot, usable, facts, options, Role.FREE, start=nominal)
     if not (opened if is_calibrated(robot, usable) else nominal).explains:
         again = _solve(robot, usable, facts, options, Role.FREE)
@@ -218,7 +218,9 @@ def _solve(
     role: Role,
     start: _FitResult | None = None,
     start_velocity_std: float | None = None,
+    rough: bool = False,
 ) -> _FitResult:
+    """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
     unknowns = payload_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
     if start_velocity_std is not None:
         unknowns = [replace(u, std=start_velocity_std) if u.name.startswith("v0[") else u for u in unknowns]
@@ -232,7 +234,8 @@ def _solve(
     starts = coordinates.internal(starts)
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
-        solution = solvers.levenberg_marquardt(problem, starts, windows)
+        effort = {"iterations": 10, "tolerance": 0.03} if rough else {}
+        solution = solvers.levenberg_marquardt(problem, starts, windows, **effort)
     elif options.solver == "adam":
         solution = solvers.adam(problem, starts)
     else:
@@ -535,7 +538,7 @@ def _scan(fit: _FitResult) -> Scan:
     grid = scan_masses(float(fit.values[problem.index["payload_mass"]]))
     values = np.tile(fit.values, (len(grid), 1))
     values[:, problem.index["payload_mass"]] = grid
-    q, _, _ = problem.simulate(values, problem.free)
+    q, _, _ = problem.simulate(values, problem.free[:3])
     residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         cost = np.einsum("srt,srt->s", residual, residual)

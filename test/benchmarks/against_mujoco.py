@@ -99,7 +99,7 @@ def identify(case: Case) -> Any:
         values = params.as_vector()
         seen = np.interp(prepared.times_s, np.append(0.0, state[:, 0]), np.append(values[1], state[:, 1]))
         residual = (seen - prepared.position) / prepared.sigma
-        prior = ((values - coordinates.prior_mean) * coordinates.prior_weight)[1:]
+        prior = ((values - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision)))[1:]
         return np.concatenate([residual, prior])[:, None], measured, measured
 
     residual = sysid.build_residual_fn(

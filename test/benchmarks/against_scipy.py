@@ -43,7 +43,7 @@ def identify(case: Case, method: str = "DOP853") -> Callable[[], tuple[np.ndarra
             return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
 
         rolled = solve_ivp(law, (0.0, end), (q0, v0), method, times, rtol=RTOL, atol=ATOL)
-        prior = (np.array([mass, q0, v0]) - coordinates.prior_mean) * coordinates.prior_weight
+        prior = (np.array([mass, q0, v0]) - coordinates.prior_mean) * np.sqrt(np.diag(coordinates.prior_precision))
         return np.append((rolled.y[0] - prepared.position) / prepared.sigma, prior[1:])
 
     def solve() -> tuple[np.ndarray, float]:

@@ -10,7 +10,7 @@
 #define D 3
 #endif
 
-#define PARAMETERS 11
+#define PARAMETERS 14 /* of which this law uses the first eleven */
 #define TIME_EPS 1e-9
 
 typedef struct {
@@ -62,7 +62,7 @@ static double linearised(const Law *law, double q, double v, const double *dq, c
     return a;
 }
 
-/* One run, `worlds` guesses. p (worlds, 11) and dp (worlds, 11, D) as in joint.py; q and v (worlds, samples), dq (.., D). */
+/* One run, `worlds` guesses. p (worlds, 14) and dp (worlds, 14, D) as in joint.py; q and v (worlds, samples), dq (.., D). */
 void joint_pass(int worlds, int samples, const double *sample_times, int segments, const double *input_times,
                 const double *input_current, const double *constants, const double *p_in, const double *dp_in, double *q_out,
                 double *v_out, double *dq_out)

@@ -58,8 +58,8 @@ def test_everything_is_unknown_here(problem: PayloadProblem) -> None:
     kinds = {name.split("[")[0] for name in problem.index}
     assert kinds == {
         "payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale", "arm_scale", "delay", "torque_constant",
-        "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity", "zero", "ripple_cos", "ripple_sin", "link_mass", "link_com_x", "link_com_z",
-        "link_inertia", "q0", "v0", "onset", "disturbance",
+        "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity", "zero",
+        "ripple_cos", "ripple_sin", "link_mass", "link_com_x", "link_com_z", "link_inertia", "q0", "v0", "onset", "disturbance",
     }  # fmt: skip
     assert len(problem.free) == len(problem.unknowns)
 
