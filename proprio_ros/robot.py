@@ -810,13 +810,12 @@ class Robot:
                 f"{', '.join(self.drive_trains)}: calibrate this robot"
             )
         known = calibration.quantities
-        drives = {
-            joint: replace(
-                drive,
-                **{term: known[f"{term}[{joint}]"] for term in _CALIBRATED_TERMS if f"{term}[{joint}]" in known},
-            )
-            for joint, drive in self.drive_trains.items()
-        }
+        drives = {}
+        for joint, drive in self.drive_trains.items():
+            terms: dict[str, Any] = {
+                term: known.get(f"{term}[{joint}]", getattr(drive, term)) for term in _CALIBRATED_TERMS
+            }
+            drives[joint] = replace(drive, **terms)
         return replace(
             self,
             drive_trains=drives,

@@ -20,7 +20,7 @@ ROOMS: dict[str, set[str]] = {
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
-    "identification": {"errors", "records", "robot", "calibration", "sim"},
+    "identification": {"errors", "records", "quantity", "robot", "calibration", "sim"},
     "replay": {"errors", "records", "resources", "robot", "bags", "runs", "sim", "identification"},
     "calibrate": {"errors", "resources", "robot", "calibration", "identification", "replay"},
     "report": {"errors", "resources", "calibration", "identification"},

@@ -19,8 +19,9 @@ import numpy as np
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.held_joints import Motion, held_motions, loads_of_yielding
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
+from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT, Run
-from proprio_ros.robot import DriveTrain, Quantity, ReducedModel, Robot
+from proprio_ros.robot import DriveTrain, ReducedModel, Robot
 from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
 from proprio_ros.sim.payload import (
     PayloadFacts,
@@ -412,13 +413,13 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
             lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
             shared.append(_from_quantity(f"{kind}[{name}]", unit, getattr(drive, kind), lower=lower))
     for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
-        drive = robot.drive_trains.get(name)
-        if drive is not None and drive.transmission == 1.0:
+        moved = robot.drive_trains.get(name)
+        if moved is not None and moved.transmission == 1.0:
             # a held joint's reading is rounded the same way in every sample
-            std = float(np.hypot(drive.zero.std, drive.encoder_resolution / np.sqrt(12.0)))
-            shared.append(_from_quantity(f"zero[{name}]", "rad", Quantity(drive.zero.value, std)))
+            std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
+            shared.append(_from_quantity(f"zero[{name}]", "rad", Quantity(moved.zero.value, std)))
             for kind in RIPPLE_TERMS:
-                shared.append(_from_quantity(f"{kind}[{name}]", "rad", Quantity(0.0, drive.encoder_once_per_turn)))
+                shared.append(_from_quantity(f"{kind}[{name}]", "rad", Quantity(0.0, moved.encoder_once_per_turn)))
     stds = dict(zip(LINK_TERMS, _link_stds(robot), strict=True))
     for name in dict.fromkeys(name for run in runs for name in run.coefficients.links):
         kind = name.split("[")[0]

@@ -234,8 +234,8 @@ def _solve(
     starts = coordinates.internal(starts)
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
-        effort = {"iterations": 10, "tolerance": 0.03} if rough else {}
-        solution = solvers.levenberg_marquardt(problem, starts, windows, **effort)
+        iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)
+        solution = solvers.levenberg_marquardt(problem, starts, windows, iterations=iterations, tolerance=tolerance)
     elif options.solver == "adam":
         solution = solvers.adam(problem, starts)
     else:

@@ -33,6 +33,9 @@ EFFECTS = (
     "load_friction",
     "delay",
     "link_mass",
+    "link_shape",
+    "run_torque",
+    "onset",
     "zero",
     "quantised",
     "encoder_noise",
@@ -44,7 +47,8 @@ EFFECTS = (
 )
 """What can be wrong with a robot. "quantised": 12-bit encoders and whole current counts, also of the command. "jitter": of the
 sampling instants, which the stamps tell, and of the stamps, which nobody tells. "compliance": held joints yield. "back_emf":
-the supply limits the current at speed."""
+the supply limits the current at speed. "link_shape": centres of mass and inertias. "run_torque": a torque that differs from run
+to run. "onset": so does the delay."""
 EFFECTS_DEFAULT = tuple(effect for effect in EFFECTS if effect != "stribeck")
 
 NOMINAL_TORQUE_CONSTANT = 4.1 / 2.3  # N m/A, stall
@@ -74,6 +78,10 @@ class Spread:
 
     torque_constant: tuple[float, float] = (0.05, 0.01)  # relative: common, own
     link_mass: tuple[float, float] = (0.015, 0.005)  # relative: common, own
+    link_com: float = 0.001  # m, standard deviation of each coordinate
+    link_inertia: float = 0.05  # relative, about the centre of mass
+    run_torque: float = 0.0015  # N m, standard deviation
+    onset_s: float = 0.0003  # standard deviation
     zero: float = 0.005  # rad, standard deviation
     armature: tuple[float, float] = (0.008, 0.030)  # kg m^2
     coulomb: tuple[float, float] = (0.01, 0.08)  # N m
@@ -108,6 +116,9 @@ class HiddenRobot:
         once_per_turn: Amplitude a of the reading's error a sin(q + phase) [rad].
         phase: [rad].
         link_mass_scale: Mass and inertia of each of `LINKS` relative to the URDF.
+        link_com: Centre of mass of each of `LINKS` less the URDF's [m]; link_inertia_scale: inertia about it, relative.
+        run_torque: Standard deviation of a torque on the driven joint that differs from run to run [N m].
+        onset_s: Standard deviation of the delay from run to run.
         delay_s: From the command's stamp to the torque.
         quantised: Whether positions and currents are whole counts.
         encoder_noise: Standard deviation before rounding [rad].
@@ -128,6 +139,10 @@ class HiddenRobot:
     once_per_turn: tuple[float, ...] = (0.0,) * 4
     phase: tuple[float, ...] = (0.0,) * 4
     link_mass_scale: tuple[float, ...] = (1.0,) * len(LINKS)
+    link_com: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),) * len(LINKS)
+    link_inertia_scale: tuple[float, ...] = (1.0,) * len(LINKS)
+    run_torque: float = 0.0
+    onset_s: float = 0.0
     delay_s: float = 0.0
     quantised: bool = False
     encoder_noise: float = 0.0
@@ -145,6 +160,8 @@ class HiddenRobot:
 FIELDS_OF = {
     "delay": ("delay_s",),
     "link_mass": ("link_mass_scale",),
+    "link_shape": ("link_com", "link_inertia_scale"),
+    "onset": ("onset_s",),
     "jitter": ("sampling_jitter_s", "stamp_jitter_s"),
     "once_per_turn": ("once_per_turn", "phase"),
     "stribeck": ("stribeck", "stribeck_velocity"),
@@ -190,6 +207,10 @@ def draw_robot(
         stamp_jitter_s=spread.stamp_jitter_s,
         compliance=True,
         back_emf=True,
+        run_torque=spread.run_torque,
+        onset_s=spread.onset_s,
+        link_com=tuple(tuple((spread.link_com * _gaussian(rng, 3)).tolist()) for _ in LINKS),
+        link_inertia_scale=tuple((1.0 + spread.link_inertia * _gaussian(rng, len(LINKS))).tolist()),
     )
     kept = {name for effect in effects for name in FIELDS_OF.get(effect, (effect,))}
     return HiddenRobot(**{field.name: getattr(drawn, field.name) for field in fields(drawn) if field.name in kept})
@@ -264,10 +285,12 @@ def _model(robot: HiddenRobot, driven: int, opening: float, load: Load | None, s
         spec.delete(spec.joint(f"{finger}_joint"))
         body = spec.body(f"{finger}_link")
         body.pos[1] += direction * opening
-    for name, scale in zip(LINKS, robot.link_mass_scale, strict=True):
+    shapes = zip(LINKS, robot.link_mass_scale, robot.link_com, robot.link_inertia_scale, strict=True)
+    for name, scale, shift, inertia in shapes:
         body = spec.body(name)
         body.mass *= scale
-        body.fullinertia = np.array(body.fullinertia) * scale
+        body.ipos = np.array(body.ipos) + shift
+        body.fullinertia = np.array(body.fullinertia) * scale * inertia
     if load is not None:
         body = spec.body("end_effector_link").add_body(name="load", explicitinertial=True)
         body.mass, body.ipos, body.fullinertia = load.mass, load.offset, load.inertia
@@ -298,8 +321,12 @@ def simulate(
     duration_s: float,
     load: Load | None = None,
     step_s: float = STEP_S,
+    extra_torque: float = 0.0,
 ) -> Motion:
-    """Move one joint from rest by a constant current and brake it; see `record` for the arguments."""
+    """Move one joint from rest by a constant current and brake it; see `record` for the arguments.
+
+    While it is driven, ``extra_torque`` [N m] acts on the driven joint as well.
+    """
     import mujoco
 
     driven = JOINTS.index(joint)
@@ -326,6 +353,7 @@ def simulate(
     rubs, rises = bool((coulomb + part).any()), bool(rise.any())
     reach_V = SUPPLY_V if robot.back_emf else math.inf
     driven_steps = round(duration_s / step_s)
+    data.qfrc_applied[driven] = extra_torque
     steps = driven_steps + math.ceil(BRAKED_S / step_s)
     positions, currents = np.empty((steps + 1, 4)), np.zeros(steps + 1)
     # views, looked up once: the loop is all that takes time
@@ -340,6 +368,7 @@ def simulate(
             currents[k] = current = min(max(current_A, least), most)
             ctrl[driven] = constant * current
         elif k == driven_steps:
+            data.qfrc_applied[driven] = 0.0
             model.actuator_gainprm[driven, 0], model.actuator_biasprm[driven, :3] = _servo(robot, driven)
             ctrl[driven] = qpos[driven] + data.qfrc_bias[driven] / model.actuator_gainprm[driven, 0]
         if rubs:
@@ -382,13 +411,15 @@ def record(
     """
     if robot.quantised:
         current_A = COUNT_A * round(current_A / COUNT_A)
-    motion = simulate(robot, joint, start, current_A, duration_s, load)
+    extra = robot.run_torque * float(rng.standard_normal())
+    late_s = robot.onset_s * float(rng.standard_normal())
+    motion = simulate(robot, joint, start, current_A, duration_s, load, extra_torque=extra)
     period_s = 1.0 / RATE_HZ
     first, last = -round(BEFORE_S / period_s), round((duration_s + BRAKED_S) / period_s)
     cycles_s = period_s * np.arange(first, last + 1, dtype=np.float64)
     instants_s = cycles_s + robot.sampling_jitter_s * _gaussian(rng, len(cycles_s))
     stamps_s = instants_s + robot.stamp_jitter_s * _gaussian(rng, len(cycles_s))
-    since_torque_s = instants_s - robot.delay_s
+    since_torque_s = instants_s - robot.delay_s - late_s
 
     true = np.stack([np.interp(since_torque_s, motion.times_s, column) for column in motion.position.T], axis=1)
     shafts = np.column_stack(

@@ -1,0 +1,231 @@
+"""How often do the 95 % intervals hold? Random robots and objects in MuJoCo, calibrated and weighed as a user would.
+
+Every robot makes empty-hand runs, half of them also runs with a 100 g reference; then it weighs one object of each mass. An
+interval is compared with the truth, and its width with the Cramer-Rao bound: the inverse of the expected information of the same
+runs, at the simulator's true values, under the same priors (van Trees 1968, sec. 2.4).
+
+    python test/benchmarks/coverage.py                    # 500 robots with all effects, 40 with each effect alone; about 20 min
+    python test/benchmarks/coverage.py --robots 20 --per-effect 0
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from multiprocessing import Pool
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from random_arm import (
+    EFFECTS,
+    EMPTY_PROBES,
+    GRIPPER,
+    JOINTS,
+    LINKS,
+    LOADED_PROBES,
+    SPREAD,
+    HiddenRobot,
+    Load,
+    Probe,
+    Spread,
+    ball,
+    draw_robot,
+    record,
+)
+
+from proprio_ros.errors import ProprioError
+from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, payload_unknowns, prepare_run
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.identification.weighing import weigh
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.runs import cut_runs
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+
+MASSES_KG = (0.01, 0.02, 0.05, 0.1)
+REFERENCE_KG = 0.1
+DIAMETER_M = 0.03
+ALWAYS = ("quantised", "encoder_noise")
+MATCHED = Spread(
+    torque_constant=(0.0, 0.05), link_mass=(0.02, 0.01), armature=(0.004, 0.024), once_per_turn=(0.0, 0.002)
+)
+"""Robots drawn as the robot file says that they differ; friction and delay are uniform inside what it allows."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One weighing: error and standard deviation [kg], the bound on the latter, and whether the interval holds."""
+
+    mass: float
+    joint: str
+    reference: bool
+    error: float
+    std: float
+    bound: float
+    holds: bool
+
+
+def run_of(probe: Probe, hidden: HiddenRobot, load: Load | None, rng: np.random.Generator) -> Run:
+    recording = record(hidden, probe.joint, probe.start, probe.current_A, probe.duration_s, load, rng)
+    return cut_runs(recording, joints=[*JOINTS, GRIPPER])[0]
+
+
+def facts_of(load: Load) -> PayloadFacts:
+    return PayloadFacts(
+        com=np.array(load.offset), shape=PayloadShape.from_inertia_per_mass([v / load.mass for v in load.inertia])
+    )
+
+
+def true_values(hidden: HiddenRobot, problem: PayloadProblem, mass: float) -> np.ndarray:
+    """The simulator's numbers for every unknown; what differs from run to run stays at its mean."""
+    values = problem.base.copy()
+    for row, unknown in enumerate(problem.unknowns):
+        kind, _, rest = unknown.name.partition("[")
+        owner = rest.rstrip("]")
+        if owner in JOINTS:
+            j = JOINTS.index(owner)
+            wave = hidden.once_per_turn[j]
+            truth = {
+                "ripple_cos": wave * np.sin(hidden.phase[j]),
+                "ripple_sin": wave * np.cos(hidden.phase[j]),
+            }
+            values[row] = truth[kind] if kind in truth else getattr(hidden, kind)[j]
+        elif owner in LINKS:
+            n = LINKS.index(owner)
+            shift = dict(zip(("link_com_x", "link_com_y", "link_com_z"), hidden.link_com[n], strict=True))
+            truth = {"link_mass": hidden.link_mass_scale[n] - 1.0, "link_inertia": hidden.link_inertia_scale[n] - 1.0}
+            values[row] = {**truth, **shift}[kind]
+        elif kind == "payload_mass":
+            values[row] = mass
+        elif kind == "delay":
+            values[row] = hidden.delay_s
+    return np.clip(values, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
+
+
+def cramer_rao(
+    robot: Robot, hidden: HiddenRobot, known: Sequence[PreparedRun], run: Run, load: Load, jitter_s: float
+) -> float:
+    """Smallest standard deviation that any unbiased use of these runs and priors can have [kg]."""
+    facts = facts_of(load)
+    runs = [*known, prepare_run(robot, run, None, facts)]
+    problem = PayloadProblem(robot, runs, facts, payload_unknowns(robot, runs, facts, Role.FREE, load.mass))
+    values = true_values(hidden, problem, load.mass)
+    _, v, dq = problem.simulate(values[None], problem.free)
+    reading = np.hypot(runs[0].drive.encoder_resolution / np.sqrt(12.0), hidden.encoder_noise)
+    sigma = np.hypot(reading, v[0] * jitter_s)
+    rows = (dq[0] / sigma[..., None])[problem.weight > 0.0]
+    information = rows.T @ rows + problem.coordinates.prior_precision
+    scale = 1.0 / np.sqrt(np.diag(information))
+    inverse = np.linalg.pinv(information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
+    return float(np.sqrt(inverse[0, 0]) * scale[0])
+
+
+def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], int, int]:
+    """Answers of one robot, how many weighings were refused, and how many intervals were asked for."""
+    seed, effects, spread = job
+    rng = np.random.default_rng(seed)
+    hidden = draw_robot(rng, effects, spread)
+    robot = load_robot("open_manipulator_x")
+    reference = seed % 2 == 1
+    weight = ball(REFERENCE_KG, 0.04)
+    known = [LoadedRun(run_of(probe, hidden, None, rng)) for probe in EMPTY_PROBES]
+    if reference:
+        probes = [LOADED_PROBES[1], LOADED_PROBES[2], LOADED_PROBES[5]]
+        load = KnownLoad(REFERENCE_KG, facts_of(weight))
+        known += [LoadedRun(run_of(probe, hidden, weight, rng), load) for probe in probes]
+    learnt = calibrate(robot, known, advice=0)
+    answers: list[Answer] = []
+    if learnt.calibration is None or learnt.verdict.value != "accepted":
+        return answers, len(MASSES_KG), len(MASSES_KG)
+    calibrated = robot.with_calibration(learnt.calibration)
+    used = {run["name"] for run in learnt.calibration.runs}
+    kept = [prepare_run(robot, k.run, k.load) for k in known if k.run.name in used]
+    refused = 0
+    for mass in MASSES_KG:
+        probe = LOADED_PROBES[int(rng.integers(len(LOADED_PROBES)))]
+        load = ball(mass, DIAMETER_M)
+        run = run_of(probe, hidden, load, rng)
+        try:
+            estimate = weigh(calibrated, [run], facts_of(load))
+        except ProprioError as error:
+            raise RuntimeError(f"seed {seed}, {mass} kg: {error}") from error
+        value = estimate.value("payload_mass")
+        if value.value is None:
+            refused += 1
+            continue
+        bound = cramer_rao(robot, hidden, kept, run, load, hidden.stamp_jitter_s)
+        low, high = value.ci95
+        answers.append(
+            Answer(mass, probe.joint, reference, value.value - mass, value.std, bound, bool(low <= mass <= high))
+        )
+    return answers, refused, len(MASSES_KG)
+
+
+def survey(name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread) -> list[Answer]:
+    """Weigh with many robots and print one line on all of them."""
+    with Pool(jobs) as pool:
+        results = pool.imap_unordered(one_robot, [(seed, tuple(effects), spread) for seed in seeds], chunksize=2)
+        answers, refused, asked = [], 0, 0
+        for done, (found, no, of) in enumerate(results, start=1):
+            answers += found
+            refused += no
+            asked += of
+            if sys.stderr.isatty():
+                print(f"\r{name}: {done} of {len(seeds)} robots", end="", file=sys.stderr)
+    if sys.stderr.isatty():
+        print("\r", end="", file=sys.stderr)
+    line(name, answers, refused, asked)
+    return answers
+
+
+def line(name: str, answers: Sequence[Answer], refused: int | None = None, asked: int | None = None) -> None:
+    """One row of the table."""
+    error = np.array([a.error for a in answers])
+    std = np.array([a.std for a in answers])
+    bound = np.array([a.bound for a in answers])
+    hits = float(np.mean([a.holds for a in answers]))
+    margin = 1.96 * np.sqrt(max(hits * (1.0 - hits), 1e-4) / len(answers))
+    print(
+        f"| {name} | {len(answers)}{'' if refused is None else f' of {asked}'} | {100 * hits:.1f} ± {100 * margin:.1f} % | "
+        f"{1e3 * np.sqrt(np.mean(error**2)):.2f} | {1e3 * np.median(np.abs(error)):.2f} | "
+        f"{1e3 * 1.96 * np.median(std):.2f} | {np.median(std / bound):.2f} |",
+        flush=True,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", type=int, default=500, help="with all effects")
+    parser.add_argument("--per-effect", type=int, default=40, help="with each effect alone; 0 leaves them out")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--gentle", action="store_true", help="robots that differ less than the robot file allows")
+    options = parser.parse_args()
+    spread = SPREAD if options.gentle else MATCHED
+    print(
+        "| robots | answers | interval holds | rms error, g | median error, g | median half interval, g | over bound |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    seeds = range(options.first, options.first + options.robots)
+    answers = survey("all effects", seeds, EFFECTS, options.jobs, spread)
+    for reference in (False, True):
+        said = f"with a {1e3 * REFERENCE_KG:.0f} g reference" if reference else "without a reference"
+        line(said, [a for a in answers if a.reference == reference])
+    for mass in MASSES_KG:
+        line(f"{1e3 * mass:.0f} g", [a for a in answers if a.mass == mass])
+    for joint in sorted({a.joint for a in answers}):
+        line(joint, [a for a in answers if a.joint == joint])
+    for effect in EFFECTS if options.per_effect else ():
+        if effect not in ALWAYS:
+            survey(effect, range(options.per_effect), (*ALWAYS, effect), options.jobs, spread)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""What is known after a fit: a run foretold by the others, against a fit that never saw it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.identification import solvers
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.problem import KnownLoad, PayloadProblem, prepare_run, robot_unknowns
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.replay import ReplayOptions, bag_runs
+from proprio_ros.robot import load_robot
+from proprio_ros.sim.payload import PayloadFacts
+
+
+@pytest.fixture(scope="module")
+def fitted(recordings: Path):
+    """Six empty runs of the elbow, everything open, at their best fit."""
+    robot = load_robot("open_manipulator_x")
+    prepared = []
+    for folder in sorted((recordings / "realistic_s00").glob("empty_0[0-5]_joint3")):
+        prepared += [
+            prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder / "bag_mcap", robot, ReplayOptions(), {})
+        ]
+    problem = PayloadProblem(robot, prepared, PayloadFacts(), robot_unknowns(robot, prepared, Role.FREE))
+    start = problem.coordinates.internal(problem.base[problem.free])[None]
+    solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
+    return robot, prepared, problem, problem.all_values(problem.coordinates.physical(solution.internal))[0]
+
+
+def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
+    robot, prepared, problem, values = fitted
+    posterior = Posterior(problem, values)
+    for out in (1, 4):
+        others = [run for row, run in enumerate(prepared) if row != out]
+        small = PayloadProblem(robot, others, PayloadFacts(), robot_unknowns(robot, others, Role.FREE))
+        solution = solvers.levenberg_marquardt(
+            small, small.coordinates.internal(_moved(problem, small, values, out)[small.free])[None], None
+        )
+        found = small.all_values(small.coordinates.physical(solution.internal))[0]
+        # the run's own unknowns fall back to their priors
+        foretold = problem.base.copy()
+        for name, row in small.index.items():
+            if not name.endswith("]") or not name.split("[")[1][:-1].isdigit():
+                foretold[problem.index[name]] = found[row]
+        q, _, _ = problem.simulate(foretold[None], problem.free)
+        used = prepared[out].used
+        expected = prepared[out].position - q[0, out, :used]
+        held = posterior.held_out(out)
+        # the model bends a little between the two fits
+        assert np.sqrt(np.mean((held.residual - expected) ** 2)) < 0.25 * np.sqrt(np.mean(expected**2)) + 3e-4
+        assert 0.2 * held.samples < held.chi2 < 2.5 * held.samples
+
+
+def _moved(problem: PayloadProblem, small: PayloadProblem, values: np.ndarray, out: int) -> np.ndarray:
+    """Start values of the smaller problem: the larger one's, runs renumbered."""
+    start = small.base.copy()
+    for name, row in small.index.items():
+        kind, _, rest = name.partition("[")
+        number = rest[:-1]
+        if number.isdigit():
+            larger = int(number) + (int(number) >= out)
+            start[row] = values[problem.index[f"{kind}[{larger}]"]]
+        else:
+            start[row] = values[problem.index[name]]
+    return start
+
+
+def test_a_run_with_something_in_the_hand_is_foretold_badly(fitted, recordings: Path) -> None:
+    robot, prepared, _, _ = fitted
+    folder = recordings / "realistic_s00" / "fixed_heavy_cube_23g_joint3" / "bag_mcap"
+    odd = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, robot, ReplayOptions(), {})]
+    runs = [*prepared, *odd]
+    problem = PayloadProblem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    start = problem.coordinates.internal(problem.base[problem.free])[None]
+    solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
+    values = problem.all_values(problem.coordinates.physical(solution.internal))[0]
+    posterior = Posterior(problem, values)
+    chi2 = [posterior.held_out(row).chi2 / posterior.held_out(row).samples for row in range(len(runs))]
+    assert np.argmax(chi2) == len(runs) - 1 and chi2[-1] > 3.0
+
+
+def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted) -> None:
+    robot, prepared, problem, values = fitted
+    whole = Posterior(problem, values).whole_covariance()
+    stds = np.array([u.std for u in problem.unknowns])
+    assert np.all(np.sqrt(np.diag(whole)) <= stds * (1.0 + 1e-9))
+    one = PayloadProblem(robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE))
+    single = Posterior(one, np.array([values[problem.index[name]] for name in one.index])).whole_covariance()
+    for name in ("coulomb[joint3]", "armature[joint3]", "torque_constant[joint3]"):
+        assert whole[problem.index[name], problem.index[name]] < single[one.index[name], one.index[name]]
+
+
+def test_inflation_widens_the_data_not_the_prior(fitted) -> None:
+    robot, prepared, problem, values = fitted
+    known = [replace(u, role=Role.FROZEN) if u.name.startswith("link") else u for u in problem.unknowns]
+    fewer = PayloadProblem(robot, prepared, PayloadFacts(), known)
+    narrow, wide = (Posterior(fewer, values, inflation) for inflation in (1.0, 4.0))
+    np.testing.assert_allclose(wide.residual, 0.5 * narrow.residual)
+    assert np.all(np.diag(wide.covariance) >= np.diag(narrow.covariance) * (1.0 - 1e-9))
+    assert np.all(np.diag(wide.covariance) <= 4.0 * np.diag(narrow.covariance) * (1.0 + 1e-9))
