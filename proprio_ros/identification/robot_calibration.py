@@ -51,6 +51,10 @@ STRANGE_TORQUE = 4.0
 """Torque of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
 COARSE = 3.0
 """Residuals so many times coarser than encoder and stamps explain: the model does not describe this robot."""
+UNSTEADY = 6.0
+"""Torque from run to run over what the robot file expects, beyond which the model does not describe this robot either."""
+FAR_FROM_FILE = 4.0
+"""Standard deviations of its prior by which an unknown may differ from the robot file unremarked."""
 UNLEARNT = 0.7
 """Posterior over prior standard deviation above which the runs have not told an unknown."""
 INSEPARABLE = 0.95
@@ -141,6 +145,15 @@ def calibrate(
             f"misfit: the residuals are {fitted.noise.residual_scale:.1f} times what encoder and stamps explain: this robot file "
             "does not describe the robot in the recordings (URDF, unit of the current, gears?)",
         )
+    elif fitted.noise.torque_disturbance > UNSTEADY * robot.torque_disturbance:
+        verdict = Verdict.REJECTED
+        found.reasons.insert(
+            0,
+            f"misfit: the runs only agree if {1e3 * fitted.noise.torque_disturbance:.0f} mN m come and go from run to run; the "
+            f"robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot in the recordings "
+            "(weights, unit of the current, gears?), or something pulls at it",
+        )
+    found.reasons.extend(_far_from_file(fitted))
     found.reasons.extend(never_reversed(used))
     calibration = _as_calibration(fitted)
     fits, rms, expected = run_fits(fitted.problem, fitted.values, used)
@@ -217,6 +230,16 @@ def _rows(fitted: _Fitted) -> tuple[UnknownRow, ...]:
                 UnknownRow(u.name, u.unit, u.role.value, u.value, u.std, float(fitted.values[row]), float(stds[f]))
             )
     return tuple(rows)
+
+
+def _far_from_file(fitted: _Fitted) -> list[str]:
+    """A sentence for each number that lies further from the robot file than its standard deviation allows."""
+    return [
+        f"{row.name} came out as {row.value:.4g} {row.unit}, {abs(row.value - row.prior) / row.prior_std:.1f} standard deviations "
+        f"from the robot file's {row.prior:.4g}: correct the file, or look for what else is wrong"
+        for row in _rows(fitted)
+        if abs(row.value - row.prior) > FAR_FROM_FILE * row.prior_std
+    ]
 
 
 def _held_out(fitted: _Fitted) -> tuple[HeldOutRun, ...]:

@@ -286,7 +286,7 @@ def _conclude(
     elif drift:
         verdict, withheld = Verdict.REJECTED, "the robot has changed since its calibration"
         found.reasons.insert(0, drift)
-    elif (odd := contradicting(posterior)) is not None:
+    elif len(runs) > 1 and (odd := contradicting(Posterior(opened.problem, opened.values))) is not None:
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
         found.reasons.insert(0, _contradiction_reason(robot, runs, facts, options, odd, mass))
     elif fit.reduced_chi2 > MISFIT_LIMIT or moving:

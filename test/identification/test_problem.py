@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from proprio_ros.bags import read_recording
-from proprio_ros.identification.problem import PayloadProblem, payload_unknowns, prepare_run
+from proprio_ros.calibration import Calibration
+from proprio_ros.identification.problem import KnownLoad, PayloadProblem, payload_unknowns, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
@@ -142,3 +143,74 @@ def test_a_guess_that_cannot_be_simulated_costs_everything(problem: PayloadProbl
     cost, gradient, matrix = problem.linearise(u)
     assert np.isfinite(cost[0]) and cost[1] == np.inf
     assert not gradient[1].any() and np.array_equal(matrix[1], np.eye(u.shape[1]))
+
+
+@pytest.fixture(scope="module")
+def pooled() -> PayloadProblem:
+    """The payload, a weighed reference and an empty hand in one problem, held joints that yield, under a correlated prior."""
+    root = Path(__file__).resolve().parents[2] / "bags"
+    robot = load_robot("open_manipulator_x")
+    names = [f"{term}[joint{n}]" for n in (2, 3) for term in ("torque_constant", "coulomb", "stribeck", "armature")]
+    names += ["arm_scale", "link_mass[link5]", "ripple_sin[joint3]"]
+    stds = np.array([0.03, 0.01, 0.1, 0.002] * 2 + [0.02, 0.01, 0.001])
+    factor = np.eye(len(names)) + 0.3 * np.random.default_rng(2).normal(size=(len(names), len(names)))
+    covariance = factor @ factor.T
+    covariance *= np.outer(stds, stds) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    values = np.array([1.7, 0.05, 0.2, 0.012, 1.75, 0.06, 0.15, 0.014, 1.01, 0.004, 3e-4])
+    robot = robot.with_calibration(Calibration(tuple(names), ("",) * len(names), values, covariance, 1.0, 2e-4, 1e-3))
+    loads = {
+        "fixed_heavy_cube_23g_joint3_x0": None,
+        "fixed_reference_100g_joint3_x1": KnownLoad(0.1, FACTS),
+        "empty_06_joint2": KnownLoad(),
+    }
+    runs = []
+    for name, load in loads.items():
+        bag = root / f"realistic_s00_{name}" / "bag_mcap"
+        recording = read_recording(bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains))
+        runs += [prepare_run(robot, run, load, FACTS) for run in cut_runs(recording, joints=list(robot.drive_trains))]
+    assert len(runs) == 3 and runs[1].yielding
+    return PayloadProblem(robot, runs, FACTS, payload_unknowns(robot, runs, FACTS, Role.FREE, 0.03))
+
+
+def test_jacobian_of_pooled_runs(pooled: PayloadProblem) -> None:
+    """Unknowns of one run, of one joint, of the payload and of all: each moves just the runs it belongs to."""
+    test_jacobian_against_central_differences(pooled)
+    columns = np.arange(len(pooled.unknowns))
+    _, _, exact = pooled.simulate(points(pooled, 1), columns)
+    moves = np.abs(exact[0]).max(axis=1) > 0.0  # run by unknown
+    at = pooled.index
+    assert moves[:, at["payload_mass"]].tolist() == [True, False, False]
+    assert moves[:, at["disturbance[1]"]].tolist() == [False, True, False]
+    assert moves[:, at["coulomb[joint2]"]].tolist() == [False, False, True]
+    assert moves[:, at["arm_scale"]].all() and moves[:, at["delay"]].all() and moves[:, at["link_mass[link5]"]].all()
+
+
+def test_gradient_under_a_correlated_prior(pooled: PayloadProblem) -> None:
+    test_gradient_and_matrix_belong_to_the_cost(pooled)
+
+
+def test_tangents_by_the_simulators_parameters_equal_those_by_the_unknowns(pooled: PayloadProblem) -> None:
+    """Few unknowns are differentiated directly, many by way of the simulator's parameters: one number, two ways."""
+    values = points(pooled, 3)
+    everything = np.arange(len(pooled.unknowns))
+    _, _, whole = pooled.simulate(values, everything)
+    for columns in np.array_split(everything, len(everything) // 7):
+        _, _, few = pooled.simulate(values, columns)
+        seen = pooled.weight > 0.0
+        scale = np.abs(whole[:, seen][..., columns]).max(axis=(0, 1)) + 1e-12
+        np.testing.assert_allclose(few[:, seen] / scale, whole[:, seen][..., columns] / scale, atol=1e-10)
+
+
+def test_a_known_load_is_the_payload_at_that_mass(pooled: PayloadProblem) -> None:
+    values = points(pooled, 1)
+    values[:, pooled.index["payload_mass"]] = 0.1
+    for name, axis in zip(("payload_com_x", "payload_com_y", "payload_com_z"), FACTS.com, strict=True):
+        values[:, pooled.index[name]] = axis
+    values[:, pooled.index["shape_scale"]] = 1.0
+    unknown = [replace(run, load=None) if row == 1 else run for row, run in enumerate(pooled.runs)]
+    same = PayloadProblem(pooled.robot, unknown, FACTS, pooled.unknowns)
+    np.testing.assert_allclose(
+        same.simulate(values, pooled.free[:1])[0][0, 1, : pooled.runs[1].used],
+        pooled.simulate(values, pooled.free[:1])[0][0, 1, : pooled.runs[1].used],
+        atol=1e-12,
+    )

@@ -1,0 +1,289 @@
+"""The robot weighs itself: against the truth of a simulator that shares nothing with this package."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.weighing import weigh
+from proprio_ros.replay import ReplayOptions, Settings, bag_runs, payload_facts, probe_file
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts
+
+REFERENCES = ("fixed_reference_100g_joint3_x1", "fixed_reference_100g_joint2_x2", "fixed_reference_100g_joint2_x3")
+LEVELS = ("realistic_s00", "realistic_s01", "hard_s00")
+
+
+def truth_of(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "truth.json").read_text())
+
+
+def facts_of(folder: Path) -> PayloadFacts:
+    """What a fit may be told of the object: its place and shape."""
+    payload = truth_of(folder)["payload"]
+    told = {
+        "payload.com": payload["offset"],
+        "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]],
+    }
+    return payload_facts(Settings(told), probe_file("payload")["payload"])
+
+
+def runs_of(folder: Path, robot: Robot) -> tuple:
+    return bag_runs(sorted(folder.glob("bag_*"))[0], robot, ReplayOptions(), {})
+
+
+def empty_runs(level: Path, robot: Robot, pattern: str = "empty_*") -> list[LoadedRun]:
+    return [LoadedRun(run) for folder in sorted(level.glob(pattern)) for run in runs_of(folder, robot)]
+
+
+def reference_runs(level: Path, robot: Robot) -> list[LoadedRun]:
+    return [
+        LoadedRun(run, KnownLoad(0.1, facts_of(level / name)))
+        for name in REFERENCES
+        for run in runs_of(level / name, robot)
+    ]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("open_manipulator_x")
+
+
+@pytest.fixture(scope="module")
+def learnt(recordings: Path, robot: Robot) -> dict[tuple[str, bool], CalibrationEstimate]:
+    """Each folder calibrated on its own empty runs, without and with the reference."""
+    found = {}
+    for level in LEVELS:
+        known = empty_runs(recordings / level, robot)
+        found[level, False] = calibrate(robot, known, advice=0)
+        found[level, True] = calibrate(robot, known + reference_runs(recordings / level, robot), advice=0)
+    return found
+
+
+def weighings(level: Path, robot: Robot, estimate: CalibrationEstimate) -> list[tuple[float, Estimate]]:
+    """Objects of 10 to 50 g weighed with a calibration, each with its true mass."""
+    assert estimate.calibration is not None
+    calibrated = robot.with_calibration(estimate.calibration)
+    found = []
+    for folder in sorted(level.glob("fixed_*")):
+        mass = truth_of(folder)["payload"]["mass"]
+        if 0.0099 <= mass <= 0.0501:
+            found.append((mass, weigh(calibrated, runs_of(folder, robot), facts_of(folder))))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("level", "reference", "rms_g", "holds"),
+    [
+        ("realistic_s00", False, 1.0, 0.9),
+        ("realistic_s01", False, 1.0, 0.9),
+        ("realistic_s00", True, 0.9, 0.9),  # 0.62 g where the joint lifts; see the note in the README
+        ("realistic_s01", True, 0.5, 0.9),
+        ("hard_s00", False, 4.0, 0.85),
+        ("hard_s00", True, 2.0, 0.85),
+    ],
+)
+def test_masses_after_a_calibration(
+    recordings: Path,
+    robot: Robot,
+    learnt: dict[tuple[str, bool], CalibrationEstimate],
+    level: str,
+    reference: bool,
+    rms_g: float,
+    holds: float,
+) -> None:
+    errors, hits = [], []
+    for mass, estimate in weighings(recordings / level, robot, learnt[level, reference]):
+        value = estimate.value("payload_mass")
+        if value.value is None:
+            # the only ones refused are those that friction held
+            assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "moved only" in estimate.reasons[0]
+            continue
+        assert not any("not been calibrated" in reason for reason in estimate.reasons)
+        errors.append(1e3 * (value.value - mass))
+        hits.append(value.ci95[0] <= mass <= value.ci95[1])
+    assert len(errors) >= 8
+    assert np.sqrt(np.mean(np.square(errors))) <= rms_g
+    assert np.mean(hits) >= holds
+
+
+@pytest.mark.parametrize("level", ["realistic_s00", "realistic_s01"])
+def test_the_truth_lies_inside_what_the_calibration_says(
+    recordings: Path, learnt: dict[tuple[str, bool], CalibrationEstimate], level: str
+) -> None:
+    truth = truth_of(recordings / level / "empty_00_joint3")
+    names = {"torque_constant": "kt", "coulomb": "coulomb", "viscous": "viscous", "armature": "armature"}
+    for reference in (False, True):
+        known = learnt[level, reference].calibration.quantities
+        off = []
+        for joint in ("joint2", "joint3", "joint4"):
+            for ours, theirs in names.items():
+                quantity = known[f"{ours}[{joint}]"]
+                off.append((quantity.value - truth["joints"][joint][theirs]) / quantity.std)
+        off.append((known["arm_scale"].value - truth["link_mass_scale"]) / known["arm_scale"].std)
+        assert np.abs(off).max() < 3.0 and np.sqrt(np.mean(np.square(off))) < 1.3
+        assert learnt[level, reference].calibration.residual_scale == pytest.approx(1.0, abs=0.1)
+        # the simulator's stamps are 0.3 ms off, and no file told so
+        assert learnt[level, reference].calibration.stamp_jitter_s == pytest.approx(3e-4, abs=1e-4)
+
+
+def test_noise_that_the_file_does_not_know_is_learnt(
+    recordings: Path, learnt: dict[tuple[str, bool], CalibrationEstimate], robot: Robot
+) -> None:
+    """Hard: stamps 1 ms off where the file says 0.3. Quantised: rounding alone, where the file expects noise besides."""
+    assert learnt["hard_s00", False].calibration.stamp_jitter_s == pytest.approx(1e-3, rel=0.2)
+    quiet = calibrate(robot, empty_runs(recordings / "quantised_s00", robot), advice=0).calibration
+    rounding = (2.0 * np.pi / 4096 / np.sqrt(12.0)) / np.hypot(2.0 * np.pi / 4096 / np.sqrt(12.0), 5e-4)
+    assert quiet.residual_scale == pytest.approx(rounding, rel=0.1)
+
+
+def test_a_reference_tells_torque_from_weight(learnt: dict[tuple[str, bool], CalibrationEstimate]) -> None:
+    without, with_reference = (learnt["realistic_s00", told] for told in (False, True))
+    assert any("only told as a ratio" in sentence for sentence in without.not_told_apart)
+    assert not any("only told as a ratio" in sentence for sentence in with_reference.not_told_apart)
+    stds = [e.calibration.quantities["torque_constant[joint2]"].std for e in (without, with_reference)]
+    assert stds[1] < 0.75 * stds[0]
+
+
+def test_frictionless_robots_are_found_frictionless(recordings: Path, robot: Robot) -> None:
+    known = calibrate(robot, empty_runs(recordings / "quantised_s00", robot), advice=0).calibration.quantities
+    for joint in ("joint2", "joint3", "joint4"):
+        assert known[f"coulomb[{joint}]"].value < 2.0 * known[f"coulomb[{joint}]"].std + 5e-4
+        assert known[f"armature[{joint}]"].value == pytest.approx(0.012, abs=2.0 * known[f"armature[{joint}]"].std)
+
+
+def test_the_gripper_is_calibrated_at_its_motor(recordings: Path, robot: Robot) -> None:
+    level = recordings / "realistic_s00"
+    runs = empty_runs(level, robot, "empty_0[0-5]*") + empty_runs(level, robot, "squeeze_empty_*")
+    estimate = calibrate(robot, runs, advice=0)
+    truth = truth_of(level / "squeeze_empty_0")["joints"]["gripper_left_joint"]
+    for term in ("coulomb", "armature", "viscous"):
+        quantity = estimate.calibration.quantities[f"{term}[gripper_left_joint]"]
+        assert abs(quantity.value - truth[term]) < 2.5 * quantity.std
+    assert any("gripper_left_joint only ever moved" in reason for reason in estimate.reasons)
+
+
+@pytest.mark.parametrize("level", ["quantised_s00", "realistic_s00"])
+@pytest.mark.parametrize("intruder", ["fixed_light_cube_10g_joint3", "fixed_heavy_ball_50g_joint2_x3"])
+def test_a_run_that_was_not_empty_is_named_and_left_out(
+    recordings: Path, robot: Robot, level: str, intruder: str
+) -> None:
+    known = empty_runs(recordings / level, robot)
+    clean = calibrate(robot, known, advice=0)
+    spoilt = calibrate(
+        robot, [*known, *(LoadedRun(run) for run in runs_of(recordings / level / intruder, robot))], advice=0
+    )
+    assert spoilt.verdict is Verdict.ACCEPTED and intruder in spoilt.reasons[0]
+    assert "contradicts the other runs and was left out" in spoilt.reasons[0]
+    assert len(spoilt.run_fits) == len(clean.run_fits)
+    np.testing.assert_allclose(spoilt.calibration.values, clean.calibration.values, rtol=1e-3, atol=1e-5)
+
+
+def test_a_hand_that_was_never_empty_is_refused(recordings: Path, robot: Robot) -> None:
+    """Half the runs with 50 g, told to be empty."""
+    level = recordings / "quantised_s00"
+    loaded = [
+        LoadedRun(run)
+        for name in ("fixed_heavy_ball_50g_joint3", "fixed_heavy_ball_50g_joint3_x0", "fixed_heavy_ball_50g_joint3_x1")
+        for run in runs_of(level / name, robot)
+    ]
+    estimate = calibrate(robot, empty_runs(level, robot, "empty_0[0-2]*") + loaded, advice=0)
+    assert estimate.verdict is Verdict.REJECTED or len(estimate.run_fits) < 6
+
+
+def test_what_was_not_probed_is_not_told(recordings: Path, robot: Robot) -> None:
+    """Lifting only: friction and torque are one number."""
+    lifts = empty_runs(recordings / "realistic_s00", robot, "empty_0[0-2]*")
+    estimate = calibrate(robot, lifts, advice=0)
+    assert any("joint3 only ever moved in the negative direction" in reason for reason in estimate.reasons)
+    assert any("load_friction[joint3] was not learnt" in sentence for sentence in estimate.not_told_apart)
+    both = calibrate(robot, empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*"), advice=0)
+    assert not any("only ever moved" in reason for reason in both.reasons)
+    stds = [e.calibration.quantities["coulomb[joint3]"].std for e in (estimate, both)]
+    assert stds[1] < 0.5 * stds[0]
+
+
+def test_stuck_runs_only(recordings: Path, robot: Robot) -> None:
+    stuck = [
+        LoadedRun(run)
+        for folder in (recordings / "friction_s00" / "fixed_random_a_joint3",)
+        for run in runs_of(folder, robot)
+    ]
+    estimate = calibrate(robot, stuck)
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.calibration is None
+    assert "no run can be used" in estimate.reasons[0] and "moved only" in estimate.notes[0]
+
+
+def test_another_robot_is_refused(recordings: Path, robot: Robot) -> None:
+    """Recordings of one arm, described by a file with arms of three times the weight."""
+    heavy = robot.with_overrides({"arm_scale": {"value": 3.0, "std": 0.02}})
+    estimate = calibrate(heavy, empty_runs(recordings / "quantised_s00", robot), advice=0)
+    assert estimate.verdict is Verdict.REJECTED and estimate.reasons
+
+
+def test_a_calibration_is_not_calibrated_again(
+    learnt: dict[tuple[str, bool], CalibrationEstimate], recordings: Path, robot: Robot
+) -> None:
+    calibrated = robot.with_calibration(learnt["realistic_s00", False].calibration)
+    with pytest.raises(ConfigurationError, match="is a calibration already"):
+        calibrate(calibrated, empty_runs(recordings / "realistic_s00", robot, "empty_00*"))
+
+
+def test_the_posterior_does_not_depend_on_the_order_of_the_runs(recordings: Path, robot: Robot) -> None:
+    known = empty_runs(recordings / "realistic_s01", robot, "empty_0[0-5]*")
+    one, other = (calibrate(robot, runs, advice=0).calibration for runs in (known, known[::-1]))
+    for name, quantity in one.quantities.items():
+        assert other.quantities[name].value == pytest.approx(quantity.value, abs=0.02 * quantity.std)
+        assert other.quantities[name].std == pytest.approx(quantity.std, rel=0.02)
+
+
+def test_pooled_runs_with_a_calibration(
+    recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
+) -> None:
+    """Lift and lower, elbow and shoulder: one mass, told better than by any of them."""
+    calibrated = robot.with_calibration(learnt["realistic_s00", True].calibration)
+    level = recordings / "realistic_s00"
+    folders = [level / f"fixed_heavy_cube_23g_{probe}" for probe in ("joint3", "joint3_x0", "joint3_x1", "joint2_x3")]
+    facts = facts_of(folders[0])
+    alone = [weigh(calibrated, runs_of(folder, robot), facts).value("payload_mass").std for folder in folders]
+    pooled = weigh(calibrated, [run for folder in folders for run in runs_of(folder, robot)], facts)
+    value = pooled.value("payload_mass")
+    assert pooled.verdict is Verdict.ACCEPTED and len(pooled.run_fits) == 4
+    assert value.std < min(alone) and value.ci95[0] <= 0.023 <= value.ci95[1]
+    other = runs_of(level / "fixed_light_cube_10g_joint3", robot)
+    mixed = weigh(calibrated, [*(run for folder in folders for run in runs_of(folder, robot)), *other], facts)
+    assert mixed.verdict is Verdict.REJECTED
+    assert "fixed_light_cube_10g_joint3" in mixed.reasons[0] and "contradicts the other runs" in mixed.reasons[0]
+
+
+def test_an_empty_hand_weighs_nothing(
+    recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
+) -> None:
+    """Runs that were left out of the calibration, weighed with it."""
+    known = empty_runs(recordings / "realistic_s00", robot)
+    for out in (0, 4, 7):
+        kept = [run for row, run in enumerate(known) if row != out]
+        calibrated = robot.with_calibration(calibrate(robot, kept, advice=0).calibration)
+        value = weigh(calibrated, [known[out].run]).value("payload_mass")
+        assert value.ci95[0] == 0.0 and value.value < 2.0 * value.std < 6e-3
+
+
+def test_a_wider_prior_never_narrows(recordings: Path, robot: Robot) -> None:
+    known = empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*")
+    unsure = replace(robot, torque_disturbance=3.0 * robot.torque_disturbance)
+    stds = []
+    for arm in (robot, unsure):
+        calibrated = arm.with_calibration(calibrate(arm, known, advice=0).calibration)
+        folder = recordings / "realistic_s00" / "fixed_light_ball_20g_joint3"
+        stds.append(weigh(calibrated, runs_of(folder, robot), facts_of(folder)).value("payload_mass").std)
+    assert stds[1] > stds[0]
