@@ -23,6 +23,10 @@ def run() -> NoReturn:
 
     Everything is written and closed by then; unloading Warp's native libraries would only cost the user 0.15 s.
     """
+    # matrices of a hundred unknowns gain nothing from several threads, and beside other work the threads wait for each other:
+    # a calibration then takes 7 s instead of 0.6. Numpy reads this when it is first imported, which is later.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     gc.disable()  # one answer and out: collecting while the libraries are imported costs another tenth of a second
     code = main()
     for stream in (sys.stdout, sys.stderr):

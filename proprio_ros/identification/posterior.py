@@ -54,9 +54,10 @@ class Posterior:
         normal = self.sensitivity.T @ self.sensitivity + problem.coordinates.prior_precision
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal * scale[:, None] * scale[None, :]
-        inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
-        self.covariance = inverse * scale[:, None] * scale[None, :]
-        self.condition = float(np.linalg.cond(scaled))
+        values_of, vectors = np.linalg.eigh(scaled)
+        kept = np.where(values_of > 1e-14 * values_of[-1], values_of, np.inf)
+        self.covariance = (vectors / kept) @ vectors.T * scale[:, None] * scale[None, :]
+        self.condition = float(values_of[-1] / max(values_of[0], 1e-300))
 
     def whole_covariance(self) -> np.ndarray:
         """Covariance of all unknowns, shape (N, N); zero where an unknown is not free."""

@@ -507,14 +507,28 @@ class PayloadProblem:
         self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._world_runs: dict[int, np.ndarray] = {}
         self._identities: dict[int, np.ndarray] = {}
+        self._touching = [np.flatnonzero([self._touches(name, row) for name in free_names]) for row in range(len(runs))]
+
+    def _touches(self, name: str, row: int) -> bool:
+        """Whether an unknown can change anything in a run: its joints, its links, its own start, and what all share."""
+        kind, _, rest = name.partition("[")
+        owner, run = rest[:-1], self.runs[row]
+        if kind in ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale"):
+            return run.load is None
+        if not owner:
+            return True
+        if owner.isdigit():
+            return int(owner) == row
+        return owner == run.run.joint or owner in run.coefficients.pose or name in run.coefficients.links
 
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
         drive = run.drive
         motor = float(np.abs(run.run.input_current_A).max()) * drive.torque_constant.value
         friction = self._reach(f"coulomb[{run.run.joint}]") + self._reach(f"load_friction[{run.run.joint}]") * motor
+        friction *= 1.0 + self._reach(f"stribeck[{run.run.joint}]")
         # near standstill Coulomb's law turns over within friction_velocity: the step must resolve v_s J / f_c
         lightest = float(run.coefficients.arm[0]) + 0.5 * drive.armature.value
-        fine = 0.5 * self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
+        fine = 1.0 * self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
         input_times_s, input_current_A, input_load = self._inputs(run)
         return JointRun(
             run.times_s,
@@ -661,23 +675,18 @@ class PayloadProblem:
         dp[:, row, start, sin_row] = -sin
 
     def _observe(
-        self, values: np.ndarray, q: np.ndarray, dq: np.ndarray, columns: np.ndarray
+        self, row: int, values: np.ndarray, q: np.ndarray, dq: np.ndarray, columns: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the encoder shows of positions (S, R, T), and its derivative (S, R, T, F); changes its arguments."""
-        if not self._ripples:
+        """What the encoder of one run shows of positions (S, T), and its derivative (S, T, F); may change its arguments."""
+        cos_row, sin_row = self._ripple[row]
+        if cos_row < 0:
             return q, dq
-        place = {int(column): f for f, column in enumerate(columns)}
-        for row, (cos_row, sin_row) in enumerate(self._ripple):
-            if cos_row < 0:
-                continue
-            a, b = values[:, cos_row, None], values[:, sin_row, None]
-            cos, sin = np.cos(q[:, row]), np.sin(q[:, row])
-            dq[:, row] *= (1.0 - a * sin + b * cos)[..., None]
-            if cos_row in place:
-                dq[:, row, :, place[cos_row]] += cos
-            if sin_row in place:
-                dq[:, row, :, place[sin_row]] += sin
-            q[:, row] += a * cos + b * sin
+        a, b = values[:, cos_row, None], values[:, sin_row, None]
+        cos, sin = np.cos(q), np.sin(q)
+        dq = dq * (1.0 - a * sin + b * cos)[..., None]
+        for unknown, wave in ((cos_row, cos), (sin_row, sin)):
+            dq[..., columns == unknown] += wave[..., None]
+        q += a * cos + b * sin
         return q, dq
 
     def load_per_mass(self, run: PreparedRun) -> float:
@@ -723,18 +732,11 @@ class PayloadProblem:
             self._world_runs[guesses] = _read_only(np.tile(np.arange(len(self.runs), dtype=np.int32), guesses))
         return self._world_runs[guesses]
 
-    def _rollouts(
-        self, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities and tangents of worlds (W, P) with tangent directions (W, P, F)."""
-        worlds = self._worlds(len(p) // len(self.runs))
-        if dp.shape[2] <= len(PARAMETERS):
-            return self.simulator.jacobian(worlds, p, dp, counts)
-        key = len(p)
-        if key not in self._identities:
-            self._identities[key] = _read_only(np.tile(np.eye(len(PARAMETERS)), (key, 1, 1)))
-        q, v, dq = self.simulator.jacobian(worlds, p, self._identities[key], counts)
-        return q, v, dq @ dp
+    def _identity(self, worlds: int) -> np.ndarray:
+        """Tangent directions along the simulator's own parameters, shape (W, P, P)."""
+        if worlds not in self._identities:
+            self._identities[worlds] = _read_only(np.tile(np.eye(len(PARAMETERS)), (worlds, 1, 1)))
+        return self._identities[worlds]
 
     def linearise(
         self, internal: np.ndarray, counts: np.ndarray | None = None
@@ -755,23 +757,34 @@ class PayloadProblem:
         guesses, size = internal.shape
         p, dp = self._kernel_parameters(physical)
         runs = len(self.runs)
-        weight = self.weight
-        if counts is not None:
-            weight = weight * (self._columns < counts[:, None])
-        seen = weight > 0.0
+        counts = self.simulator.sample_counts if counts is None else counts
+        values = self.all_values(physical) if self._ripples else physical
+        off = physical - coordinates.prior_mean
+        pull = off @ coordinates.prior_precision
+        cost = 0.5 * np.einsum("sf,sf->s", off, pull)
+        gradient = pull.copy()
+        matrix = np.tile(coordinates.prior_precision, (guesses, 1, 1))
         with np.errstate(over="ignore", invalid="ignore"):
-            q, _, dq = self._rollouts(p, dp, counts)
-            q, dq = q.reshape(guesses, runs, -1), dq.reshape(guesses, runs, -1, size)
-            if self._ripples:
-                q, dq = self._observe(self.all_values(physical), q.copy(), dq.copy(), self.free)
-            residual = np.where(seen, (q - self.measured) * weight, 0.0).reshape(guesses, -1)
-            sensitivity = np.where(seen[None, :, :, None], dq * weight[..., None], 0.0).reshape(guesses, -1, size)
-            off = physical - coordinates.prior_mean
-            pull = off @ coordinates.prior_precision
-            cost = 0.5 * (np.einsum("sn,sn->s", residual, residual) + np.einsum("sf,sf->s", off, pull))
-            transposed = sensitivity.transpose(0, 2, 1)
-            gradient = (transposed @ residual[..., None])[..., 0] + pull
-            matrix = transposed @ sensitivity + coordinates.prior_precision
+            if size <= len(PARAMETERS):
+                q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, dp, counts)
+            else:
+                q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, self._identity(len(p)), counts)
+            q, dq = q.reshape(guesses, runs, -1), dq.reshape(guesses, runs, -1, dq.shape[-1])
+            dp = dp.reshape(guesses, runs, *dp.shape[1:])
+            # run by run: a run is touched by few of many unknowns
+            for row in range(runs):
+                columns, count = self._touching[row], int(counts[row])
+                shown, slopes = q[:, row, :count], dq[:, row, :count]
+                slopes = slopes[:, :, columns] if size <= len(PARAMETERS) else slopes @ dp[:, row][:, :, columns]
+                if self._ripples:
+                    shown, slopes = self._observe(row, values, shown.copy(), slopes, self.free[columns])
+                weight = self.weight[row, :count]
+                residual = (shown - self.measured[row, :count]) * weight
+                slopes = slopes * weight[:, None]
+                across = slopes.transpose(0, 2, 1)
+                cost += 0.5 * np.einsum("st,st->s", residual, residual)
+                gradient[:, columns] += (across @ residual[..., None])[..., 0]
+                matrix[:, columns[:, None], columns] += across @ slopes
         gradient = gradient * slope
         matrix = matrix * slope[:, :, None] * slope[:, None, :]
         massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, runs).any(axis=1)
@@ -791,10 +804,24 @@ class PayloadProblem:
             q (S, R, T), v (S, R, T), dq (S, R, T, F), copies.
         """
         p, dp = self.parameters(values, columns)
-        q, v, dq = self._rollouts(p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:]), None)
-        shape = (len(values), len(self.runs), -1)
-        q, dq = self._observe(values, q.reshape(shape).copy(), dq.reshape(*shape, len(columns)).copy(), columns)
-        return q, v.reshape(shape).copy(), dq
+        guesses, runs = len(values), len(self.runs)
+        worlds, p, dp = self._worlds(guesses), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
+        with np.errstate(over="ignore", invalid="ignore"):
+            if len(columns) <= len(PARAMETERS):
+                q, v, dq = self.simulator.jacobian(worlds, p, dp)
+                dq = dq.copy()
+            else:
+                q, v, dq = self.simulator.jacobian(worlds, p, self._identity(len(p)))
+                dq = dq @ dp
+        q, v, dq = (
+            q.reshape(guesses, runs, -1).copy(),
+            v.reshape(guesses, runs, -1).copy(),
+            dq.reshape(guesses, runs, -1, len(columns)),
+        )
+        if self._ripples:
+            for row in range(runs):
+                q[:, row], dq[:, row] = self._observe(row, values, q[:, row], dq[:, row], columns)
+        return q, v, dq
 
 
 def _inertial_parameters(load: KnownLoad) -> np.ndarray:

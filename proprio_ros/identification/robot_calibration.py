@@ -110,6 +110,8 @@ def calibrate(
     started = time.perf_counter()
     found = Findings()
     usable: list[PreparedRun] = []
+    if not runs:
+        raise ConfigurationError("no run given: a calibration needs empty-hand runs")
     for loaded in runs:
         prepared = prepare_run(robot, loaded.run, loaded.load)
         problem = unusable(prepared)
@@ -126,6 +128,11 @@ def calibrate(
         )
         return CalibrationEstimate(
             robot.name, Verdict.NOT_IDENTIFIABLE, tuple(found.reasons), len(runs), None, notes=tuple(found.notes)
+        )
+    if not any(is_shared(u.name) and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
+        raise ConfigurationError(
+            f"{robot.source.name} states every number of {', '.join(dict.fromkeys(r.run.joint for r in usable))} as exactly known, "
+            "so there is nothing to learn: give the numbers standard deviations"
         )
     progress(f"fitting {len(usable)} runs")
     fitted, contradicting_names = _fit_what_agrees(robot, usable, progress)

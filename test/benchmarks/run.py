@@ -11,10 +11,16 @@ import platform
 import sys
 import time
 
+# as the command line does, before numpy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
 import against_c
 import against_mujoco
 import against_scipy
 import against_substeps
+import calibrated
 import case as cases
 import fresh_process
 from case import REPEATS, Case, Row, measure
@@ -26,6 +32,7 @@ PARTS = {
     "scipy": against_scipy.rows,
     "substeps": against_substeps.rows,
     "c": against_c.rows,
+    "calibrated": calibrated.rows,
     "fresh": fresh_process.rows,
 }
 

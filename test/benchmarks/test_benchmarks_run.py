@@ -55,3 +55,18 @@ def test_void_without_agreement(case: Any) -> None:
     assert good.passed and "PASS" in printed(good)
     wrong = compare("x", lambda: (np.array([0.07]), 0.07), 0.0, case, repeats=1)
     assert wrong.passed is False and wrong.ratio == "void" and "FAIL" in printed(wrong)
+
+
+def test_the_coverage_of_two_robots() -> None:
+    """The bound of Cramer and Rao is what an interval can be at best: ours is near it, and errors are of its size."""
+    from coverage import EFFECTS, MATCHED, one_robot
+
+    answers = []
+    for seed in (2, 3):
+        found, refused, asked = one_robot((seed, EFFECTS, MATCHED))
+        assert len(found) + refused == asked
+        answers += found
+    assert {answer.reference for answer in answers} == {False, True} and len(answers) >= 4
+    ratio = np.array([answer.std / answer.bound for answer in answers])
+    assert np.all((ratio > 0.7) & (ratio < 1.5))
+    assert np.all([abs(answer.error) < 4.5 * answer.std for answer in answers])
