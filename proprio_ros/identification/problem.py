@@ -525,10 +525,10 @@ class PayloadProblem:
         drive = run.drive
         motor = float(np.abs(run.run.input_current_A).max()) * drive.torque_constant.value
         friction = self._reach(f"coulomb[{run.run.joint}]") + self._reach(f"load_friction[{run.run.joint}]") * motor
-        friction *= 1.0 + self._reach(f"stribeck[{run.run.joint}]")
+        friction *= 1.0 + self.unknowns[self.index[f"stribeck[{run.run.joint}]"]].value
         # near standstill Coulomb's law turns over within friction_velocity: the step must resolve v_s J / f_c
         lightest = float(run.coefficients.arm[0]) + 0.5 * drive.armature.value
-        fine = 1.0 * self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
+        fine = self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
         input_times_s, input_current_A, input_load = self._inputs(run)
         return JointRun(
             run.times_s,
@@ -554,9 +554,9 @@ class PayloadProblem:
         return union, current, run.yielding_load[np.searchsorted(begins, union, side="right") - 1]
 
     def _reach(self, name: str) -> float:
-        """How large an unknown may get during the fit: its value, and a standard deviation more where it moves."""
+        """How large an unknown may get during the fit: its value, and two standard deviations more where it moves."""
         unknown = self.unknowns[self.index[name]]
-        return unknown.value + (unknown.std if unknown.role is Role.FREE else 0.0)
+        return unknown.value + (2.0 * unknown.std if unknown.role is Role.FREE else 0.0)
 
     def parameters(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Simulator parameters of every guess and run, and their derivative by chosen unknowns.

@@ -120,12 +120,13 @@ def levenberg_marquardt(
             step = _bounded_step(u, gradient, matrix, damping, coordinates)
             trial = np.clip(u + step, coordinates.lower, coordinates.upper)
             trial_cost, trial_gradient, trial_matrix = problem.linearise(trial, counts)
-            better = trial_cost <= cost
+            better = np.isfinite(trial_cost) & (trial_cost <= cost)
             moved = trial - u
             curvature = np.einsum("si,sij,sj->s", moved, matrix, moved)
             size = np.sqrt(np.maximum(curvature, 0.0))
             promised = -np.einsum("si,si->s", gradient, moved) - 0.5 * curvature
-            gained = np.where(better, cost - np.where(better, trial_cost, 0.0), 0.0)
+            finite = better & np.isfinite(cost)  # the first guess that can be simulated gains without measure
+            gained = np.where(finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0)
             # Nielsen 1999: the damping follows how much of the promised decrease came true
             kept = np.clip(gained / np.maximum(promised, 1e-300), 0.0, 1.0)
             damping = damping * np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth)

@@ -398,6 +398,13 @@ def _centre_of_mass(fit: _FitResult, covariance: np.ndarray, rows: list[int], wi
 def _say_if_uncalibrated(
     robot: Robot, runs: Sequence[PreparedRun], budget: list[tuple[str, float]], found: Findings
 ) -> None:
+    if robot.calibration is not None:
+        joints = dict.fromkeys(run.run.joint for run in runs if run.run.joint not in robot.calibration.joints)
+        if joints:
+            found.reasons.append(
+                f"{', '.join(joints)} was not calibrated, so the interval carries what the robot file leaves open of it"
+            )
+        return
     if robot.calibrated or _known_exactly(robot, runs):
         return
     largest = [f"{source} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
@@ -407,7 +414,7 @@ def _say_if_uncalibrated(
     )
 
 
-ENCODER = "encoder"
+ENCODER, CALIBRATION = "encoder", "calibration"
 
 
 def _static_std(problem: PayloadProblem, runs: Sequence[PreparedRun]) -> float:
@@ -422,18 +429,22 @@ def _static_std(problem: PayloadProblem, runs: Sequence[PreparedRun]) -> float:
 def _budget(fit: _FitResult, covariance: np.ndarray) -> list[tuple[str, float]]:
     """Which source puts how much standard deviation on the mass [kg], largest first.
 
-    A linear estimate moves by ``C[m, k] / std_k^2`` per unit of the k-th prior's mean, which itself is off by ``std_k``; the
-    rest of the variance comes from the samples.
+    With normal matrix ``J^T J + P`` and its inverse C, the variance of the mass is ``C J^T J C + C P C``: the first part is the
+    samples', and the second falls into the priors that are independent of each other. What a calibration left correlated is one.
     """
-    row = fit.problem.index["payload_mass"]
-    budget, explained = [], 0.0
-    for column in fit.problem.free:
-        unknown = fit.problem.unknowns[column]
-        if np.isfinite(unknown.std):
-            part = abs(float(covariance[row, column])) / unknown.std
-            explained += part**2
-            budget.append((unknown.name, part))
-    budget.append((ENCODER, float(np.sqrt(max(covariance[row, row] - explained, 0.0)))))
+    problem = fit.problem
+    at = problem.index["payload_mass"]
+    calibration = problem.robot.calibration
+    correlated = set() if calibration is None else set(calibration.names)
+    row = covariance[at, problem.free]
+    pulled = problem.coordinates.prior_precision @ row
+    names = [problem.unknowns[column].name for column in problem.free]
+    parts: dict[str, float] = {}
+    for name, share in zip(names, row * pulled, strict=True):
+        source = CALIBRATION if name in correlated else name
+        parts[source] = parts.get(source, 0.0) + float(share)
+    parts[ENCODER] = float(covariance[at, at]) - sum(parts.values())
+    budget = [(source, float(np.sqrt(max(variance, 0.0)))) for source, variance in parts.items()]
     return sorted((entry for entry in budget if entry[1] > 1e-7), key=lambda entry: -entry[1])
 
 

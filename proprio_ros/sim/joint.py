@@ -51,6 +51,7 @@ PARAMETERS = (
 """Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg, 1, rad/s (kg, N, m for a
 slide)."""
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
+_HARMLESS = np.array([float(name in ("inertia", "stribeck_velocity")) for name in PARAMETERS])
 
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 14, 16, 24, 32)
@@ -623,6 +624,8 @@ class JointSimulator:
                 not copied again (nor are ``world_run`` and ``counts``).
             counts: only the first ``counts[r]`` samples of run r are computed, shape (R,); default all.
 
+        Worlds whose parameters are not all finite give NaN.
+
         Returns:
             q (W, T), v (W, T), dq (W, T, D). Columns past a run's count hold stale numbers. The arrays are views of
             buffers that the next call of the same shape overwrites.
@@ -633,7 +636,12 @@ class JointSimulator:
         launch = self._launches.get((worlds, size, stribeck))
         if launch is None:
             launch = self._launches[worlds, size, stribeck] = _Launch(self, worlds, size, stribeck)
+        lost = ~np.isfinite(p).all(axis=1)
+        if lost.any():  # a rollout of what is no number would not end
+            p = np.where(lost[:, None], _HARMLESS, p)
         q, v, dq = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
+        if lost.any():
+            q[lost] = v[lost] = np.nan
         return q, v, dq[:, :, :directions]
 
     def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -130,10 +130,10 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Payloa
         values = small.all_values(small.coordinates.physical(u[s : s + 1]))
         full = problem.coordinates.internal(values[:, problem.free])
         whole_cost, whole_gradient, _ = problem.linearise(full)
-        assert whole_cost[0] == pytest.approx(cost[s], rel=1e-6)  # the free friction takes finer steps
+        assert whole_cost[0] == pytest.approx(cost[s], rel=1e-5)  # the free friction takes finer steps
         shared = [problem.free.tolist().index(problem.index[small.unknowns[row].name]) for row in small.free]
         np.testing.assert_allclose(
-            whole_gradient[0, shared], gradient[s], rtol=1e-3, atol=1e-6 * np.abs(gradient[s]).max()
+            whole_gradient[0, shared], gradient[s], rtol=5e-3, atol=1e-6 * np.abs(gradient[s]).max()
         )
 
 

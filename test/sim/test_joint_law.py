@@ -191,3 +191,16 @@ def test_what_cannot_be_simulated_is_said() -> None:
     tiny = JointSimulator([constant_run(np.array([1.0]), step_s=1e-6, fine_step_s=1e-6)])
     with pytest.raises(SimulationError, match="too many for a tape"):
         tiny.tape(ONE, parameters())
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_a_guess_that_is_no_number_ends(name: str) -> None:
+    """A solver that went astray gets a number that it can reject, not a rollout without end."""
+    p = np.zeros((1, len(PARAMETERS)))
+    p[0, INDEX["inertia"]] = p[0, INDEX["stribeck_velocity"]] = 1.0
+    for value in (np.nan, np.inf, -np.inf):
+        p[0, INDEX[name]] = value
+        run = JointRun(np.array([0.1, 0.2]), np.array([0.0, 0.05]), np.array([1.0, 2.0]), fine_step_s=1e-3)
+        with np.errstate(invalid="ignore"):
+            q, _ = JointSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)
+        assert np.isnan(q).all()
