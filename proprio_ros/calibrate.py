@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +23,7 @@ from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.replay import ReplayOptions, Settings, bag_runs, held_positions, payload_facts, probe_file, robot_of
-from proprio_ros.resources import resource, resource_names
+from proprio_ros.resources import resource, resource_names, write_in_one_step
 from proprio_ros.robot import Robot, nested_settings
 
 HEAVIEST_REFERENCE_KG = 5.0
@@ -132,7 +131,7 @@ def write_calibration(
     writer = YAML()
     writer.width = 1000
     writer.dump(content, stream)
-    _replace(path, stream.getvalue())
+    write_in_one_step(path, stream.getvalue(), "--output")
 
 
 def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:
@@ -155,19 +154,3 @@ def _check_writable(path: Path) -> None:
         raise ConfigurationError(f"--output {path}: name a .yaml file")
     if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
         raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
-
-
-def _replace(path: Path, text: str) -> None:
-    temporary = None
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=path.resolve().parent, prefix=f".{path.name}.", delete=False
-        ) as stream:
-            temporary = Path(stream.name)
-            stream.write(text)
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        raise ConfigurationError(f"--output {path}: cannot be written ({error.strerror})") from error

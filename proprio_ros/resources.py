@@ -1,4 +1,4 @@
-"""Where the files that belong to the package lie: robots, probes, URDFs and small recordings.
+"""Where the files that belong to the package lie: robots, probes, URDFs and small recordings; and how the user's are written.
 
 The same names work from a source tree (also editable and symlinked installs), a wheel, a colcon workspace and a Debian
 package. Nothing of ROS is imported: ``get_package_share_directory`` raises where no workspace is sourced, and pip
@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -82,3 +83,29 @@ def resource(kind: str, name: str) -> Path:
         choices = ", ".join(resource_names(kind)) or "none"
         raise ConfigurationError(f"no {name!r} among the {kind}; there are: {choices}; or give a path")
     return path
+
+
+def write_in_one_step(path: Path, text: str, option: str) -> None:
+    """Write a text file that is either whole or as it was before.
+
+    Args:
+        option: the command-line option that named the file, for the message.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=path.resolve().parent, prefix=f".{path.name}.", delete=False
+        ) as stream:
+            temporary = Path(stream.name)
+            stream.write(text)
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise ConfigurationError(
+            f"{option} {path}: cannot be written ({error.strerror}); name a file in a folder that exists and is writable"
+        ) from error
