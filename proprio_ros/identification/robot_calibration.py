@@ -265,9 +265,8 @@ def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> 
     for name, quantity in calibration.quantities.items():
         kind = name.split("[")[0]
         if kind in DRIVE_TERMS and kind != "stribeck_velocity" and quantity.std > UNLEARNT * prior[name].prior_std:
-            sentences.append(
-                f"{name} was not learnt: still {quantity.value:.3g} +- {quantity.std:.2g} {prior[name].unit}"
-            )
+            unit = "" if prior[name].unit == "1" else " " + prior[name].unit
+            sentences.append(f"{name} was not learnt: still {quantity.value:.3g} +- {quantity.std:.2g}{unit}")
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
     for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):

@@ -17,7 +17,7 @@ INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d14
 
 
 @contextmanager
-def _figure(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]:
+def drawn(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]:
     """A figure outside of pyplot's global state, in the page's style."""
     import matplotlib
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ def _figure(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any
         yield figure, figure.subplots(**grid)
 
 
-def _svg(figure: Any, description: str) -> str:
+def svg(figure: Any, description: str) -> str:
     """Inline SVG with a description for those who cannot see it."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
@@ -60,7 +60,7 @@ def _svg(figure: Any, description: str) -> str:
 
 def run_figure(fit: RunFit, number: int) -> str:
     """Measured against simulated above, residuals below."""
-    with _figure(7.4, 4.4, nrows=2, sharex=True, height_ratios=[2.2, 1.0]) as (figure, (above, below)):
+    with drawn(7.4, 4.4, nrows=2, sharex=True, height_ratios=[2.2, 1.0]) as (figure, (above, below)):
         above.plot(fit.times_s, fit.simulated, color=SIMULATED, linewidth=1.6, label="simulated")
         above.plot(fit.times_s, fit.measured, "o", color=MEASURED, markersize=3.4, label="measured")
         if len(fit.left_out_times_s):
@@ -75,14 +75,14 @@ def run_figure(fit: RunFit, number: int) -> str:
         below.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=3.0, linewidth=0.8)
         below.set_ylabel("residual (mrad)")
         below.set_xlabel("time after the current came on (s); band: two standard deviations of the encoder")
-        return _svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
+        return svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
 
 
 def convergence_figure(estimate: Estimate) -> str:
     """The mass of every start over the iterations, and where the paper's schedule stops."""
     solver = estimate.solver
     assert solver is not None
-    with _figure(7.4, 3.4) as (figure, axes):
+    with drawn(7.4, 3.4) as (figure, axes):
         for path in solver.paths:
             color = ACCENT if path.agrees else MUTED
             axes.plot(1e3 * np.maximum(path.mass_kg, 1e-6), color=color, linewidth=1.3)
@@ -97,14 +97,14 @@ def convergence_figure(estimate: Estimate) -> str:
         axes.set_yscale("log")
         axes.set_xlabel("iteration")
         axes.set_ylabel("mass (g)")
-        return _svg(figure, f"Mass over iterations from {len(solver.paths)} starts")
+        return svg(figure, f"Mass over iterations from {len(solver.paths)} starts")
 
 
 def scan_figure(estimate: Estimate) -> str:
     """Misfit over mass, with the estimate and its interval."""
     scan = estimate.scan
     assert scan is not None
-    with _figure(7.4, 3.2) as (figure, axes):
+    with drawn(7.4, 3.2) as (figure, axes):
         axes.plot(1e3 * scan.mass_kg, np.maximum(scan.cost, 1e-4), color=INK, linewidth=1.5)
         value = estimate.values[0]
         if isinstance(value.value, float):
@@ -116,14 +116,14 @@ def scan_figure(estimate: Estimate) -> str:
         axes.set_yscale("log")
         axes.set_xlabel("mass (g); line: the value, band: its 95 % interval")
         axes.set_ylabel(scan.measure)
-        return _svg(figure, "Misfit of the simulation over the mass")
+        return svg(figure, "Misfit of the simulation over the mass")
 
 
 def budget_figure(estimate: Estimate) -> str:
     """Where the uncertainty of the mass comes from."""
     entries = list(estimate.budget[:8])[::-1]
-    with _figure(7.4, 0.6 + 0.3 * len(entries)) as (figure, axes):
+    with drawn(7.4, 0.6 + 0.3 * len(entries)) as (figure, axes):
         axes.barh([source for source, _ in entries], [1e3 * std for _, std in entries], color=ACCENT, height=0.62)
         axes.set_xlabel("standard deviation it puts on the mass (g)")
         axes.grid(axis="y", visible=False)
-        return _svg(figure, "Contributions to the uncertainty of the mass")
+        return svg(figure, "Contributions to the uncertainty of the mass")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -14,45 +14,9 @@ from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.report import write_report
 
-VOID = {"meta", "br", "hr", "img", "link", "input"}
+sys.path.insert(0, str(Path(__file__).parent))
 
-
-class Reader(HTMLParser):
-    """Checks that every element is closed, and keeps the visible words and the links."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.words: list[str] = []
-        self.links: list[str] = []
-        self.tags: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data", "action")]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open.pop() == tag, f"</{tag}> closes nothing"
-
-    def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
-            self.words.append(data)
-
-
-def read(path: Path) -> tuple[Reader, str]:
-    reader = Reader()
-    reader.feed(path.read_text(encoding="utf-8"))
-    reader.close()
-    assert not reader.open, f"left open: {reader.open}"
-    assert all(link.startswith("#") for link in reader.links), "the page must not need anything else"
-    return reader, " ".join(" ".join(reader.words).split())
+from pages import read
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,122 @@
+"""The plots of a calibration: drive trains, correlations, residuals, and how each run was foretold by the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from proprio_ros.calibration import Calibration
+from proprio_ros.identification.calibration_estimate import HeldOutRun
+from proprio_ros.identification.estimate import Z95, RunFit, UnknownRow
+from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, svg
+
+TERMS = {
+    "torque_constant": "torque constant (N m/A)",
+    "coulomb": "Coulomb friction (N m)",
+    "viscous": "viscous friction (N m s/rad)",
+    "load_friction": "load friction (1)",
+    "armature": "armature (kg m²)",
+    "stribeck": "rise at standstill (1)",
+}
+NOTICEABLE = 0.3
+"""Correlations below this are not worth a row of the picture."""
+MOST_CORRELATED = 30
+RUNS_A_ROW = 4
+
+
+def joints_of(unknowns: tuple[UnknownRow, ...]) -> list[str]:
+    """Joints whose drive trains are among the unknowns."""
+    prefix = "torque_constant["
+    return [row.name[len(prefix) : -1] for row in unknowns if row.name.startswith(prefix)]
+
+
+def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
+    """Every term of every joint: what the file said (pale), and what the runs say now (dark), 95 % each."""
+    rows = {row.name: row for row in unknowns}
+    joints = joints_of(unknowns)
+    with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (figure, axes):
+        for axis, (term, label) in zip(axes.ravel(), TERMS.items(), strict=True):
+            for place, joint in enumerate(joints[::-1]):
+                row = rows.get(f"{term}[{joint}]")
+                if row is None:
+                    continue
+                for value, std, height, color in (
+                    (row.prior, row.prior_std, 0.62, "#dbe2ea"),
+                    (row.value, row.std, 0.26, ACCENT),
+                ):
+                    low = value - Z95 * std if term == "torque_constant" else max(value - Z95 * std, 0.0)
+                    axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
+                axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
+            axis.set_yticks(range(len(joints)), joints[::-1])
+            axis.set_title(label, fontsize=9.5, loc="left")
+            axis.grid(axis="y", visible=False)
+            axis.locator_params(axis="x", nbins=5)
+        return svg(figure, "Drive-train terms of every joint with 95 % intervals, before and after")
+
+
+def correlation_figure(calibration: Calibration) -> str:
+    """Correlations between the unknowns that have any to speak of."""
+    strength = np.abs(calibration.correlation - np.eye(len(calibration.names))).max(axis=1)
+    chosen = [row for row in np.argsort(-strength) if strength[row] > NOTICEABLE][:MOST_CORRELATED]
+    chosen = sorted(int(row) for row in chosen) or list(range(min(len(calibration.names), 2)))
+    names = [calibration.names[row] for row in chosen]
+    size = 2.6 + 0.2 * len(names)
+    with drawn(size + 1.0, size) as (figure, axis):
+        shown = calibration.correlation[np.ix_(chosen, chosen)]
+        edges = np.arange(len(names) + 1) - 0.5
+        picture = axis.pcolormesh(edges, edges, shown, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        axis.invert_yaxis()
+        axis.set_aspect("equal")
+        axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7.5)
+        axis.set_yticks(range(len(names)), names, fontsize=7.5)
+        axis.grid(visible=False)
+        for spine in axis.spines.values():
+            spine.set_visible(False)
+        # so few steps that the bar is drawn as shapes, not embedded as an image
+        figure.colorbar(picture, ax=axis, shrink=0.7, label="correlation", boundaries=np.linspace(-1.0, 1.0, 41))
+        return svg(figure, "Correlations between the unknowns of the calibration")
+
+
+def residuals_figure(fits: tuple[RunFit, ...]) -> str:
+    """Measured less simulated of every run, on one scale."""
+    rows = -(-len(fits) // RUNS_A_ROW)
+    columns = min(len(fits), RUNS_A_ROW)
+    with drawn(9.2, 0.5 + 1.35 * rows, nrows=rows, ncols=columns, sharex=True, sharey=True, squeeze=False) as (
+        figure,
+        axes,
+    ):
+        for axis in axes.ravel()[len(fits) :]:
+            axis.set_visible(False)
+        for axis, fit in zip(axes.ravel(), fits, strict=False):
+            axis.fill_between(fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.16, linewidth=0)
+            axis.axhline(0.0, color=MUTED, linewidth=0.7)
+            axis.plot(
+                fit.times_s, 1e3 * (fit.measured - fit.simulated), "o-", color=SIMULATED, markersize=2, linewidth=0.7
+            )
+            for left_out in fit.left_out_times_s:
+                axis.axvline(left_out, color=MUTED, linewidth=0.8, linestyle=":")
+            axis.set_title(_short(fit.name, 32), fontsize=7.5, loc="left")
+        figure.supxlabel("time after the current came on (s)", fontsize=9.5)
+        figure.supylabel("residual (mrad)", fontsize=9.5)
+        return svg(figure, "Residuals of every run over time, with two standard deviations")
+
+
+def held_out_figure(held_out: tuple[HeldOutRun, ...]) -> str:
+    """How far off each run was foretold by the others, and how far off that was meant to be."""
+    names = [_short(run.name) for run in held_out][::-1]
+    with drawn(9.2, 0.9 + 0.24 * len(names), ncols=2, sharey=True) as (figure, (left, right)):
+        left.barh(names, [1e3 * run.rms for run in held_out][::-1], color=ACCENT, height=0.6)
+        left.set_xscale("log")
+        left.set_xlabel("measured less foretold, rms (mrad)")
+        right.barh(names, [run.reduced_chi2 for run in held_out][::-1], color=ACCENT, height=0.6)
+        right.axvline(1.0, color=SIMULATED, linewidth=1.0)
+        right.set_xlabel("reduced chi-square (1: as promised)")
+        for axis in (left, right):
+            axis.grid(axis="y", visible=False)
+            axis.tick_params(axis="y", labelsize=7.5)
+        return svg(figure, "How well each run is foretold by the others")
+
+
+def _short(name: str, most: int = 200) -> str:
+    """Name of a recording without the folder that every bag has; of a long one its end, which tells it from others."""
+    name = name.removesuffix("/bag_mcap").removesuffix("/bag_sqlite3")
+    return name if len(name) <= most else "…" + name[1 - most :]

@@ -1,0 +1,147 @@
+"""The HTML page of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.report import calibration_figures as figures
+from proprio_ros.report.html import document, framed, listed, provenance, table
+from proprio_ros.resources import write_in_one_step
+
+_WORDS = {
+    Verdict.ACCEPTED: "accepted",
+    Verdict.REJECTED: "rejected: the model does not explain the runs",
+    Verdict.NOT_IDENTIFIABLE: "not identifiable: the runs cannot tell",
+}
+
+
+def write_calibration_report(
+    estimate: CalibrationEstimate, path: Path, *, command: str = "", sources: Sequence[str] = ()
+) -> None:
+    """Write the page for one calibration; an older page of that name is replaced in one step.
+
+    Args:
+        estimate: what to show.
+        path: the HTML file.
+        command: the command line that gives the same result again.
+        sources: the recordings it came from.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    write_in_one_step(Path(path), _page(estimate, command, sources), "--report")
+
+
+def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -> str:
+    parts = _headline(estimate)
+    if figures.joints_of(estimate.unknowns):
+        parts.append("<h2>The drive train</h2>")
+        parts.append(
+            framed(
+                figures.drive_train_figure(estimate.unknowns),
+                "Pale: the 95 % interval of the robot file. Dark: what the runs leave of it. A dark bar as long as the pale one "
+                "was not learnt.",
+            )
+        )
+    parts += _noise(estimate)
+    if estimate.run_fits:
+        parts.append("<h2>Residuals of every run</h2>")
+        parts.append(
+            framed(
+                figures.residuals_figure(estimate.run_fits),
+                "The points should scatter about zero inside the band, without a trend; dotted lines are samples left out.",
+            )
+        )
+    if estimate.held_out:
+        parts.append("<h2>Each run, foretold by the others</h2>")
+        parts.append(
+            framed(
+                figures.held_out_figure(estimate.held_out),
+                "The run as the calibration without it foretells it. It may be far off where the others say little, but not "
+                "further than promised: bars on the right that reach far past 1 contradict the others.",
+            )
+        )
+    parts += listed("What the runs could not tell apart", estimate.not_told_apart)
+    if estimate.calibration is not None:
+        parts.append("<h2>Correlations</h2>")
+        parts.append(
+            framed(
+                figures.correlation_figure(estimate.calibration),
+                "Strong colours off the diagonal: two numbers that these runs know better together than each alone. A weighing "
+                "uses them together.",
+            )
+        )
+    parts += _advice(estimate)
+    parts += _unknowns(estimate)
+    parts += listed("Notes on the runs", estimate.notes)
+    parts += provenance(command, sources, estimate.timing_s)
+    return document(f"proprio: calibration {estimate.verdict.value}", parts)
+
+
+def _headline(estimate: CalibrationEstimate) -> list[str]:
+    used = f"{len(estimate.run_fits)} of {estimate.runs} runs used"
+    parts = [
+        f"<h1>calibration of {escape(estimate.robot)}, {used}</h1>",
+        f'<span class="verdict {estimate.verdict.value}">{escape(_WORDS[estimate.verdict])}</span>',
+    ]
+    if estimate.fit is not None:
+        fit = estimate.fit
+        parts.append(f"<p class=value>{1e3 * fit.rms:.2f} mrad</p>")
+        parts.append(
+            f"<p class=interval>rms of the residuals over all runs; {1e3 * fit.expected_rms:.2f} mrad expected of encoder and "
+            "stamps as they were learnt</p>"
+        )
+    if estimate.reasons:
+        parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
+    return parts
+
+
+def _noise(estimate: CalibrationEstimate) -> list[str]:
+    calibration = estimate.calibration
+    if calibration is None:
+        return []
+    rows = [
+        ["readings, over what the robot file says of encoder noise and rounding", f"{calibration.residual_scale:.2f}"],
+        ["stamps of the joint states", f"{1e3 * calibration.stamp_jitter_s:.2f} ms"],
+        ["torque that differs from run to run", f"{1e3 * calibration.torque_disturbance:.2f} mN m"],
+    ]
+    return ["<h3>Noise, as the runs show it (standard deviations)</h3>", table(["", ""], rows, numbers=(1,))]
+
+
+def _advice(estimate: CalibrationEstimate) -> list[str]:
+    if not estimate.advice:
+        return []
+    rows = [
+        [
+            plan.joint,
+            plan.kind,
+            ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items()),
+            f"{1e3 * plan.current_A:+.0f} mA, {plan.duration_s:g} s",
+            f"{100 * plan.clearance_m:.0f} cm",
+            plan.reason,
+        ]
+        for plan in estimate.advice
+    ]
+    header = ["joint", "kind", "start (rad)", "current", "clearance", ""]
+    return ["<h2>Runs that would help most</h2>", table(header, rows, numbers=())]
+
+
+def _unknowns(estimate: CalibrationEstimate) -> list[str]:
+    if not estimate.unknowns:
+        return []
+    rows = [
+        [
+            row.name,
+            f"{row.prior:.6g} ± {row.prior_std:.3g}",
+            f"{row.value:.6g} ± {row.std:.3g}",
+            f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-",
+            row.unit,
+        ]
+        for row in estimate.unknowns
+    ]
+    header = ["unknown", "robot file", "now", "left of its uncertainty", "unit"]
+    return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3))]

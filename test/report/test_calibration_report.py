@@ -1,0 +1,58 @@
+"""The page of a calibration: complete, self-contained, and honest about calibrations that are none."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from proprio_ros.calibrate import calibrate_from_bags
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.report import write_calibration_report
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from pages import read
+
+
+@pytest.fixture(scope="module")
+def estimate(bags: Path) -> CalibrationEstimate:
+    folders = sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))
+    return calibrate_from_bags([folder / "bag_mcap" for folder in folders], {})
+
+
+def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_calibration_report(estimate, path, command="proprio calibrate <bag>", sources=["one & two"])
+    reader, words = read(path)
+    assert reader.tags.count("svg") == 4
+    for sentence in (*estimate.reasons, *estimate.not_told_apart, *estimate.notes):
+        assert sentence in words
+    for row in estimate.unknowns:
+        assert row.name in words
+    for plan in estimate.advice:
+        assert plan.reason in words
+    assert "proprio calibrate <bag>" in words and "one & two" in words and "accepted" in words
+
+
+def test_names_are_escaped(estimate: CalibrationEstimate, tmp_path: Path) -> None:
+    evil = replace(estimate, robot="<script>alert(1)</script>", reasons=("a < b & c",))
+    write_calibration_report(evil, tmp_path / "page.html")
+    reader, words = read(tmp_path / "page.html")
+    assert "script" not in reader.tags and "a < b & c" in words and "<script>alert(1)</script>" in words
+
+
+def test_a_calibration_that_is_none_has_a_page_too(tmp_path: Path) -> None:
+    none = CalibrationEstimate("arm", Verdict.NOT_IDENTIFIABLE, ("no run can be used",), 3, None, notes=("it stuck",))
+    write_calibration_report(none, tmp_path / "page.html")
+    words = read(tmp_path / "page.html")[1]
+    assert "not identifiable" in words and "no run can be used" in words and "it stuck" in words
+
+
+def test_a_page_that_cannot_be_written(estimate: CalibrationEstimate, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"--report .* cannot be written"):
+        write_calibration_report(estimate, tmp_path / "nowhere" / "page.html")
