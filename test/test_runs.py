@@ -319,7 +319,7 @@ def check_against_truth(folder: Path) -> int:
 
 def test_the_recordings_of_this_repository() -> None:
     folders = [truth.parent for truth in BAGS.glob("*/truth.json")]
-    assert len(folders) == 10
+    assert len(folders) == 33
     for folder in folders:
         assert check_against_truth(folder)
 

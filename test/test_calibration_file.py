@@ -1,0 +1,257 @@
+"""The calibration file: what goes in comes out, and what is broken is refused in one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from proprio_ros.calibrate import calibrate_from_bags, write_calibration
+from proprio_ros.calibration import Calibration
+from proprio_ros.cli import main
+from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.replay import ReplayOptions, replay, robot_of
+from proprio_ros.resources import resource
+from proprio_ros.robot import load_robot
+
+NAMES = ("torque_constant[joint3]", "coulomb[joint3]", "armature[joint3]", "arm_scale", "delay", "link_mass[link5]")
+
+
+def small() -> Calibration:
+    """Six unknowns of very different size, all correlated."""
+    factor = np.eye(6) + 0.4 * np.random.default_rng(5).normal(size=(6, 6))
+    stds = np.array([0.02, 0.003, 0.0008, 0.015, 0.0011, 0.009])
+    correlation = factor @ factor.T
+    correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
+    return Calibration(
+        NAMES,
+        ("N m/A", "N m", "kg m^2", "1", "s", "1"),
+        np.array([1.7123456789, 0.041, 0.0143, 1.013, 0.0087, -0.004]),
+        correlation * np.outer(stds, stds),
+        1.07,
+        2.6e-4,
+        1.1e-3,
+        ({"name": "bag", "joint": "joint3", "current_A": -0.3, "load_kg": 0.0, "samples": 24},),
+    )
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.yaml"
+    write_calibration(path, load_robot("open_manipulator_x"), small())
+    return path
+
+
+def edited(path: Path, change) -> Path:
+    """The file with its content changed by a function of the plain mappings."""
+    content = YAML(typ="safe", pure=True).load(path)
+    change(content)
+    writer = YAML(typ="safe", pure=True)
+    with path.open("w") as stream:
+        writer.dump(content, stream)
+    return path
+
+
+def test_everything_comes_back(written: Path) -> None:
+    calibration, given = load_robot(written).calibration, small()
+    assert calibration is not None
+    assert calibration.names == given.names and calibration.units == given.units
+    np.testing.assert_allclose(calibration.values, given.values, rtol=1e-12)
+    np.testing.assert_allclose(calibration.covariance, given.covariance, rtol=1e-9)
+    assert calibration.residual_scale == 1.07 and calibration.stamp_jitter_s == 2.6e-4
+    assert calibration.torque_disturbance == 1.1e-3 and calibration.runs == given.runs
+    assert calibration.joints == ("joint3",)
+
+
+def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> None:
+    base, robot = load_robot("open_manipulator_x"), load_robot(written)
+    drive = robot.drive_trains["joint3"]
+    assert robot.calibrated and robot.name == base.name
+    assert drive.torque_constant.value == pytest.approx(1.7123456789) and drive.torque_constant.std == pytest.approx(
+        0.02
+    )
+    assert drive.coulomb.value == pytest.approx(0.041) and drive.viscous == base.drive_trains["joint3"].viscous
+    assert robot.drive_trains["joint2"] == base.drive_trains["joint2"]
+    assert robot.arm_scale.value == pytest.approx(1.013) and robot.delay.std == pytest.approx(0.0011)
+    assert robot.residual_scale == 1.07 and robot.stamp_jitter_s == 2.6e-4 and robot.torque_disturbance == 1.1e-3
+
+
+def test_a_robot_of_ones_own_is_extended_by_the_way_to_its_file(tmp_path: Path) -> None:
+    folder = tmp_path / "robots"
+    folder.mkdir()
+    own = folder / "mine.yaml"
+    own.write_text("extends: open_manipulator_x\nname: mine\n")
+    (tmp_path / "calibrations").mkdir()
+    path = tmp_path / "calibrations" / "mine_today.yaml"
+    overrides = {"joints.joint3.motor.encoder_noise_rad": 0.0007}
+    write_calibration(path, load_robot(own).with_overrides(overrides), small(), overrides)
+    assert "extends: ../robots/mine.yaml" in path.read_text()
+    robot = load_robot(path)
+    assert robot.name == "mine" and robot.drive_trains["joint3"].encoder_noise == 0.0007
+
+
+def test_what_the_user_states_replaces_one_number_and_keeps_the_others_correlations(written: Path) -> None:
+    robot = load_robot(written).with_overrides({"joints.joint3.drive_train.coulomb_N_m": {"value": 0.07, "std": 0.001}})
+    assert robot.drive_trains["joint3"].coulomb.value == 0.07
+    assert robot.drive_trains["joint3"].torque_constant.value == pytest.approx(1.7123456789)
+    calibration, whole = robot.calibration, small()
+    assert calibration is not None and "coulomb[joint3]" not in calibration.names
+    kept = [row for row, name in enumerate(whole.names) if name != "coulomb[joint3]"]
+    np.testing.assert_allclose(calibration.covariance, whole.covariance[np.ix_(kept, kept)], rtol=1e-9)
+    assert load_robot(written).with_overrides({"delay_s": 0.003}).delay.value == 0.003
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c["calibration"].pop("unknowns"), "unknowns is missing"),
+        (lambda c: c["calibration"].pop("correlation"), "correlation is missing"),
+        (lambda c: c["calibration"]["unknowns"]["arm_scale"].pop("std"), "arm_scale: std"),
+        (lambda c: c["calibration"]["unknowns"]["arm_scale"].update(std=-1.0), "must be positive"),
+        (lambda c: c["calibration"]["unknowns"]["arm_scale"].update(value=float("nan")), "expected a finite number"),
+        (lambda c: c["calibration"]["unknowns"].pop("arm_scale"), "lower triangle of 5 unknowns"),
+        (lambda c: c["calibration"].update(correlation="1\nx 1\n1 1 1\n1 1 1 1\n1 1 1 1 1\n1 1 1 1 1 1\n"), "line 2"),
+        (
+            lambda c: c["calibration"].update(correlation="2\n0 1\n0 0 1\n0 0 0 1\n0 0 0 0 1\n0 0 0 0 0 1\n"),
+            "ones on its",
+        ),
+        (
+            lambda c: c["calibration"].update(correlation="1\n1 1\n0 0 1\n0 0 0 1\n0 0 0 0 1\n0 0 0 0 0 1\n"),
+            "not one of any",
+        ),
+        (lambda c: c.update(calibration=[1, 2]), "expected keys and values"),
+        (lambda c: c.update(model_fingerprint="0" * 64), "made with another URDF"),
+        (lambda c: c["calibration"].update(residual_scale="much"), "residual_scale"),
+    ],
+)
+def test_a_broken_file_is_refused_in_one_line(written: Path, change, words: str) -> None:
+    with pytest.raises(RobotError, match=words) as caught:
+        load_robot(edited(written, change))
+    assert "arm.yaml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_calibration_of_joints_that_the_robot_does_not_drive(written: Path) -> None:
+    def foreign(content) -> None:
+        unknowns = content["calibration"]["unknowns"]
+        content["calibration"]["unknowns"] = {
+            name.replace("torque_constant[joint3]", "torque_constant[elbow]"): entry for name, entry in unknowns.items()
+        }
+
+    with pytest.raises(RobotError, match="is of elbow, but open_manipulator_x drives"):
+        load_robot(edited(written, foreign))
+
+
+def test_another_urdf_is_refused(tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    shutil.copy(resource("urdf", "open_manipulator_x.urdf"), urdf)
+    own = tmp_path / "own.yaml"
+    own.write_text("extends: open_manipulator_x\nurdf: arm.urdf\n")
+    path = tmp_path / "calibrated.yaml"
+    write_calibration(path, load_robot(own), small())
+    assert load_robot(path).calibrated
+    urdf.write_text(urdf.read_text().replace('mass value="0.14327573"', 'mass value="0.15"'))
+    with pytest.raises(RobotError, match="was made with another URDF"):
+        load_robot(path)
+
+
+def test_calibration_and_robot_must_belong_together(written: Path) -> None:
+    assert robot_of("open_manipulator_x", written).calibration is not None
+    assert robot_of(None, written).calibration is not None
+    with pytest.raises(RobotError, match="whose URDF is not that of --robot pendulum"):
+        robot_of("pendulum", written)
+    with pytest.raises(RobotError, match="holds no calibration"):
+        robot_of(None, resource("robots", "pendulum"))
+    with pytest.raises(RobotError, match="expected the"):
+        robot_of(None, "open_manipulator_x")
+
+
+def test_from_bags_to_a_mass_by_the_command_line(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the README shows: sixteen runs, three with a reference, one file, one weighing."""
+    path = tmp_path / "arm.yaml"
+    empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
+    weights = [f"{folder / 'bag_mcap'}=0.1" for folder in sorted(bags.glob("realistic_s00_fixed_reference_*"))]
+    place = ["--set", "payload.shape=sphere", "--set", "payload.size=0.0272"]
+    assert main(["calibrate", *empty, "--reference", *weights, *place, "--output", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"] == "accepted" and told["runs"] == 19 and told["output"] == str(path)
+    assert {"unknowns", "noise", "fit", "held_out", "not_told_apart", "advice", "timing_s"} <= set(told)
+    assert len(told["held_out"]) == 19 and told["advice"][0]["start"].keys() >= {"joint2", "joint3", "joint4"}
+    for name, mass in (
+        ("light_ball_20g_joint3", 0.02), ("heavy_ball_50g_joint3", 0.05), ("heavy_cube_23g_joint3", 0.023),
+        ("light_cube_10g_joint2", 0.01), ("light_cube_10g_joint3", 0.01),
+    ):  # fmt: skip
+        bag = str(bags / f"realistic_s00_fixed_{name}" / "bag_mcap")
+        assert main(["replay", bag, "--probe", "payload", "--calibration", str(path), "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        (value,) = result["estimates"]
+        assert abs(value["value"] - mass) < 1.5e-3 and value["ci95"][0] <= mass <= value["ci95"][1]
+        assert not any("not been calibrated" in reason for reason in result["reasons"])
+
+
+def test_the_same_numbers_from_the_same_bags(bags: Path) -> None:
+    empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
+    one, other = (calibrate_from_bags(empty, {}).calibration for _ in range(2))
+    assert np.array_equal(one.values, other.values) and np.array_equal(one.covariance, other.covariance)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "no recording given"),
+        (["{bag}", "--reference", "{bag}"], "write BAG=KG"),
+        (["{bag}", "--reference", "{bag}=100"], "masses are in kg"),
+        (["{bag}", "--reference", "{bag}=-0.1"], "masses are in kg"),
+        (["nowhere"], "no such bag"),
+        (["{bag}", "--robot", "nobody"], "unknown robot"),
+        (["{bag}", "--set", "payload.colour=red"], "payload.colour"),
+    ],
+)
+def test_mistakes_get_one_line(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    bag = str(bags / "realistic_s00_empty_03_joint3" / "bag_mcap")
+    path = tmp_path / "arm.yaml"
+    assert main(["calibrate", *(a.format(bag=bag) for a in arguments), "--output", str(path)]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("proprio: ") and words in lines[0]
+    assert not path.exists()
+
+
+def test_the_output_is_checked_before_the_work(bags: Path, tmp_path: Path) -> None:
+    bag = bags / "realistic_s00_empty_03_joint3" / "bag_mcap"
+    with pytest.raises(ConfigurationError, match="does not exist or is not writable"):
+        calibrate_from_bags([bag], {}, output=tmp_path / "nowhere" / "arm.yaml")
+    with pytest.raises(ConfigurationError, match=r"name a \.yaml file"):
+        calibrate_from_bags([bag], {}, output=tmp_path / "arm.txt")
+
+
+def test_an_older_file_stays_where_nothing_was_learnt(bags: Path, written: Path) -> None:
+    before = written.read_text()
+    stuck = bags / "friction_s00_fixed_random_a_joint3" / "bag_mcap"
+    estimate = calibrate_from_bags([stuck], {}, output=written)
+    assert estimate.calibration is None and written.read_text() == before
+
+
+def test_a_baseline_tells_drift(bags: Path, tmp_path: Path) -> None:
+    path = tmp_path / "arm.yaml"
+    calibrate_from_bags(
+        [f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name], {}, output=path
+    )
+    bag = bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
+    alone = replay([bag], ReplayOptions(calibration=path))
+    empty = bags / "realistic_s00_empty_04_joint3" / "bag_mcap"
+    fine = replay([bag], ReplayOptions(calibration=path, baseline=(empty,)))
+    a, b = (estimate.value("payload_mass") for estimate in (alone, fine))
+    assert fine.verdict.value == "accepted" and abs(a.value - b.value) < a.std and b.std <= 1.02 * a.std
+    loaded = bags / "realistic_s00_fixed_light_cube_10g_joint3" / "bag_mcap"
+    drifted = replay([bag], ReplayOptions(calibration=path, baseline=(loaded,)))
+    assert drifted.verdict.value == "rejected" and drifted.value("payload_mass").value is None
+    assert (
+        drifted.reasons[0].startswith("drift: the empty hand now weighs +1") and "calibrate again" in drifted.reasons[0]
+    )
