@@ -329,10 +329,10 @@ def _candidates(
     drive, limits = robot.drive_trains[joint], robot.model.joint(joint)
     start = pose[joint]
     alive = np.cumprod(np.isfinite(q) & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
-    away = np.where(alive, q, start) - start
-    travel = np.take_along_axis(away, np.abs(away).argmax(axis=2)[..., None], axis=2)[..., 0]
+    counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
     ends = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
     low, high = ends.min(axis=2), ends.max(axis=2)
+    travel = np.where(start - low > high - start, low - start, high - start)
     clear = np.array(
         [
             min(clearance(robot, {**pose, joint: float(end)}) for end in (low[:, r].min(), high[:, r].max(), start))
@@ -340,7 +340,7 @@ def _candidates(
         ]
     )
     fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
-    fits &= (np.abs(travel) >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
+    fits &= (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
     return _Candidates(problem, dq, alive, travel, clear, fits)
 
 

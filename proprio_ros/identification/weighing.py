@@ -289,21 +289,22 @@ def _conclude(
     elif len(runs) > 1 and (odd := contradicting(Posterior(opened.problem, opened.values))) is not None:
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
         found.reasons.insert(0, _contradiction_reason(robot, runs, facts, options, odd, mass))
-    elif fit.reduced_chi2 > MISFIT_LIMIT or moving:
-        verdict = Verdict.REJECTED
-        withheld = "the model does not explain the recording"
-        found.reasons[:0] = [_misfit_reason(rms, expected, mass, fit.reduced_chi2), *(moving or _other_suspects(robot))]
     elif on_bound(fit):
         verdict, withheld = Verdict.REJECTED, "the mass ended on a bound of the search"
         found.reasons.insert(
             0,
             f"the mass ended on a bound of the search ({mass:.3g} kg): is this the right robot, joint and unit of current?",
         )
+    elif fit.reduced_chi2 > MISFIT_LIMIT or moving:
+        verdict = Verdict.REJECTED
+        withheld = "the model does not explain the recording"
+        found.reasons[:0] = [_misfit_reason(rms, expected, mass, fit.reduced_chi2), *(moving or _other_suspects(robot))]
     elif mass + Z95 * std < 0.0:
         verdict, withheld = Verdict.REJECTED, "the hand seems lighter than empty"
         found.reasons.insert(
             0,
-            f"the hand with its load seems {-1e3 * mass:.1f} g lighter than the robot file's empty hand: calibrate the robot",
+            f"the hand with its load seems {-1e3 * mass:.1f} g lighter than it was empty: "
+            + ("has the robot changed since? calibrate it again" if known else "calibrate the robot"),
         )
     elif (
         fit is opened

@@ -1,0 +1,195 @@
+"""Every reason not to trust a recording has its sentence: real runs, altered as the fault would alter them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.gates import chi2_limit
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.weighing import weigh
+from proprio_ros.records import Run
+from proprio_ros.replay import ReplayOptions, bag_runs
+from proprio_ros.robot import Robot, load_robot
+
+
+def run_of(bags: Path, name: str, robot: Robot) -> Run:
+    (run,) = bag_runs(bags / name / "bag_mcap", robot, ReplayOptions(), {})
+    return run
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("open_manipulator_x")
+
+
+@pytest.fixture(scope="module")
+def calibrated(bags: Path, robot: Robot) -> Robot:
+    known = [LoadedRun(run_of(bags, folder.name, robot)) for folder in sorted(bags.glob("realistic_s00_empty_*"))]
+    estimate = calibrate(robot, known, advice=0)
+    assert estimate.calibration is not None
+    return robot.with_calibration(estimate.calibration)
+
+
+@pytest.fixture(scope="module")
+def lift(bags: Path, robot: Robot) -> Run:
+    """20 g lifted by 0.8 rad."""
+    return run_of(bags, "realistic_s00_fixed_light_ball_20g_joint3", robot)
+
+
+def shrunk(run: Run, factor: float) -> Run:
+    """The same run with less travel."""
+    rest = float(np.mean(run.before_position))
+    return replace(run, position=rest + factor * (run.position - rest))
+
+
+def test_a_good_run_gives_no_reason(calibrated: Robot, lift: Run) -> None:
+    estimate = weigh(calibrated, [lift])
+    assert estimate.verdict is Verdict.ACCEPTED and not estimate.reasons
+
+
+def test_stuck(calibrated: Robot, lift: Run) -> None:
+    estimate = weigh(calibrated, [shrunk(lift, 0.05)])
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("payload_mass").value is None
+    assert "so friction and not the weight decides where it is" in estimate.reasons[0]
+
+
+def test_little_travel(bags: Path, calibrated: Robot, robot: Robot) -> None:
+    slow = run_of(bags, "realistic_s00_fixed_heavy_ball_50g_joint3", robot)  # 0.22 rad
+    estimate = weigh(calibrated, [slow])
+    assert estimate.verdict is Verdict.ACCEPTED
+    assert any("moved only 0.22 rad" in reason and "at least 0.3 rad" in reason for reason in estimate.reasons)
+
+
+def test_joint_limit(calibrated: Robot, lift: Run) -> None:
+    """The joint runs into its stop: the last samples stand still there."""
+    stop = calibrated.model.joint("joint3").upper
+    rest = float(np.mean(lift.before_position))
+    up = 2.0 * rest - lift.position  # lifted the other way, so that it meets the upper stop
+    moved = replace(
+        lift,
+        position=np.minimum(up + (stop - up[-4]), stop),
+        before_position=2.0 * rest - lift.before_position + (stop - up[-4]),
+    )
+    estimate = weigh(calibrated, [moved])
+    assert any("joint3 reached its limit" in reason and "were left out" in reason for reason in estimate.reasons)
+
+
+def test_start_at_a_limit(calibrated: Robot, lift: Run) -> None:
+    lower = calibrated.model.joint("joint3").lower
+    away = lower - float(np.mean(lift.before_position))
+    resting = replace(lift, position=lift.position + away, before_position=lift.before_position + away)
+    estimate = weigh(calibrated, [resting])
+    assert any("starts at its limit" in reason and "stop may carry" in reason for reason in estimate.reasons)
+
+
+def test_current_limit(calibrated: Robot, lift: Run) -> None:
+    strong = replace(lift, input_current_A=lift.input_current_A * 4.0)
+    estimate = weigh(calibrated, [strong])
+    assert any("1205 mA were commanded, but joint3 is limited to 1000 mA" in reason for reason in estimate.reasons)
+
+
+def test_supply_limit(bags: Path, calibrated: Robot, robot: Robot) -> None:
+    fast = run_of(bags, "realistic_s00_fixed_reference_100g_joint3_x1", robot)
+    estimate = weigh(calibrated, [fast])
+    assert any(
+        "passed 3.5 rad/s" in reason and "did not report the commanded current" in reason for reason in estimate.reasons
+    )
+
+
+def test_a_held_joint_that_moves(calibrated: Robot, lift: Run) -> None:
+    span = {**lift.held_span, "joint2": 0.05}
+    estimate = weigh(calibrated, [replace(lift, held_span=span)])
+    assert any("joint2 should be held but moved by 0.050 rad" in reason for reason in estimate.reasons)
+
+
+def test_friction_never_reversed(bags: Path, robot: Robot, lift: Run) -> None:
+    """Without a calibration, runs that all lift cannot tell friction from weight; one that lowers settles it."""
+    again = run_of(bags, "realistic_s00_fixed_heavy_cube_23g_joint3", robot)
+    lower = run_of(bags, "quantised_s00_fixed_heavy_cube_23g_joint3_x1", robot)
+    sentence = "joint3 only ever moved in the negative direction, so its friction was never seen reversed"
+    one_way = weigh(robot, [lift, again])
+    assert any(sentence in reason for reason in one_way.reasons)
+    wide = replace(
+        robot,
+        drive_trains={
+            name: replace(d, coulomb=replace(d.coulomb, value=0.04, std=0.01)) for name, d in robot.drive_trains.items()
+        },
+    )
+    assert any(sentence in reason for reason in weigh(wide, [lift]).reasons)
+    assert not any("only ever moved" in reason for reason in weigh(wide, [lift, lower]).reasons)
+
+
+def test_friction_needs_no_reversal_where_it_was_calibrated(calibrated: Robot, lift: Run) -> None:
+    assert not any("only ever moved" in reason for reason in weigh(calibrated, [lift]).reasons)
+
+
+def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: Robot, robot: Robot, lift: Run) -> None:
+    runs = [
+        run_of(bags, f"realistic_s00_fixed_{name}", robot)
+        for name in ("heavy_cube_23g_joint3", "heavy_cube_23g_joint3_x0", "heavy_ball_50g_joint3")
+    ]
+    estimate = weigh(calibrated, [lift, *runs])
+    assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
+    sentence = estimate.reasons[0]
+    assert "fixed_heavy_ball_50g_joint3/bag_mcap contradicts the other runs" in sentence
+    said, others = (float(word.split(" g")[0]) for word in sentence.split("it says ")[1].split("they say "))
+    assert said == pytest.approx(50.0, abs=2.5) and others == pytest.approx(22.0, abs=2.0)
+
+
+def test_an_empty_run_that_was_not_empty_is_named(bags: Path, calibrated: Robot, robot: Robot, lift: Run) -> None:
+    intruder = run_of(bags, "realistic_s00_fixed_light_cube_10g_joint3", robot)
+    estimate = weigh(calibrated, [lift], baseline=[intruder])
+    assert estimate.verdict is Verdict.REJECTED and estimate.reasons[0].startswith("drift")
+
+
+def test_misfit(calibrated: Robot, lift: Run) -> None:
+    """Something hits the arm on its way."""
+    rest = float(np.mean(lift.before_position))
+    bumped = lift.position - rest
+    bumped[10:] *= 0.4
+    estimate = weigh(calibrated, [replace(lift, position=rest + bumped)])
+    assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
+    assert any(reason.startswith("misfit") for reason in estimate.reasons)
+
+
+def test_a_mass_on_the_bound_of_the_search(calibrated: Robot, lift: Run) -> None:
+    """A strong current, and the arm sinks: no mass below 20 kg would hold it down so."""
+    down = 2.0 * float(np.mean(lift.before_position)) - lift.position
+    estimate = weigh(calibrated, [replace(lift, input_current_A=np.array([0.9]), position=down)])
+    assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
+    assert estimate.reasons[0].startswith("the mass ended on a bound of the search (20 kg)")
+
+
+def test_lighter_than_empty(calibrated: Robot, bags: Path, robot: Robot) -> None:
+    """An empty hand that lifts a sixth faster than it did when the robot was calibrated."""
+    empty = run_of(bags, "realistic_s00_empty_02_joint3", robot)
+    estimate = weigh(calibrated, [replace(shrunk(empty, 1.15), reported_effort=None)])
+    assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
+    assert "12.3 g lighter than it was empty" in estimate.reasons[0] and "calibrate it again" in estimate.reasons[0]
+
+
+def test_not_calibrated(bags: Path, robot: Robot, calibrated: Robot) -> None:
+    fast = run_of(bags, "realistic_s00_fixed_light_cube_10g_joint3", robot)
+    sentence = "the robot has not been calibrated"
+    assert any(sentence in reason for reason in weigh(robot, [fast]).reasons)
+    assert not any(sentence in reason for reason in weigh(calibrated, [fast]).reasons)
+
+
+def test_a_joint_that_was_not_calibrated(bags: Path, robot: Robot, lift: Run) -> None:
+    known = [LoadedRun(run_of(bags, f"realistic_s00_empty_{n:02d}_joint2", robot)) for n in range(6, 12)]
+    shoulder = calibrate(robot, known, advice=0).calibration
+    assert shoulder is not None
+    estimate = weigh(robot.with_calibration(shoulder), [lift])
+    assert any("joint3 was not calibrated" in reason for reason in estimate.reasons)
+    assert estimate.value("payload_mass").std > 5e-3
+
+
+@pytest.mark.parametrize("dof", [4, 10, 24, 100, 400])
+def test_the_limit_of_chi_square(dof: int) -> None:
+    stats = pytest.importorskip("scipy.stats")
+    assert chi2_limit(dof) == pytest.approx(stats.chi2.isf(1e-3, dof), rel=0.015)
