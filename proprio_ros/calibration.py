@@ -10,6 +10,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       residual_scale: 1.02               # residuals over what encoder and stamps explain
       stamp_jitter_s: 0.0003             # standard deviation of the stamps, as the runs show it
       torque_disturbance_N_m: 0.0004     # what differs from run to run
+      start_velocity_rad_s: 0.003        # how still the held joint is when its probe begins
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
       correlation: |                     # lower triangle, a line per unknown in the order above
@@ -46,6 +47,7 @@ class Calibration:
         residual_scale: Residuals over what encoder and stamps explain.
         stamp_jitter_s: Standard deviation of the stamps.
         torque_disturbance: Standard deviation of a torque that differs from run to run [N m].
+        start_velocity: Standard deviation of the velocity at which probes begin [rad/s].
         runs: One mapping per run used: name, joint, current_A, load_kg, samples.
     """
 
@@ -56,6 +58,7 @@ class Calibration:
     residual_scale: float = 1.0
     stamp_jitter_s: float = 0.0
     torque_disturbance: float = 0.0
+    start_velocity: float = 0.01
     runs: tuple[Mapping[str, Any], ...] = ()
 
     @functools.cached_property
@@ -95,6 +98,7 @@ class Calibration:
             "residual_scale": _short(self.residual_scale),
             "stamp_jitter_s": _short(self.stamp_jitter_s),
             "torque_disturbance_N_m": _short(self.torque_disturbance),
+            "start_velocity_rad_s": _short(self.start_velocity),
             "unknowns": {
                 name: {"value": _short(self.quantities[name].value, 15), "std": _short(self.quantities[name].std, 15), "unit": unit}
                 for name, unit in zip(self.names, self.units, strict=True)
@@ -150,6 +154,7 @@ class Calibration:
             _number(section.get("residual_scale", 1.0), f"{where}: residual_scale"),
             _number(section.get("stamp_jitter_s", 0.0), f"{where}: stamp_jitter_s"),
             _number(section.get("torque_disturbance_N_m", 0.0), f"{where}: torque_disturbance_N_m"),
+            _number(section.get("start_velocity_rad_s", 0.01), f"{where}: start_velocity_rad_s"),
             tuple(runs),
         )
 

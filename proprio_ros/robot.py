@@ -744,6 +744,7 @@ class Robot:
         onset_jitter_s: Standard deviation of the delay from run to run.
         torque_disturbance: Standard deviation of a torque that is there in one run and not in the next, such as friction
             that is not the same every time [N m].
+        start_velocity: Standard deviation of the velocity at which a held joint is when its probe begins [rad/s].
         link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
             relative mass, each coordinate of its centre of mass [m], relative inertia about it.
         residual_scale: Residuals of a calibration over what encoder and stamps explain.
@@ -771,6 +772,7 @@ class Robot:
     settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
     onset_jitter_s: float = 0.0
     torque_disturbance: float = 0.0
+    start_velocity: float = 0.01
     link_mass_std: float = 0.0
     link_com_std: float = 0.0
     link_inertia_std: float = 0.0
@@ -822,6 +824,7 @@ class Robot:
             arm_scale=known.get("arm_scale", self.arm_scale),
             delay=known.get("delay", self.delay),
             torque_disturbance=calibration.torque_disturbance,
+            start_velocity=calibration.start_velocity,
             residual_scale=calibration.residual_scale,
             stamp_jitter_s=calibration.stamp_jitter_s,
             calibrated=True,
@@ -934,6 +937,7 @@ _ROBOT = {
     "stamp_jitter_s": _Field(_not_negative, 0.0),
     "onset_jitter_s": _Field(_not_negative, 0.0),
     "torque_disturbance_N_m": _Field(_not_negative, 0.0),
+    "start_velocity_rad_s": _Field(_positive, 0.01),
     "link_mass_std": _Field(_not_negative, 0.0),
     "link_com_std_m": _Field(_not_negative, 0.0),
     "link_inertia_std": _Field(_not_negative, 0.0),
@@ -1134,6 +1138,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         stamp_jitter_s=given["stamp_jitter_s"],
         onset_jitter_s=given["onset_jitter_s"],
         torque_disturbance=given["torque_disturbance_N_m"],
+        start_velocity=given["start_velocity_rad_s"],
         link_mass_std=given["link_mass_std"],
         link_com_std=given["link_com_std_m"],
         link_inertia_std=given["link_inertia_std"],

@@ -31,8 +31,6 @@ from proprio_ros.sim.payload import (
     pseudo_inertia_basis,
 )
 
-START_VELOCITY_STD = 0.01
-"""rad/s: how still a held joint is when the current comes on. A probe starts from rest; this is its measure."""
 DRIVE_TERMS = {
     "torque_constant": "N m/A",
     "coulomb": "N m",
@@ -432,7 +430,7 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
     unknowns = [u.at_role(drive_role) for u in unknowns]
     for row, run in enumerate(runs):
         unknowns.append(Unknown(f"q0[{row}]", "rad", run.rest.value, run.rest.std))
-        unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, START_VELOCITY_STD))
+        unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, robot.start_velocity))
         unknowns.append(Unknown(f"onset[{row}]", "s", 0.0, _onset_std(robot, run), -0.1, 0.1).at_role(drive_role))
         unknowns.append(Unknown(f"disturbance[{row}]", "N m", 0.0, robot.torque_disturbance).at_role(drive_role))
     return unknowns

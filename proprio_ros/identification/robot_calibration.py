@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from proprio_ros.sim.payload import PayloadFacts
 FRICTION_STARTS = (0.005, 0.02, 0.06)
 """Coulomb friction [N m] from which the fit starts: low, for a model that sticks has no gradient (HARDWARE.md, section 5)."""
 EVIDENCE_ROUNDS = 15
-PSEUDO_RUNS = 3.0
+PSEUDO_RUNS = 1.0
 """Weight of the robot file's word on run-to-run torque, in runs."""
 PSEUDO_SAMPLES = 10.0
 """Weight of the robot file's word on encoder noise and stamp jitter, in samples."""
@@ -72,11 +72,21 @@ class LoadedRun:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Standard deviations that the evidence decides: reading [of the file's], stamps [s], torque from run to run [N m]."""
+    """Standard deviations that the evidence decides.
+
+    Attributes:
+        residual_scale: of readings, over the file's; stamp_jitter_s: of stamps.
+        torque_disturbance: of torque from run to run [N m]; start_velocity: with which runs begin [rad/s].
+    """
 
     residual_scale: float
     stamp_jitter_s: float
     torque_disturbance: float
+    start_velocity: float
+
+    def near(self, other: _Noise) -> bool:
+        """Whether nothing differs by more than 2 %."""
+        return np.allclose(astuple(self), astuple(other), rtol=0.02)
 
 
 @dataclass(frozen=True)
@@ -210,12 +220,12 @@ def _odd_one(robot: Robot, fitted: _Fitted) -> int | None:
     odd = contradicting(fitted.posterior)
     if odd is not None or fitted.noise.torque_disturbance == 0.0:
         return odd
-    found, told = _disturbances(fitted.problem, fitted.posterior, fitted.noise)
+    found, told = _of_runs("disturbance", fitted.problem, fitted.posterior, fitted.noise.torque_disturbance)
     if len(found) < 3:
         return None
     largest = int(np.argmax(np.abs(found)))
     others = np.arange(len(found)) != largest
-    usual = _disturbance_std(robot, found[others], told[others])
+    usual = _spread(robot.torque_disturbance, found[others], told[others])
     return largest if abs(found[largest]) > STRANGE_TORQUE * usual else None
 
 
@@ -291,7 +301,7 @@ def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> 
 
 
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: _Noise) -> PayloadProblem:
-    robot = replace(robot, torque_disturbance=noise.torque_disturbance)
+    robot = replace(robot, torque_disturbance=noise.torque_disturbance, start_velocity=noise.start_velocity)
     unknowns = robot_unknowns(robot, runs, Role.FREE)
     return PayloadProblem(robot, [_with_noise(run, noise) for run in runs], PayloadFacts(), unknowns)
 
@@ -320,7 +330,7 @@ def _starts(problem: PayloadProblem) -> np.ndarray:
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
     """Maximum a posteriori of all unknowns, the noise by its evidence."""
-    noise = _Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance)
+    noise = _Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity)
     problem = _problem(robot, runs, noise)
     solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=40)
     values = problem.all_values(problem.coordinates.physical(solution.internal[solution.best][None]))[0]
@@ -328,11 +338,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         better = _evidence(robot, problem, posterior, noise)
-        settled = np.allclose(
-            [better.residual_scale, better.stamp_jitter_s, better.torque_disturbance],
-            [noise.residual_scale, noise.stamp_jitter_s, noise.torque_disturbance],
-            rtol=0.02,
-        )
+        settled = better.near(noise)
         noise = better
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
@@ -367,21 +373,24 @@ def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
     disturbance = noise.torque_disturbance
     if disturbance > 0.0:
-        disturbance = _disturbance_std(robot, *_disturbances(problem, posterior, noise))
-    return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance)
+        found, told = _of_runs("disturbance", problem, posterior, disturbance)
+        disturbance = _spread(robot.torque_disturbance, found, told)
+    found, told = _of_runs("v0", problem, posterior, noise.start_velocity)
+    velocity = _spread(robot.start_velocity, found, told)
+    return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, velocity)
 
 
-def _disturbances(problem: PayloadProblem, posterior: Posterior, noise: _Noise) -> tuple[np.ndarray, np.ndarray]:
-    """Each run's own torque [N m], and how much of it the recording tells rather than its prior (0 to 1); shapes (R,)."""
+def _of_runs(kind: str, problem: PayloadProblem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
+    """An unknown of every run, and how much of it the recording tells rather than its prior (0 to 1); shapes (R,)."""
     place = {problem.unknowns[row].name: f for f, row in enumerate(problem.free)}
-    columns = [place[f"disturbance[{r}]"] for r in range(len(problem.runs))]
+    columns = [place[f"{kind}[{r}]"] for r in range(len(problem.runs))]
     spread = np.diag(posterior.covariance)[columns]
-    return posterior.values[problem.free[columns]], 1.0 - spread / noise.torque_disturbance**2
+    return posterior.values[problem.free[columns]], 1.0 - spread / std**2
 
 
-def _disturbance_std(robot: Robot, found: np.ndarray, told: np.ndarray) -> float:
-    """Standard deviation of torques from run to run, the robot file's word counting as ``PSEUDO_RUNS`` [N m]."""
-    prior = PSEUDO_RUNS * robot.torque_disturbance**2
+def _spread(file_std: float, found: np.ndarray, told: np.ndarray) -> float:
+    """Standard deviation of what differs from run to run, the robot file's word counting as ``PSEUDO_RUNS``."""
+    prior = PSEUDO_RUNS * file_std**2
     return float(np.sqrt((np.sum(found**2) + prior) / (max(float(told.sum()), 0.0) + PSEUDO_RUNS)))
 
 
@@ -402,6 +411,7 @@ def _as_calibration(fitted: _Fitted) -> Calibration:
         fitted.noise.residual_scale,
         fitted.noise.stamp_jitter_s,
         fitted.noise.torque_disturbance,
+        fitted.noise.start_velocity,
         tuple(
             {
                 "name": run.run.name,

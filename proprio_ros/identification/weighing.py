@@ -43,7 +43,6 @@ from proprio_ros.identification.gates import (
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
-    START_VELOCITY_STD,
     KnownLoad,
     PayloadProblem,
     PreparedRun,
@@ -55,6 +54,8 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
+MOVING_START = 0.1
+"""rad/s: a probe that starts faster has not started from rest."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
 
@@ -495,7 +496,7 @@ def _moving_starts(
     reasons = []
     for row, run in enumerate(runs):
         velocity = float(moving.values[moving.problem.index[f"v0[{row}]"]])
-        if abs(velocity) > 10.0 * START_VELOCITY_STD:
+        if abs(velocity) > MOVING_START:
             reasons.append(
                 f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when the "
                 f"current comes on (then {1e3 * mass:.0f} g, rms {1e3 * rms:.2f} mrad): a probe must start from rest"
