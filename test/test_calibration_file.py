@@ -35,6 +35,7 @@ def small() -> Calibration:
         1.07,
         2.6e-4,
         1.1e-3,
+        4e-3,
         ({"name": "bag", "joint": "joint3", "current_A": -0.3, "load_kg": 0.0, "samples": 24},),
     )
 
@@ -63,7 +64,8 @@ def test_everything_comes_back(written: Path) -> None:
     np.testing.assert_allclose(calibration.values, given.values, rtol=1e-12)
     np.testing.assert_allclose(calibration.covariance, given.covariance, rtol=1e-9)
     assert calibration.residual_scale == 1.07 and calibration.stamp_jitter_s == 2.6e-4
-    assert calibration.torque_disturbance == 1.1e-3 and calibration.runs == given.runs
+    assert calibration.torque_disturbance == 1.1e-3 and calibration.start_velocity == 4e-3
+    assert calibration.runs == given.runs
     assert calibration.joints == ("joint3",)
 
 
@@ -78,6 +80,7 @@ def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> No
     assert robot.drive_trains["joint2"] == base.drive_trains["joint2"]
     assert robot.arm_scale.value == pytest.approx(1.013) and robot.delay.std == pytest.approx(0.0011)
     assert robot.residual_scale == 1.07 and robot.stamp_jitter_s == 2.6e-4 and robot.torque_disturbance == 1.1e-3
+    assert robot.start_velocity == 4e-3
 
 
 def test_a_robot_of_ones_own_is_extended_by_the_way_to_its_file(tmp_path: Path) -> None:

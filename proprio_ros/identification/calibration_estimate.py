@@ -121,6 +121,7 @@ class CalibrationEstimate:
                     "residual_scale": calibration.residual_scale,
                     "stamp_jitter_s": calibration.stamp_jitter_s,
                     "torque_disturbance_N_m": calibration.torque_disturbance,
+                    "start_velocity_rad_s": calibration.start_velocity,
                 },
                 "fit": None
                 if fit is None

@@ -128,7 +128,7 @@ def levenberg_marquardt(
             finite = better & np.isfinite(cost)  # the first guess that can be simulated gains without measure
             gained = np.where(finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0)
             # Nielsen 1999: the damping follows how much of the promised decrease came true
-            kept = np.clip(gained / np.maximum(promised, 1e-300), 0.0, 1.0)
+            kept = np.clip(gained / np.maximum(promised, np.maximum(gained, 1e-300)), 0.0, 1.0)
             damping = damping * np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth)
             damping = np.clip(damping, 1e-8, 1e10)
             growth = np.where(better, 2.0, 2.0 * growth)

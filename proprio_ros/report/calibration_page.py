@@ -108,6 +108,7 @@ def _noise(estimate: CalibrationEstimate) -> list[str]:
         ["readings, over what the robot file says of encoder noise and rounding", f"{calibration.residual_scale:.2f}"],
         ["stamps of the joint states", f"{1e3 * calibration.stamp_jitter_s:.2f} ms"],
         ["torque that differs from run to run", f"{1e3 * calibration.torque_disturbance:.2f} mN m"],
+        ["velocity at which probes begin", f"{1e3 * calibration.start_velocity:.1f} mrad/s"],
     ]
     return ["<h3>Noise, as the runs show it (standard deviations)</h3>", table(["", ""], rows, numbers=(1,))]
 
