@@ -170,6 +170,10 @@ def calibrate(
             f"robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot in the recordings "
             "(weights, unit of the current, gears?), or something pulls at it",
         )
+    ends = fitted.solution.cost
+    apart = int(np.sum(~(ends <= ends.min() + 2.0)))
+    if apart:
+        found.notes.append(f"{apart} of {len(ends)} starts ended in a worse place; the best was taken")
     found.reasons.extend(_far_from_file(fitted))
     found.reasons.extend(never_reversed(used))
     calibration = _as_calibration(fitted)
@@ -334,7 +338,6 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
     problem = _problem(robot, runs, noise)
     solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=40)
     values = problem.all_values(problem.coordinates.physical(solution.internal[solution.best][None]))[0]
-    again = solution
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         better = _evidence(robot, problem, posterior, noise)
@@ -376,8 +379,8 @@ def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise
         found, told = _of_runs("disturbance", problem, posterior, disturbance)
         disturbance = _spread(robot.torque_disturbance, found, told)
     found, told = _of_runs("v0", problem, posterior, noise.start_velocity)
-    velocity = _spread(robot.start_velocity, found, told)
-    return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, velocity)
+    start_velocity = _spread(robot.start_velocity, found, told)
+    return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
 
 
 def _of_runs(kind: str, problem: PayloadProblem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,13 +1,14 @@
 """From runs to the mass of what the hand holds, with an interval and a verdict.
 
-Every recording is fitted twice. In the *nominal* fit the robot is taken as its file states it, and only the payload and each
-run's start move. In the *open* fit everything that the file leaves open (torque constant, friction, armature, delay, joint
-zeros, the arm's masses) moves too, under its prior, so its covariance says what one recording can and cannot separate.
+A calibrated robot is fitted once, from every start: everything about it moves under the calibration's correlated prior.
 
-If the nominal fit explains the recording, its mass is the value: the recording gives no reason to leave the file's numbers,
-and a single run would trade torque against friction at random. The interval is the open fit's, widened by the distance of the
-two values. If the nominal fit does not explain the recording, value and interval are the open fit's. What neither explains is
-rejected.
+Without a calibration, every recording is fitted twice. In the *nominal* fit the robot is taken as its file states it, and only
+the payload and each run's start move. In the *open* fit everything that the file leaves open (torque constant, friction, armature,
+delay, joint zeros, the arm's masses) moves too, under its prior, so its covariance says what one recording can and cannot
+separate. If the nominal fit explains the recording, its mass is the value: the recording gives no reason to leave the file's
+numbers, and a single run would trade torque against friction at random. The interval is the open fit's, widened by the distance
+of the two values. If the nominal fit does not explain the recording, value and interval are the open fit's. What neither explains
+is rejected.
 """
 
 from __future__ import annotations
