@@ -39,7 +39,7 @@ from proprio_ros.sim.payload import PayloadFacts
 FRICTION_STARTS = (0.005, 0.02, 0.06)
 """Coulomb friction [N m] from which the fit starts: low, for a model that sticks has no gradient (HARDWARE.md, section 5)."""
 EVIDENCE_ROUNDS = 15
-PSEUDO_RUNS = 1.0
+PSEUDO_RUNS = 2.0
 """Weight of the robot file's word on run-to-run torque, in runs."""
 PSEUDO_SAMPLES = 10.0
 """Weight of the robot file's word on encoder noise and stamp jitter, in samples."""

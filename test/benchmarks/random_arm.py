@@ -80,7 +80,7 @@ class Spread:
     link_mass: tuple[float, float] = (0.015, 0.005)  # relative: common, own
     link_com: float = 0.001  # m, standard deviation of each coordinate
     link_inertia: float = 0.05  # relative, about the centre of mass
-    run_torque: float = 0.0015  # N m, standard deviation
+    run_torque: float = 0.001  # N m, standard deviation
     onset_s: float = 0.0003  # standard deviation
     zero: float = 0.005  # rad, standard deviation
     armature: tuple[float, float] = (0.008, 0.030)  # kg m^2

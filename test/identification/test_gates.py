@@ -10,11 +10,14 @@ import pytest
 
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import chi2_limit
+from proprio_ros.identification.problem import PayloadProblem, payload_unknowns, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.unknowns import Role
 from proprio_ros.identification.weighing import weigh
 from proprio_ros.records import Run
 from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts
 
 
 def run_of(bags: Path, name: str, robot: Robot) -> Run:
@@ -157,9 +160,21 @@ def test_misfit(calibrated: Robot, lift: Run) -> None:
     assert any(reason.startswith("misfit") for reason in estimate.reasons)
 
 
-def test_a_mass_on_the_bound_of_the_search(calibrated: Robot, lift: Run) -> None:
-    """Milliamperes taken for amperes: no mass below 20 kg would hold the arm back so."""
-    estimate = weigh(calibrated, [replace(lift, input_current_A=1e3 * lift.input_current_A)])
+def test_a_mass_on_the_bound_of_the_search() -> None:
+    """A pendulum that swings down as with 50 kg at its tip, where at most 20 kg are searched."""
+    pendulum = load_robot("pendulum")
+    times = np.arange(1, 25) / 40.0
+    still = Run(
+        "heavy", "pivot", 0, times, np.full(24, 1.2), np.array([-0.1, -0.05]), np.full(2, 1.2), {}, {}, np.zeros(1),
+        np.array([150.0]), 0.6, "test",
+    )  # fmt: skip
+    prepared = prepare_run(pendulum, still)
+    facts = PayloadFacts()
+    problem = PayloadProblem(pendulum, [prepared], facts, payload_unknowns(pendulum, [prepared], facts, Role.FREE, 1.0))
+    values = problem.base.copy()
+    values[problem.index["payload_mass"]] = 50.0
+    swung = replace(still, position=problem.simulate(values[None], problem.free)[0][0, 0])
+    estimate = weigh(pendulum, [swung])
     assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
     assert estimate.reasons[0].startswith("the mass ended on a bound of the search (20 kg)")
     assert "unit of current" in estimate.reasons[0]
