@@ -7,6 +7,9 @@ Every message is one line that says what is wrong, which choices are valid, and 
     +-- RecordingError      a bag or a record: no joint states, NaN, truncated file, unknown effort unit
     +-- ConfigurationError  an option, a --set or a probe file: unknown key, wrong unit, wrong shape
     +-- SimulationError     a rollout that cannot be trusted: it diverged, or the step count overflows
+    +-- BusError            a serial port or a servo: no port, no answer, another model, a hardware error
+    |   +-- PortLostError   the port itself is gone: unplugged, or taken away while open
+    +-- ExcitationError     a probe that cannot start, or must not: busy, out of limits, no free way
 """
 
 from __future__ import annotations
@@ -30,3 +33,15 @@ class ConfigurationError(ProprioError, ValueError):
 
 class SimulationError(ProprioError, RuntimeError):
     """The simulation left the range in which its numbers mean something."""
+
+
+class BusError(ProprioError, RuntimeError):
+    """A servo does not answer, answers wrongly, or reports a fault."""
+
+
+class PortLostError(BusError):
+    """The serial port cannot be opened, or is gone."""
+
+
+class ExcitationError(ProprioError, RuntimeError):
+    """A probe that cannot start from here, or must not."""

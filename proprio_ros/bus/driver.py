@@ -1,0 +1,606 @@
+"""The loop that drives an arm: read, check, command; every cycle, whatever happens. No ROS.
+
+Every joint is either *held* (its servo keeps a position) or *driven* (a constant current). A joint is driven only while fresh
+commands come; without one, or when a limit is reached, it is held where it is. Goals are written anew in every cycle, since a
+sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdog ends the current.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from proprio_ros.bus.dynamixel import DynamixelBus, Goal, Reading, ServoHealth
+from proprio_ros.errors import BusError, PortLostError
+from proprio_ros.robot import Robot
+
+FAR_COUNTS = 1_000_000
+"""Goal position, from the present one, at which current-based position mode pushes with its whole current."""
+
+LOST_AFTER_S = 0.2
+"""No servo answered for so long: the bus is lost."""
+
+HEALTH_PERIOD_S = 0.2
+"""One servo's temperature and voltage are read so often, while nothing is driven."""
+
+
+@dataclass(frozen=True)
+class DriverSettings:
+    """What a driver may do and for how long.
+
+    Attributes:
+        command_timeout_s: Without a fresh current command for so long, a driven joint is no longer driven.
+        on_timeout: ``hold`` keeps it where it is then, ``zero`` leaves it without current.
+        watchdog_s: The servos stop by themselves after so much silence; 0 turns that off.
+        limit_margin_rad: A joint is not driven nearer to its limit than this.
+        max_velocity_rad_s: A driven joint that is faster is braked.
+        max_goal_velocity_rad_s: A goal position is followed no faster than this.
+        max_temperature_C: No current above; the servos shut down by themselves at 80.
+        max_jump_rad: A position further from the last one than speed explains is an encoder fault.
+        position_d_gain: Register value that damps held joints.
+        reconnect_s: A lost bus is tried again so often.
+    """
+
+    command_timeout_s: float = 0.1
+    on_timeout: str = "hold"
+    watchdog_s: float = 0.1
+    limit_margin_rad: float = 0.05
+    max_velocity_rad_s: float = 7.0
+    max_goal_velocity_rad_s: float = 1.5
+    max_temperature_C: float = 70.0
+    max_jump_rad: float = 0.3
+    position_d_gain: int = 2000
+    reconnect_s: float = 0.5
+
+
+class JointMode(Enum):
+    """What a joint is doing."""
+
+    HELD = "held"
+    DRIVEN = "driven"
+    FREE = "free"  # torque on, current zero
+
+
+class BusState(Enum):
+    """What the whole arm is doing."""
+
+    DISCONNECTED = "disconnected"
+    RUNNING = "running"
+    STOPPED = "stopped"  # ~/stop: current zero until torque is switched on again
+    RELEASED = "released"  # torque off
+
+
+class ArmSample(NamedTuple):
+    """One intact round of the bus, at the joints.
+
+    Attributes:
+        sampled_at_s: On the monotonic clock.
+        position: Of each joint [rad or m]; velocity: [rad/s or m/s]; current_A: as the servos report it.
+        commanded_A: Current that each joint is driven with from here on, in whole counts as the servo was told; 0 where held.
+    """
+
+    sampled_at_s: float
+    position: Mapping[str, float]
+    velocity: Mapping[str, float]
+    current_A: Mapping[str, float]
+    commanded_A: Mapping[str, float]
+
+
+@dataclass
+class DriverStatistics:
+    """Attributes: cycles: begun; incomplete: without an intact answer of every servo; retries: rounds asked for again."""
+
+    cycles: int = 0
+    incomplete: int = 0
+    retries: int = 0
+    reconnects: int = 0
+    refused_commands: int = 0
+
+
+@dataclass
+class _Joint:
+    """What is known and wanted of one joint; angles at the motor's shaft."""
+
+    name: str
+    lower_rad: float
+    upper_rad: float
+    transmission: float
+    current_limit_A: float
+    mode: JointMode = JointMode.HELD
+    angle_rad: float = 0.0
+    velocity_rad_s: float = 0.0
+    goal_rad: float = 0.0  # where the servo is told to be
+    target_rad: float = 0.0  # where the goal is going
+    commanded_A: float = 0.0
+    blocked: str = ""  # why it must not be driven until the commands have paused
+
+
+@dataclass(frozen=True)
+class _Command:
+    arrived_s: float
+    current_A: Mapping[str, float]
+
+
+class ArmDriver:
+    """Drives the servos of one robot.
+
+    `cycle` belongs to one thread; `command_currents`, `command_positions`, `stop` and `set_torque` may be called from any.
+
+    Args:
+        robot: Joints, limits, motors and transmissions.
+        bus: Its servos.
+        settings: Limits and deadlines.
+        log: Told sentences for the operator with a severity: ``info``, ``warning`` or ``error``.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        bus: DynamixelBus,
+        settings: DriverSettings | None = None,
+        log: Callable[[str, str], None] = lambda severity, message: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.robot = robot
+        self.bus = bus
+        self.settings = settings or DriverSettings()
+        self.statistics = DriverStatistics()
+        self.state = BusState.DISCONNECTED
+        self.reason = "not connected yet"
+        self.health: dict[str, ServoHealth] = {}
+        self._log = log
+        self._clock = clock
+        self._joints = {servo.joint: self._joint(servo.joint) for servo in bus.servos}
+        self._models = {servo.joint: servo.model for servo in bus.servos}
+        self._lock = threading.Lock()
+        self._command: _Command | None = None
+        self._targets: dict[str, float] = {}
+        self._torque_wanted: bool | None = None
+        self._stop_wanted = False
+        self._driving = False
+        self._last_answer_s = -np.inf
+        self._next_connect_s = -np.inf
+        self._next_health_s = -np.inf
+        self._health_turn = 0
+        self._goals_at_s = -np.inf
+        self._alerts: set[str] = set()
+
+    def _joint(self, name: str) -> _Joint:
+        joint, drive = self.robot.model.joint(name), self.robot.drive_trains[name]
+        return _Joint(
+            name,
+            joint.lower / drive.transmission,
+            joint.upper / drive.transmission,
+            drive.transmission,
+            self.robot.motors[name].current_limit_A,
+        )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints in the order of an unlabelled command."""
+        return tuple(self._joints)
+
+    @property
+    def modes(self) -> dict[str, str]:
+        """What each joint is doing, in words."""
+        return {name: joint.mode.value for name, joint in self._joints.items()}
+
+    # --- what others ask for ------------------------------------------------------------------------------------------
+
+    def command_currents(self, current_A: Mapping[str, float]) -> str:
+        """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
+
+        Returns:
+            Why the whole command was refused, or an empty string.
+        """
+        reason = self._why_refused(current_A)
+        if reason:
+            self.statistics.refused_commands += 1
+            return reason
+        with self._lock:  # only the newest counts, so a flood of commands costs nothing
+            self._command = _Command(self._clock(), dict(current_A))
+        return ""
+
+    def _why_refused(self, current_A: Mapping[str, float]) -> str:
+        if self.state is not BusState.RUNNING:
+            return f"the arm is {self.state.value}: {self.reason}"
+        for name, current in current_A.items():
+            joint = self._joints.get(name)
+            if joint is None:
+                return f"there is no joint {name!r}; joints: {', '.join(self._joints)}"
+            if not np.isfinite(current):
+                return f"{name}: the current is {current}; every current must be a number"
+            if abs(current) > joint.current_limit_A + 1e-9:
+                return f"{name}: {current:g} A is more than its limit of {joint.current_limit_A:g} A (currents are in A, not mA)"
+            health = self.health.get(name)
+            if current and health and health.temperature_C >= self.settings.max_temperature_C:
+                return f"{name}: too hot to be driven ({health.temperature_C:.0f} C): let it cool down"
+            if current and name in self._alerts:
+                return (
+                    f"{name}: its servo reports a fault ({'; '.join(health.faults) if health else 'see diagnostics'})"
+                )
+        return ""
+
+    def command_positions(self, position: Mapping[str, float]) -> str:
+        """Move held joints to these positions [rad or m], no faster than allowed.
+
+        Returns:
+            Why the whole command was refused, or an empty string.
+        """
+        if self.state is not BusState.RUNNING:
+            return f"the arm is {self.state.value}: {self.reason}"
+        targets = {}
+        for name, value in position.items():
+            joint = self._joints.get(name)
+            if joint is None:
+                return f"there is no joint {name!r}; joints: {', '.join(self._joints)}"
+            if not np.isfinite(value):
+                return f"{name}: the position is {value}; every position must be a number"
+            angle = value / joint.transmission
+            if not joint.lower_rad - 1e-6 <= angle <= joint.upper_rad + 1e-6:
+                low, high = joint.lower_rad * joint.transmission, joint.upper_rad * joint.transmission
+                return f"{name}: {value:g} is outside its range {low:g} to {high:g}"
+            targets[name] = angle
+        with self._lock:
+            self._targets.update(targets)
+        return ""
+
+    def stop(self) -> None:
+        """Current zero on every joint from the next cycle on, until torque is switched on again."""
+        with self._lock:
+            self._stop_wanted = True
+            self._command = None
+            self._targets.clear()
+
+    def set_torque(self, on: bool) -> None:
+        """Off: the arm is limp. On: servos with a fault are rebooted, and the arm is held where it is."""
+        with self._lock:
+            self._torque_wanted = on
+            self._stop_wanted = False
+            self._command = None
+            self._targets.clear()
+
+    # --- the loop -----------------------------------------------------------------------------------------------------
+
+    def cycle(self) -> ArmSample | None:
+        """One round: read, check, command. Never raises for what happens on the bus.
+
+        Returns:
+            What was read; None when the round was not intact.
+        """
+        self.statistics.cycles += 1
+        if self.state is BusState.DISCONNECTED and not self._connected():
+            return None
+        try:
+            self._obey_requests()
+            reading = self._read()
+            now = self._clock()
+            sample = None
+            if reading is not None:
+                self._last_answer_s = now
+                self._take(reading)
+            elif now - self._last_answer_s > LOST_AFTER_S:
+                raise PortLostError(
+                    f"{self.bus.port_name}: no intact answer for {LOST_AFTER_S} s: check power and cable"
+                )
+            else:
+                self.statistics.incomplete += 1
+            # the deadline of a command counts, whether an answer came or not
+            self._decide(now, reading is not None)
+            self._write_goals()
+            if reading is not None:
+                sample = self._sample(reading)
+            self._look_after_health(now)
+            return sample
+        except BusError as error:
+            self._lost(error)
+            return None
+
+    def _connected(self) -> bool:
+        now = self._clock()
+        if now < self._next_connect_s:
+            return False
+        self._next_connect_s = now + self.settings.reconnect_s
+        try:
+            self.bus.open()
+            self.bus.handshake()
+            self._hold_here()
+        except BusError as error:
+            self.bus.close()
+            if str(error) != self.reason:
+                self._log("error", f"{error}; trying again every {self.settings.reconnect_s:g} s")
+            self.reason = str(error)
+            return False
+        for warning in self.bus.warnings:
+            self._log("warning", warning)
+        self._log("info", f"{self.bus.port_name}: {len(self._joints)} servos, held where they are")
+        return True
+
+    def _hold_here(self) -> None:
+        """Torque on, every joint held at its present position."""
+        self.bus.prepare(watchdog_s=self.settings.watchdog_s, position_d_gain=self.settings.position_d_gain)
+        for _ in range(5):
+            reading = self.bus.read_states()
+            if len(reading.states) == len(self._joints):
+                break
+        else:
+            raise BusError(f"{self.bus.port_name}: the servos answer one by one but not together: check the cable")
+        with self._lock:
+            self._command = None
+            self._targets.clear()
+            self._stop_wanted = False
+            self._torque_wanted = None
+        self._alerts.clear()
+        self.health.clear()
+        self._driving = False
+        for name, joint in self._joints.items():
+            joint.angle_rad = joint.goal_rad = joint.target_rad = reading.states[name].angle_rad
+            joint.mode, joint.blocked, joint.commanded_A = JointMode.HELD, "", 0.0
+        self._last_answer_s = self._clock()
+        self.state, self.reason = BusState.RUNNING, "held"
+        self._write_goals()
+
+    def _obey_requests(self) -> None:
+        with self._lock:
+            stop, self._stop_wanted = self._stop_wanted, False
+            torque, self._torque_wanted = self._torque_wanted, None
+        if stop and self.state is BusState.RUNNING:
+            self.state, self.reason = BusState.STOPPED, "stopped; switch torque on to go on"
+            self._driving = False
+            self._write_goals()
+            self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
+        if torque is False:
+            for problem in self.bus.release():
+                self._log("error", problem)
+            self.state, self.reason = BusState.RELEASED, "torque is off; switch it on to go on"
+        elif torque is True:
+            self._hold_here()
+
+    def _read(self) -> Reading | None:
+        """All servos' answers, asked for twice if need be."""
+        for attempt in range(2):
+            reading = self.bus.read_states()
+            if len(reading.states) == len(self._joints):
+                return reading
+            self.statistics.retries += attempt == 0
+        return None
+
+    def _take(self, reading: Reading) -> None:
+        for name, state in reading.states.items():
+            joint = self._joints[name]
+            # a position that speed does not explain: the encoder, not the arm
+            explained = abs(joint.velocity_rad_s) * 0.1 + self.settings.max_jump_rad
+            if abs(state.angle_rad - joint.angle_rad) > explained:
+                self._block_all(f"{name}: its encoder jumped from {joint.angle_rad:.3f} to {state.angle_rad:.3f} rad")
+            joint.angle_rad, joint.velocity_rad_s = state.angle_rad, state.velocity_rad_s
+            if state.alert and name not in self._alerts:
+                self._alerts.add(name)
+                self._block_all(f"{name}: its servo reports a fault and has switched itself off")
+                self._next_health_s = -np.inf
+                self._health_turn = list(self._joints).index(name)
+
+    def _block_all(self, reason: str) -> None:
+        """End every current, until the commands have paused."""
+        self._log("error", f"{reason}; all joints are held")
+        for joint in self._joints.values():
+            if joint.mode is JointMode.DRIVEN:
+                self._hold(joint)
+            joint.blocked = reason
+        self.reason = reason
+
+    def _hold(self, joint: _Joint) -> None:
+        joint.mode = JointMode.HELD
+        joint.goal_rad = joint.target_rad = min(max(joint.angle_rad, joint.lower_rad), joint.upper_rad)
+        joint.commanded_A = 0.0
+
+    def _decide(self, now: float, seen: bool) -> None:
+        """What every joint does until the next cycle."""
+        if self.state is not BusState.RUNNING:
+            return
+        with self._lock:
+            command = self._command
+            targets, self._targets = self._targets, {}
+            if command is not None and now - command.arrived_s > self.settings.command_timeout_s:
+                self._command = None
+        fresh = command is not None and now - command.arrived_s <= self.settings.command_timeout_s
+        currents = command.current_A if command is not None and fresh else {}
+        for joint in self._joints.values():
+            if joint.name in currents:
+                self._drive(joint, currents[joint.name])
+                continue
+            if joint.mode is JointMode.DRIVEN:
+                timed_out = not fresh and self._driving
+                if timed_out and self.settings.on_timeout == "zero":
+                    joint.mode, joint.commanded_A = JointMode.FREE, 0.0
+                else:
+                    self._hold(joint)
+                if timed_out:
+                    self._log(
+                        "warning",
+                        f"{joint.name}: no current command for {1e3 * self.settings.command_timeout_s:.0f} ms",
+                    )
+            joint.blocked = ""  # the commands have paused
+            if joint.name in targets:
+                if joint.mode is JointMode.FREE:
+                    self._hold(joint)
+                joint.target_rad = targets[joint.name]
+        self._driving = any(joint.mode is JointMode.DRIVEN for joint in self._joints.values())
+        if seen:
+            self._advance_goals()
+
+    def _drive(self, joint: _Joint, current_A: float) -> None:
+        reason = joint.blocked or self._why_not_driven(joint, current_A)
+        if reason:
+            if not joint.blocked:
+                self._log("warning", f"{reason}; held")
+            joint.blocked = reason
+            if joint.mode is JointMode.DRIVEN:
+                self._hold(joint)
+            return
+        model = self._models[joint.name]
+        joint.mode = JointMode.DRIVEN
+        joint.commanded_A = model.current_A(model.counts_of_current(current_A))
+
+    def _why_not_driven(self, joint: _Joint, current_A: float) -> str:
+        margin = self.settings.limit_margin_rad
+        if joint.angle_rad > joint.upper_rad - margin and (joint.velocity_rad_s > 0.0 or current_A > 0.0):
+            return f"{joint.name} is at its upper limit"
+        if joint.angle_rad < joint.lower_rad + margin and (joint.velocity_rad_s < 0.0 or current_A < 0.0):
+            return f"{joint.name} is at its lower limit"
+        if abs(joint.velocity_rad_s) > self.settings.max_velocity_rad_s:
+            return f"{joint.name} turns at {joint.velocity_rad_s:.1f} rad/s, faster than {self.settings.max_velocity_rad_s:g}"
+        return ""
+
+    def _advance_goals(self) -> None:
+        """Goals of held joints follow their targets, no faster than allowed."""
+        now = self._clock()
+        step = self.settings.max_goal_velocity_rad_s * min(now - self._goals_at_s, 0.1)
+        self._goals_at_s = now
+        for joint in self._joints.values():
+            if joint.mode is JointMode.HELD:
+                joint.goal_rad += min(max(joint.target_rad - joint.goal_rad, -step), step)
+
+    def _write_goals(self) -> None:
+        if self.state is BusState.RELEASED:
+            return
+        goals = {}
+        for name, joint in self._joints.items():
+            model = self._models[name]
+            here = model.counts_of_position(joint.angle_rad)
+            if self.state is BusState.STOPPED or joint.mode is JointMode.FREE:
+                goals[name] = Goal(0, here)
+            elif joint.mode is JointMode.DRIVEN:
+                counts = model.counts_of_current(joint.commanded_A)
+                # the sign is in the direction of the goal, the size in the limit
+                goals[name] = Goal(abs(counts), here + (FAR_COUNTS if counts > 0 else -FAR_COUNTS if counts < 0 else 0))
+            else:
+                goals[name] = Goal(
+                    model.counts_of_current(joint.current_limit_A), model.counts_of_position(joint.goal_rad)
+                )
+        self.bus.write_goals(goals)
+
+    def _sample(self, reading: Reading) -> ArmSample:
+        joints = self._joints.values()
+        return ArmSample(
+            reading.sampled_at_s,
+            {joint.name: joint.angle_rad * joint.transmission for joint in joints},
+            {joint.name: joint.velocity_rad_s * joint.transmission for joint in joints},
+            {joint.name: reading.states[joint.name].current_A for joint in joints},
+            {joint.name: joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0 for joint in joints},
+        )
+
+    def _look_after_health(self, now: float) -> None:
+        """Temperatures and errors, a servo at a time; not while a joint is driven, when every cycle counts."""
+        if now < self._next_health_s or (self._driving and not self._alerts):
+            return
+        self._next_health_s = now + HEALTH_PERIOD_S
+        servo = self.bus.servos[self._health_turn % len(self.bus.servos)]
+        self._health_turn += 1
+        try:
+            health = self.bus.health(servo.id)
+        except PortLostError:
+            raise
+        except BusError as error:
+            self._log("warning", str(error))
+            return
+        before = self.health.get(servo.joint)
+        self.health[servo.joint] = health
+        if health.faults and (before is None or before.faults != health.faults):
+            self._log("error", f"{servo.joint}: {'; '.join(health.faults)}; ~/torque true reboots it")
+        if health.watchdog_tripped and self.state is BusState.RUNNING:
+            self._log("warning", f"{servo.joint}: its watchdog had stopped it; held again")
+            self._hold_here()
+
+    def _lost(self, error: BusError) -> None:
+        """The bus is gone: the servos' own watchdog ends every current; try again from the start."""
+        self.statistics.reconnects += 1
+        self.bus.close()
+        self.state, self.reason = BusState.DISCONNECTED, str(error)
+        self._next_connect_s = self._clock() + self.settings.reconnect_s
+        for joint in self._joints.values():
+            joint.mode, joint.commanded_A = JointMode.HELD, 0.0
+        self._log("error", f"{error}; trying again every {self.settings.reconnect_s:g} s")
+
+    def close(self, hold: bool = False) -> None:
+        """End: current zero and torque off, or the arm held by its servos alone.
+
+        Args:
+            hold: Leave torque on and switch the servos' watchdog off, so that they keep their position without us.
+        """
+        if self.bus.is_open:
+            try:
+                if hold and self.state is BusState.RUNNING:
+                    for joint in self._joints.values():
+                        self._hold(joint)
+                    self._write_goals()
+                    for servo in self.bus.servos:
+                        self.bus.write(servo.id, "bus_watchdog", 0)
+                else:
+                    for problem in self.bus.release():
+                        self._log("error", problem)
+            except BusError as error:
+                self._log("error", f"{error}; the servos' watchdog ends their current")
+            self.bus.close()
+        self.state, self.reason = BusState.DISCONNECTED, "closed"
+
+
+@dataclass
+class Pacer:
+    """Cycles at a fixed rate, against absolute deadlines, so that lateness does not add up.
+
+    Attributes:
+        period_s: Of a cycle.
+        lateness_s: How late each cycle began, the newest `keep`.
+    """
+
+    period_s: float
+    keep: int = 10_000
+    lateness_s: list[float] = field(default_factory=list)
+    _next_s: float = field(default=float("nan"))
+
+    def wait(self) -> float:
+        """Sleep until the next cycle is due; returns how late it begins [s]. Cycles that were missed are left out."""
+        now = time.monotonic()
+        if not np.isfinite(self._next_s):
+            self._next_s = now
+        if now < self._next_s:
+            time.sleep(self._next_s - now)
+            now = time.monotonic()
+        late = now - self._next_s
+        self._next_s += self.period_s * max(1, int(late / self.period_s) + 1)
+        self.lateness_s.append(late)
+        if len(self.lateness_s) > self.keep:
+            del self.lateness_s[: self.keep // 2]
+        return late
+
+
+@dataclass
+class StampClock:
+    """Turns instants of the monotonic clock into stamps that run smoothly, whatever is done to the system's clock.
+
+    The system's clock is looked at only between probes: a jump in the middle of one would tear it apart.
+
+    Attributes:
+        offset_ns: System time minus monotonic time.
+    """
+
+    offset_ns: int | None = None
+
+    def look(self, system_ns: int, monotonic_s: float) -> float:
+        """Follow the system's clock; returns by how much it had moved away [s]."""
+        offset_ns = system_ns - round(1e9 * monotonic_s)
+        moved_s = 0.0 if self.offset_ns is None else 1e-9 * (offset_ns - self.offset_ns)
+        self.offset_ns = offset_ns
+        return moved_s
+
+    def stamp_ns(self, monotonic_s: float) -> int:
+        """Stamp of an instant; `look` must have been called before."""
+        assert self.offset_ns is not None
+        return self.offset_ns + round(1e9 * monotonic_s)

@@ -1,0 +1,581 @@
+"""Dynamixel servos over a serial port: `dynamixel_sdk`, without its traps.
+
+The SDK (4.1.0) spins on the port while a reply is due, waits 34 ms of wall-clock time for a dead servo, returns 0 for data
+that never came, stays "in use" after an exception, and lets whatever the port raises through. `_Port` and `DynamixelBus` turn
+that into: sleeping waits on the monotonic clock, a time limit of the caller's choice, values only where there are values, and
+`BusError` in one line. One thread owns a bus; nothing here is thread-safe.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import os
+import select
+import termios
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import dynamixel_sdk
+import serial
+
+from proprio_ros.bus.control_table import (
+    BAUD_RATES,
+    BUS_WATCHDOG_TRIPPED,
+    BUS_WATCHDOG_UNIT_S,
+    OperatingMode,
+    ServoModel,
+    hardware_errors,
+    model_name,
+    servo_model,
+)
+from proprio_ros.errors import BusError, PortLostError, RobotError
+from proprio_ros.robot import Robot
+
+REPLY_TIMEOUT_S = 0.020
+"""How long a reply may take beyond its time on the wire. A timer of 16 ms in an FTDI adapter still fits."""
+
+TRIES = 3
+"""A read or write is tried so often before the servo counts as not answering."""
+
+ALERT = 0x80
+"""Bit of a status packet's error byte: see Hardware Error Status."""
+
+_STATUS_WORDS = {
+    1: "failed to process the instruction",
+    2: "does not know the instruction",
+    3: "received a corrupted packet",
+    4: "refuses the value as out of range",
+    5: "refuses the length of the data",
+    6: "refuses the value as beyond its limit",
+    7: "refuses access to the register (EEPROM is writable only while torque is off)",
+}
+_GOAL_BLOCK = ("goal_current", "goal_velocity", "profile_acceleration", "profile_velocity", "goal_position")
+_PORT_FAULTS = (serial.SerialException, OSError, termios.error, TypeError, AttributeError)
+"""What pyserial and the SDK raise when a cable is pulled, depending on the moment."""
+
+_Result = TypeVar("_Result")
+
+
+class _Port(dynamixel_sdk.PortHandler):
+    """A port that waits without spinning, on the monotonic clock, and only as long as it is told."""
+
+    def __init__(self, name: str, reply_timeout_s: float) -> None:
+        super().__init__(name)
+        self.is_open: bool = False
+        self.reply_timeout_s = reply_timeout_s
+
+    def setupPort(self, _flag: int) -> bool:
+        if self.is_open:
+            self.closePort()
+        # exclusive: two drivers on one bus would answer each other's servos
+        self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10_000.0 / self.baudrate
+        return True
+
+    def readPort(self, length: int) -> bytes:
+        data: bytes = self.ser.read(length)
+        if not data and length > 0:
+            left_s = 1e-3 * (self.packet_timeout - self.getTimeSinceStart())
+            select.select([self.ser.fileno()], [], [], min(max(left_s, 0.0), 0.005))
+            data = self.ser.read(length)
+        return data
+
+    def getCurrentTime(self) -> float:
+        return 1e3 * time.monotonic()
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        self.packet_start_time = self.getCurrentTime()
+        self.packet_timeout = self.tx_time_per_byte * packet_length + 1e3 * self.reply_timeout_s
+
+
+@dataclass(frozen=True)
+class BusServo:
+    """A servo that should be on the bus.
+
+    Attributes:
+        joint: That it drives.
+        id: Its number on the bus.
+        model: Its control table.
+    """
+
+    joint: str
+    id: int
+    model: ServoModel
+
+
+def servos_of(robot: Robot) -> tuple[BusServo, ...]:
+    """The servos that a robot file names, in its order.
+
+    Raises:
+        RobotError: A motor has no id or an unknown model, or two share an id.
+    """
+    servos = []
+    for joint, motor in robot.motors.items():
+        if motor.id is None or not motor.model:
+            raise RobotError(
+                f"{robot.name}: joints.{joint}.motor needs model and id to be driven; state them in {robot.source.name}"
+            )
+        servos.append(BusServo(joint, motor.id, servo_model(motor.model)))
+    ids = [servo.id for servo in servos]
+    if len(set(ids)) != len(ids):
+        raise RobotError(f"{robot.name}: two motors share an id ({ids}); every servo on a bus needs one of its own")
+    return tuple(servos)
+
+
+class ServoState(NamedTuple):
+    """What one servo reported; raw counts become SI here.
+
+    Attributes:
+        alert: Whether the servo has a hardware error.
+    """
+
+    angle_rad: float
+    velocity_rad_s: float
+    current_A: float
+    alert: bool
+
+
+class Reading(NamedTuple):
+    """One round of the bus.
+
+    Attributes:
+        sampled_at_s: When the request had left: servos sample when they hear it. On the monotonic clock.
+        states: By joint; servos that did not answer, or not intact, are missing.
+    """
+
+    sampled_at_s: float
+    states: Mapping[str, ServoState]
+
+
+class ServoHealth(NamedTuple):
+    """Attributes: faults: one sentence per hardware error; watchdog_tripped: the servo stopped by itself."""
+
+    temperature_C: float
+    voltage_V: float
+    faults: tuple[str, ...]
+    watchdog_tripped: bool
+
+
+class Goal(NamedTuple):
+    """What one servo in current-based position mode is told.
+
+    A far goal position makes the current exactly +-`current_A`, without leaving the mode and so without dropping the arm.
+    """
+
+    current_counts: int
+    position_counts: int
+
+
+class DynamixelBus:
+    """The servos of one arm on one port.
+
+    Args:
+        port: Such as /dev/ttyUSB0.
+        servos: That should be there.
+        baud_rate: In bits per second, one of `BAUD_RATES`.
+        reply_timeout_s: See `REPLY_TIMEOUT_S`.
+        fast_sync_read: Whether to use Fast Sync Read where every servo's firmware knows it.
+
+    Raises:
+        BusError: The baud rate is unknown.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        servos: Sequence[BusServo],
+        baud_rate: int = 1_000_000,
+        reply_timeout_s: float = REPLY_TIMEOUT_S,
+        fast_sync_read: bool = True,
+    ) -> None:
+        if baud_rate not in BAUD_RATES.values():
+            raise BusError(
+                f"baud rate {baud_rate} is not known to the servos; choose from {', '.join(map(str, BAUD_RATES.values()))}"
+            )
+        self.port_name = port
+        self.servos = tuple(servos)
+        self.baud_rate = baud_rate
+        self.warnings: list[str] = []
+        self._by_id = {servo.id: servo for servo in self.servos}
+        self._reply_timeout_s = reply_timeout_s
+        self._want_fast = fast_sync_read
+        self._fast = False
+        self._port: _Port | None = None
+        self._packets = dynamixel_sdk.PacketHandler(2.0)
+        # ROS 2 Jazzy ships 4.0.5, which has no fast option
+        self._sdk_is_fast = "fast_option" in inspect.signature(self._packets.syncReadTx).parameters
+        table = self.servos[0].model.registers
+        self._state_start = table["present_current"].address
+        self._state_length = 10
+        self._goal_start = table["goal_current"].address
+        self._goal_length = 18
+
+    # --- the port -----------------------------------------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        return self._port is not None
+
+    def open(self) -> None:
+        """Open the port alone for this process.
+
+        Raises:
+            PortLostError: It is not there, not permitted, or in use; the message says which.
+        """
+        self.close()
+        port = _Port(self.port_name, self._reply_timeout_s)
+        try:
+            opened = port.setBaudRate(self.baud_rate)
+        except _PORT_FAULTS as error:
+            raise PortLostError(_why_not_open(self.port_name, error)) from error
+        if not opened:
+            raise PortLostError(
+                f"{self.port_name}: cannot be set to {self.baud_rate} bit/s; choose a baud rate that the adapter knows"
+            )
+        self._port = port
+        self.warnings = _latency_warnings(self.port_name, port.ser)
+
+    def close(self) -> None:
+        """Close the port; whatever it answers, it is closed afterwards."""
+        port, self._port = self._port, None
+        if port is not None and port.ser is not None:
+            with contextlib.suppress(*_PORT_FAULTS):  # it may be gone, which is what was asked for
+                port.ser.close()
+
+    def _guarded(self, action: Callable[[Any], _Result]) -> _Result:
+        """Run one exchange; a port that breaks under it becomes `PortLostError`."""
+        port = self._port
+        if port is None:
+            raise PortLostError(f"{self.port_name}: not open")
+        port.is_using = False  # an exception or a lost reply leaves it set, and every later call would be refused
+        try:
+            return action(port)
+        except _PORT_FAULTS as error:
+            self.close()
+            raise PortLostError(
+                f"{self.port_name}: the port is gone ({_first_line(error)}): check the cable"
+            ) from error
+
+    def _settle(self) -> None:
+        """After a lost reply: whatever still comes belongs to the past."""
+        time.sleep(0.002)
+        self._guarded(lambda port: port.clearPort())
+
+    # --- single servos ------------------------------------------------------------------------------------------------
+
+    def ping(self, servo_id: int) -> int:
+        """Model number of a servo.
+
+        Raises:
+            BusError: It does not answer.
+        """
+        number, _ = self._tried(servo_id, "ping", lambda port: self._packets.ping(port, servo_id))
+        return int(number)
+
+    def read(self, servo_id: int, register: str) -> int:
+        """Value of a register, sign included.
+
+        Raises:
+            BusError: The servo does not answer or refuses.
+        """
+        entry = self._by_id[servo_id].model.registers[register]
+        data, _ = self._tried(
+            servo_id, f"read {register}", lambda port: self._packets.readTxRx(port, servo_id, entry.address, entry.size)
+        )
+        if len(data) != entry.size:
+            raise BusError(f"servo {servo_id}: read {register}: {len(data)} bytes came instead of {entry.size}")
+        return entry.decode(bytes(data))
+
+    def write(self, servo_id: int, register: str, value: int) -> None:
+        """Write a register and wait for the servo's word on it.
+
+        Raises:
+            BusError: The servo does not answer or refuses.
+        """
+        entry = self._by_id[servo_id].model.registers[register]
+
+        def exchange(port: Any) -> tuple[None, int, int]:
+            result, error = self._packets.writeTxRx(
+                port, servo_id, entry.address, entry.size, list(entry.encode(value))
+            )
+            return None, result, error
+
+        self._tried(servo_id, f"write {register} = {value}", exchange)
+
+    def _tried(self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]) -> tuple[Any, int]:
+        """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns data and error byte."""
+        result = error = 0
+        for _ in range(TRIES):
+            try:
+                data, result, error = self._guarded(exchange)
+            except IndexError:  # the SDK trusts the length of a reply
+                result = dynamixel_sdk.COMM_RX_CORRUPT
+            if result == dynamixel_sdk.COMM_SUCCESS and error & ~ALERT != 3:
+                if error & ~ALERT:
+                    raise BusError(
+                        f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(error & ~ALERT, 'refuses')}"
+                    )
+                return data, error
+            self._settle()
+        raise BusError(f"{self._called(servo_id)}: {what}: {self._lost_words(result)}")
+
+    def _called(self, servo_id: int) -> str:
+        servo = self._by_id.get(servo_id)
+        return f"servo {servo_id} ({servo.joint})" if servo else f"servo {servo_id}"
+
+    def _lost_words(self, result: int) -> str:
+        if result == dynamixel_sdk.COMM_RX_TIMEOUT:
+            return f"no answer in {TRIES} tries at {self.baud_rate} bit/s: check power, cable, id and baud rate"
+        if result == dynamixel_sdk.COMM_RX_CORRUPT or result == dynamixel_sdk.COMM_SUCCESS:
+            return f"only corrupted packets in {TRIES} tries: check cable, ground and baud rate"
+        return f"the packet could not be sent ({result})"
+
+    # --- the arm ------------------------------------------------------------------------------------------------------
+
+    def handshake(self) -> None:
+        """Check that every servo is there and of the model that the robot file states.
+
+        Raises:
+            BusError: Naming all that are missing or of another model.
+        """
+        wrong, slow = [], False
+        for servo in self.servos:
+            try:
+                number = self.ping(servo.id)
+            except PortLostError:
+                raise
+            except BusError:
+                wrong.append(f"no servo {servo.id} ({servo.joint})")
+                continue
+            if number != servo.model.number:
+                wrong.append(f"servo {servo.id} ({servo.joint}) is a {model_name(number)}, not a {servo.model.name}")
+                continue
+            slow |= self.read(servo.id, "firmware_version") < servo.model.fast_sync_read_firmware
+        if wrong:
+            advice = (
+                "check power, cables, ids and baud rate"
+                if any(w.startswith("no") for w in wrong)
+                else "correct the robot file"
+            )
+            raise BusError(f"{self.port_name} at {self.baud_rate} bit/s: {'; '.join(wrong)}: {advice}")
+        self._fast = self._want_fast and self._sdk_is_fast and not slow
+
+    def prepare(self, *, watchdog_s: float, position_d_gain: int) -> None:
+        """Put every servo into current-based position mode with torque on, holding where it is.
+
+        A servo with a hardware error is rebooted first, one whose watchdog tripped is woken. Where the mode has to change,
+        torque is off for the few milliseconds that this takes (EEPROM). Return delay is set to zero.
+
+        Args:
+            watchdog_s: The servo stops by itself when the bus is silent for so long; 0 turns that off.
+            position_d_gain: Register value; the servo's own default of 0 lets a held joint ring.
+
+        Raises:
+            BusError: A servo does not answer or refuses.
+        """
+        for servo in self.servos:
+            if self.read(servo.id, "hardware_error_status"):
+                self.reboot(servo.id)
+            self._set(servo, "bus_watchdog", 0)
+            self._set(servo, "status_return_level", 2)
+            wanted = {"return_delay_time": 0, "operating_mode": int(OperatingMode.CURRENT_BASED_POSITION)}
+            if any(self.read(servo.id, name) != value for name, value in wanted.items()):
+                self.write(servo.id, "torque_enable", 0)
+                for name, value in wanted.items():
+                    self._set(servo, name, value)
+            self._set(servo, "position_d_gain", position_d_gain)
+            if self.read(servo.id, "torque_enable") == 0:
+                self.write(servo.id, "torque_enable", 1)
+            units = round(watchdog_s / BUS_WATCHDOG_UNIT_S)
+            self.write(servo.id, "bus_watchdog", min(max(units, 1), 127) if watchdog_s > 0.0 else 0)
+
+    def _set(self, servo: BusServo, register: str, value: int) -> None:
+        """Write what differs: EEPROM wears out, and a write costs as much as a read."""
+        if self.read(servo.id, register) != value:
+            self.write(servo.id, register, value)
+
+    def release(self) -> tuple[str, ...]:
+        """Current to zero and torque off on every servo that can still be reached; returns what could not be done."""
+        left: list[str] = []
+        for servo in self.servos:
+            try:
+                self.write(servo.id, "torque_enable", 0)
+            except PortLostError as error:
+                return (*left, str(error))
+            except BusError as error:
+                left.append(str(error))
+        return tuple(left)
+
+    def reboot(self, servo_id: int, ready_s: float = 2.0) -> None:
+        """Reboot a servo, which clears its hardware error, and wait until it answers.
+
+        Raises:
+            BusError: It does not come back, or its error is still there.
+        """
+
+        def exchange(port: Any) -> tuple[None, int, int]:
+            result, error = self._packets.reboot(port, servo_id)
+            return None, result, error & ALERT
+
+        self._tried(servo_id, "reboot", exchange)
+        deadline = time.monotonic() + ready_s
+        while True:
+            time.sleep(0.1)
+            try:
+                status = self.read(servo_id, "hardware_error_status")
+            except PortLostError:
+                raise
+            except BusError:
+                if time.monotonic() > deadline:
+                    raise
+                continue
+            if status:
+                raise BusError(
+                    f"{self._called(servo_id)}: {'; '.join(hardware_errors(status))}: it remains after a reboot"
+                )
+            return
+
+    def health(self, servo_id: int) -> ServoHealth:
+        """Temperature, voltage, hardware errors and watchdog of a servo.
+
+        Raises:
+            BusError: It does not answer.
+        """
+        model = self._by_id[servo_id].model
+        return ServoHealth(
+            float(self.read(servo_id, "present_temperature")),
+            self.read(servo_id, "present_input_voltage") * model.voltage_unit_V,
+            hardware_errors(self.read(servo_id, "hardware_error_status")),
+            self.read(servo_id, "bus_watchdog") == BUS_WATCHDOG_TRIPPED,
+        )
+
+    def read_states(self) -> Reading:
+        """Current, velocity and position of all servos, in one exchange (registers 126 to 135).
+
+        Raises:
+            PortLostError: The port is gone. A servo that does not answer is missing in the result instead.
+        """
+        ids = [servo.id for servo in self.servos]
+        arguments = (self._state_start, self._state_length, ids, len(ids))
+
+        def request(port: Any) -> int:
+            if self._sdk_is_fast:
+                return int(self._packets.syncReadTx(port, *arguments, self._fast))
+            return int(self._packets.syncReadTx(port, *arguments))
+
+        result = self._guarded(request)
+        sampled_at_s = time.monotonic()
+        if result != dynamixel_sdk.COMM_SUCCESS:
+            return Reading(sampled_at_s, {})
+        blocks = self._guarded(self._receive_fast if self._fast else self._receive_each)
+        if len(blocks) < len(ids):
+            self._settle()
+        return Reading(
+            sampled_at_s, {self._by_id[i].joint: self._state(i, error, data) for i, (error, data) in blocks.items()}
+        )
+
+    def _receive_each(self, port: Any) -> dict[int, tuple[int, bytes]]:
+        # the SDK's own group read stops at the first servo that is silent and then calls every value 0
+        blocks: dict[int, tuple[int, bytes]] = {}
+        for servo in self.servos:
+            try:
+                data, result, error = self._packets.readRx(port, servo.id, self._state_length)
+            except IndexError:
+                continue
+            if result == dynamixel_sdk.COMM_SUCCESS and len(data) == self._state_length:
+                blocks[servo.id] = (error, bytes(data))
+            elif result == dynamixel_sdk.COMM_RX_TIMEOUT:
+                break  # the ones behind it wait for it in vain
+        return blocks
+
+    def _receive_fast(self, port: Any) -> dict[int, tuple[int, bytes]]:
+        part = self._state_length + 4  # error, id, data, CRC
+        try:
+            data, result, _ = self._packets.fastSyncReadRx(port, dynamixel_sdk.BROADCAST_ID, part * len(self.servos))
+        except IndexError:
+            return {}
+        if result != dynamixel_sdk.COMM_SUCCESS or len(data) < part * len(self.servos) - 2:
+            return {}
+        blocks = {}
+        for start in range(0, part * len(self.servos) - 2, part):
+            if data[start + 1] in self._by_id:
+                blocks[data[start + 1]] = (data[start], bytes(data[start + 2 : start + 2 + self._state_length]))
+        return blocks
+
+    def _state(self, servo_id: int, error: int, data: bytes) -> ServoState:
+        model = self._by_id[servo_id].model
+        table = model.registers
+        return ServoState(
+            angle_rad=model.angle_rad(table["present_position"].decode(data[6:10])),
+            velocity_rad_s=model.velocity_rad_s(table["present_velocity"].decode(data[2:6])),
+            current_A=model.current_A(table["present_current"].decode(data[0:2])),
+            alert=bool(error & ALERT),
+        )
+
+    def write_goals(self, goals: Mapping[str, Goal]) -> None:
+        """Current limit and goal position of some joints, in one packet (registers 102 to 119).
+
+        Nobody answers a sync write, so a corrupted one is lost without a word: write the goals in every cycle.
+
+        Raises:
+            PortLostError: The port is gone.
+        """
+        param: list[int] = []
+        for servo in self.servos:
+            if servo.joint in goals:
+                goal = goals[servo.joint]
+                table = servo.model.registers
+                values = {"goal_current": goal.current_counts, "goal_position": goal.position_counts}
+                param.append(servo.id)
+                for name in _GOAL_BLOCK:
+                    param.extend(table[name].encode(values.get(name, 0)))
+        if param:
+            self._guarded(
+                lambda port: self._packets.syncWriteTxOnly(port, self._goal_start, self._goal_length, param, len(param))
+            )
+
+
+# --- words and the system -----------------------------------------------------------------------------------------------
+
+
+def _first_line(error: BaseException) -> str:
+    return (" ".join(str(error).split()) or type(error).__name__)[:120]
+
+
+def _why_not_open(port: str, error: BaseException) -> str:
+    number = getattr(error, "errno", None)
+    text = _first_line(error)
+    if not Path(port).exists():
+        others = sorted(str(path) for pattern in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(pattern))
+        return f"{port}: there is no such port; plugged in: {', '.join(others) or 'none'}: check the cable, or name another port"
+    if number == 13 or "ermission" in text:
+        return f"{port}: not permitted: add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again"
+    if number == 11 or "xclusively lock" in text:
+        return f"{port}: another program uses it: stop that one first"
+    return f"{port}: cannot be opened ({text}): check the cable"
+
+
+def _latency_warnings(port: str, handle: serial.Serial) -> list[str]:
+    """Ask for low latency, and say so where the adapter still holds replies back."""
+    with contextlib.suppress(
+        Exception
+    ):  # not every driver has it, and pyserial raises what it likes; the timer below tells
+        handle.set_low_latency_mode(True)
+    timer = Path("/sys/bus/usb-serial/devices") / Path(os.path.realpath(port)).name / "latency_timer"
+    try:
+        milliseconds = int(timer.read_text())
+    except (OSError, ValueError):
+        return []
+    if milliseconds <= 1:
+        return []
+    cycles = 1000 // (milliseconds + 4)
+    return [
+        f"{port}: the adapter's latency timer is {milliseconds} ms, which allows about {cycles} cycles per second: "
+        f"echo 1 | sudo tee {timer}"
+    ]
