@@ -1,0 +1,162 @@
+"""A whole robot without hardware: emulated servos on a port, and the simulated arm that their currents move, in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from proprio_ros.bus.control_table import BAUD_RATES, servo_model
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.robot import Robot
+from proprio_ros.virtual.arm import VirtualArm
+from proprio_ros.virtual.bus import Faults, VirtualBus
+from proprio_ros.virtual.objects import HandObject
+from proprio_ros.virtual.port import PtyPort
+from proprio_ros.virtual.servo import CONTROL_PERIOD_S, VirtualServo
+from proprio_ros.virtual.truth import Truth
+
+LONGEST_PAUSE_S = 0.5
+"""When this process was not run for longer, the world stood still meanwhile."""
+
+PARKED = {"joint2": -1.0, "joint3": 0.6, "joint4": 0.4}
+"""Where an OpenManipulator-X is parked: away from all limits, high above the table [rad]."""
+
+OVERHEATED_C = 90.0
+
+
+class VirtualRobot:
+    """Servos and arm; `port` is what a driver opens.
+
+    Until torque is switched on for the first time somebody holds the arm, as a person would.
+
+    Args:
+        robot: The robot as its file states it; ids and models of its motors make the servos.
+        truth: What it is really like.
+        link: Path that shall point to the pseudo-terminal.
+        position: Joint positions at the start [rad or m].
+        seed: Of encoder noise and faults.
+        firmware: Of the servos.
+        baud_rate: That the servos are set to.
+        wire_time: Whether bytes take their time on the wire.
+
+    Raises:
+        ConfigurationError: MuJoCo is missing, or the robot cannot be simulated.
+        RobotError: A motor's model is not known.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        truth: Truth,
+        *,
+        link: Path | None = None,
+        position: Mapping[str, float] | None = None,
+        seed: int = 0,
+        firmware: int = 46,
+        baud_rate: int = 1_000_000,
+        wire_time: bool = True,
+    ) -> None:
+        known = set(robot.model.independent_joints)
+        start = {name: value for name, value in PARKED.items() if name in known} if position is None else position
+        self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=CONTROL_PERIOD_S)
+        self.faults = Faults(seed=seed)
+        codes = {rate: code for code, rate in BAUD_RATES.items()}
+        self.servos: dict[str, VirtualServo] = {}
+        for name in self.arm.joints:
+            motor, drive = robot.motors[name], robot.drive_trains[name]
+            if motor.id is None:
+                raise ConfigurationError(f"{robot.name}: joints.{name}.motor has no id; a virtual servo needs one, too")
+            servo = VirtualServo(
+                servo_model(motor.model),
+                motor.id,
+                firmware=firmware,
+                supply_voltage_V=drive.supply_voltage_V or 12.0,
+                back_emf_V_s_per_rad=drive.back_emf_V_s_per_rad,
+                resistance_ohm=drive.resistance_ohm or 5.0,
+                latency_s=truth.latency_s,
+            )
+            servo["baud_rate"] = codes[baud_rate]
+            self.servos[name] = servo
+        self._all = tuple(self.servos.values())
+        self._shift = np.zeros(len(self._all))
+        self._current = np.zeros(len(self._all))
+        self._time_s: float | None = None
+        self._supported = True
+        self.bus = VirtualBus(self._all, self.advance, faults=self.faults, wire_time=wire_time)
+        self.port = PtyPort(self.bus, link)
+
+    def advance(self, now_s: float) -> None:
+        """Move servos and arm on to an instant of the monotonic clock; called by the bus."""
+        if self._time_s is None or now_s - self._time_s > LONGEST_PAUSE_S:
+            self._time_s = now_s - CONTROL_PERIOD_S
+        arm, servos, current = self.arm, self._all, self._current
+        while self._time_s + CONTROL_PERIOD_S <= now_s:
+            self._time_s += CONTROL_PERIOD_S
+            angle = (arm.encoder_rad() + self._shift).tolist()
+            velocity = arm.velocity_rad_s().tolist()
+            for row, servo in enumerate(servos):
+                current[row] = servo.control(self._time_s, angle[row], velocity[row])
+            if self._supported:
+                self._supported = not any(servo["torque_enable"] for servo in servos)
+            else:
+                arm.step(current)
+
+    def hold(self, thing: HandObject | None) -> None:
+        """Put something into the hand, or take it out."""
+        with self.port.lock:
+            if thing != self.arm.object:
+                self.arm.hold(thing)
+
+    def set_fault(self, text: str) -> None:
+        """Make something go wrong, or right again.
+
+        Args:
+            text: Comma-separated: ``drop=P``, ``corrupt=P``, ``corrupt_requests=P`` (probabilities), ``delay=S``, ``hang=JOINT``,
+                ``overheat=JOINT``, ``jump=JOINT`` (its encoder slips by 0.6 rad), ``unplug``; empty: nothing is wrong any more.
+
+        Raises:
+            ConfigurationError: A word is not known; it lists those that are.
+        """
+        faults = {"drop": 0.0, "corrupt": 0.0, "corrupt_requests": 0.0, "delay": 0.0}
+        joints: dict[str, list[str]] = {"hang": [], "overheat": [], "jump": []}
+        unplug = False
+        for word in filter(None, (part.strip() for part in text.split(","))):
+            key, _, value = word.partition("=")
+            if word == "unplug":
+                unplug = True
+            elif key in joints and value in self.servos:
+                joints[key].append(value)
+            elif key in faults and _is_number(value):
+                faults[key] = float(value)
+            else:
+                raise ConfigurationError(
+                    f"fault {word!r}: choose from {', '.join(f'{k}=NUMBER' for k in faults)}, "
+                    f"{', '.join(f'{k}=JOINT' for k in joints)}, unplug; joints: {', '.join(self.servos)}"
+                )
+        with self.port.lock:
+            self.faults.drop, self.faults.corrupt = faults["drop"], faults["corrupt"]
+            self.faults.corrupt_requests, self.faults.delay_s = faults["corrupt_requests"], faults["delay"]
+            self.faults.hang = {self.servos[name].id for name in joints["hang"]}
+            for row, name in enumerate(self.servos):
+                if name in joints["overheat"]:
+                    self.servos[name].temperature_C = OVERHEATED_C
+                elif self.servos[name].temperature_C >= OVERHEATED_C - 5.0:
+                    self.servos[name].temperature_C = 40.0
+                self._shift[row] = 0.6 if name in joints["jump"] else 0.0
+        if unplug:
+            self.port.unplug()
+        else:
+            self.port.plug()
+
+    def close(self) -> None:
+        """Stop the world and close the port."""
+        self.port.close()
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return float(text) >= 0.0
+    except ValueError:
+        return False

@@ -1,0 +1,425 @@
+"""One emulated servo: its control table, its current controller, and what makes it stop.
+
+Behaviour: ROBOTIS e-manual, XM430-W350, "Control Table Description" and "Protocol 2.0". Where the manual says nothing, the
+comment says "assumed". Left out: profiles, feedforward, the integral gain of the position controller, multi-turn reset,
+indirect addresses, backup.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from proprio_ros.bus.control_table import (
+    BAUD_RATES,
+    BUS_WATCHDOG_TRIPPED,
+    BUS_WATCHDOG_UNIT_S,
+    RETURN_DELAY_UNIT_S,
+    HardwareError,
+    OperatingMode,
+    Register,
+    ServoModel,
+)
+from proprio_ros.virtual.protocol import ALERT, Error
+
+CONTROL_PERIOD_S = 0.001
+"""Period of the current controller: `VirtualServo.control` is called once per period [s]."""
+
+REBOOT_S = 0.3
+"""Time without an answer after a reboot; assumed [s]."""
+
+AMBIENT_C = 30.0
+
+_GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
+_REVERSE = 0x01  # bit of Drive Mode
+_TICK_WRAP = 32768  # Realtime Tick counts 0..32767 ms
+
+# assumed: the manual gives no controller periods, averages, thermal data or times
+_VELOCITY_AVERAGE = 8  # periods
+_THERMAL_RESISTANCE_K_W = 4.0
+_THERMAL_TIME_S = 300.0
+_OVERLOAD_FRACTION = 0.9
+_OVERLOAD_S = 5.0
+# divisors of the velocity controller's gains, and what one count of its output means; assumed: current
+_VELOCITY_P_DIVISOR = 128.0
+_VELOCITY_I_DIVISOR = 65536.0
+
+Goals = Mapping[str, int]
+
+
+class VirtualServo:
+    """A servo that obeys its control table.
+
+    Angles, velocities and currents are those of the shaft in the servo's own direction; the plant behind it calls
+    `control` once per `CONTROL_PERIOD_S` and lets the returned current flow. ``servo["current_limit"]`` reads or sets a
+    register without the bus's rules, as the factory does.
+
+    Attributes:
+        model: Control table and units.
+        supply_voltage_V: May be changed at any time.
+        temperature_C: Of the motor; heated by the current, may be set.
+        latency_s: From a written goal to its effect.
+    """
+
+    def __init__(
+        self,
+        model: ServoModel,
+        servo_id: int,
+        *,
+        firmware: int = 46,
+        supply_voltage_V: float = 12.0,
+        back_emf_V_s_per_rad: float = 2.49,
+        resistance_ohm: float = 5.22,
+        latency_s: float = 0.0,
+    ) -> None:
+        self.model = model
+        self.supply_voltage_V = supply_voltage_V
+        self.temperature_C = AMBIENT_C
+        self.latency_s = latency_s
+        self._back_emf_V_s_per_rad = back_emf_V_s_per_rad
+        self._resistance_ohm = resistance_ohm
+        self._registers = model.registers
+        self._span = _Spans(self._registers)
+        self._values = {name: register.initial for name, register in self._registers.items()}
+        self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
+        self._booted_s = 0.0
+        self._silent_until_s = -math.inf
+        self._heard_s = 0.0
+        self._velocities: deque[float] = deque(maxlen=_VELOCITY_AVERAGE)
+        self._registered: tuple[int, bytes] | None
+        self._goals: Goals | None
+        self._pending: deque[tuple[float, Goals]]
+        self._reset_controller()
+
+    # --- registers without the bus
+
+    def __getitem__(self, name: str) -> int:
+        return self._values[name]
+
+    def __setitem__(self, name: str, value: int) -> None:
+        register = self._registers[name]
+        self._values[name] = register.decode(register.encode(value))
+
+    @property
+    def id(self) -> int:
+        return self._values["id"]
+
+    @property
+    def baud(self) -> int:
+        """Bits per second that it understands."""
+        return BAUD_RATES[self._values["baud_rate"]]
+
+    @property
+    def return_delay_s(self) -> float:
+        return self._values["return_delay_time"] * RETURN_DELAY_UNIT_S
+
+    # --- the bus side
+
+    def awake(self, now_s: float) -> bool:
+        """Whether it hears and answers; not while it boots."""
+        return now_s >= self._silent_until_s
+
+    def heard(self, now_s: float) -> None:
+        """An instruction packet passed on the bus, whomever it was for: the bus watchdog starts anew."""
+        self._heard_s = now_s
+
+    def status_error(self, error: int) -> int:
+        """Error byte of a status packet: the alert bit comes on top while there is a hardware error."""
+        return error | (ALERT if self._values["hardware_error_status"] else 0)
+
+    def read(self, address: int, length: int) -> tuple[Error, bytes]:
+        """Bytes of the control table; addresses between the registers read as 0.
+
+        Returns:
+            `Error.DATA_RANGE` and no bytes beyond the end of the table; else `Error.NONE` and ``length`` bytes.
+        """
+        if length < 1 or address + length > self._span.end:
+            return Error.DATA_RANGE, b""
+        data = bytearray(length)
+        for name, register in self._span.overlapping(address, length):
+            for index, byte in enumerate(register.encode(self._values[name]), start=register.address - address):
+                if 0 <= index < length:
+                    data[index] = byte
+        return Error.NONE, bytes(data)
+
+    def write(self, address: int, data: bytes, now_s: float) -> Error:
+        """Set whole registers; with an error nothing is set (assumed)."""
+        values, error = self._parsed(address, data)
+        if error:
+            return error
+        for name, value in values.items():
+            self._set(name, value, now_s)
+        if any(name in _GOALS for name in values):
+            self._pending.append((now_s + self.latency_s, self._written_goals()))
+        return Error.NONE
+
+    def reg_write(self, address: int, data: bytes) -> Error:
+        """Keep a write for `action`."""
+        _, error = self._parsed(address, data)
+        if not error:
+            self._registered = (address, data)
+            self._values["registered_instruction"] = 1
+        return error
+
+    def action(self, now_s: float) -> Error:
+        """Carry out the registered write; without one it is an instruction error."""
+        if self._registered is None:
+            return Error.INSTRUCTION
+        address, data = self._registered
+        self._registered = None
+        self._values["registered_instruction"] = 0
+        return self.write(address, data, now_s)
+
+    def reboot(self, now_s: float) -> None:
+        """Power off and on: RAM and errors go, EEPROM stays, and it is silent for `REBOOT_S`."""
+        for name, register in self._registers.items():
+            if not register.eeprom:
+                self._values[name] = register.initial
+        self._booted_s = now_s
+        self._silent_until_s = now_s + REBOOT_S
+        self._reset_controller()
+
+    def _parsed(self, address: int, data: bytes) -> tuple[dict[str, int], Error]:
+        """Registers that a write means, and why it is refused."""
+        values: dict[str, int] = {}
+        position, end = address, address + len(data)
+        while position < end:
+            name = self._span.starting_at(position)
+            if name is None:
+                return {}, Error.ACCESS  # in the middle of a register, or not defined
+            register = self._registers[name]
+            if position + register.size > end:
+                return {}, Error.DATA_LENGTH
+            values[name] = register.decode(data[position - address : position - address + register.size])
+            position += register.size
+        if not values:
+            return {}, Error.DATA_LENGTH
+        for name, value in values.items():
+            error = self._refusal(name, value)
+            if error:
+                return {}, error
+        return values, Error.NONE
+
+    def _refusal(self, name: str, value: int) -> Error:
+        register = self._registers[name]
+        if not register.writable or (register.eeprom and self._values["torque_enable"]):
+            return Error.ACCESS
+        if self._values["bus_watchdog"] == BUS_WATCHDOG_TRIPPED:
+            if name in _GOALS or (name == "bus_watchdog" and value != 0):
+                return Error.DATA_RANGE
+        if not register.lowest <= value <= register.highest:
+            return Error.DATA_RANGE
+        if name == "operating_mode" and value not in set(OperatingMode):
+            return Error.DATA_RANGE
+        if register.limit is not None and abs(value) > self._values[register.limit]:
+            return Error.DATA_LIMIT
+        if name == "goal_position" and self._values["operating_mode"] == OperatingMode.POSITION:
+            if not self._values["min_position_limit"] <= value <= self._values["max_position_limit"]:
+                return Error.DATA_LIMIT
+        if name == "torque_enable" and value and self._shut_down:
+            return Error.RESULT_FAIL  # assumed: the manual only says that a reboot is needed
+        return Error.NONE
+
+    def _set(self, name: str, value: int, now_s: float) -> None:
+        before = self._values[name]
+        self._values[name] = value
+        if name == "operating_mode" and value != before:
+            self._reset_mode()
+        elif name == "torque_enable":
+            if value and not before:
+                self._start(now_s)
+            elif not value:
+                self._stop()
+        elif name == "bus_watchdog":
+            self._heard_s = now_s
+
+    # --- modes, starting and stopping
+
+    @property
+    def _shut_down(self) -> bool:
+        return bool(self._values["hardware_error_status"] & self._values["shutdown"])
+
+    def _written_goals(self) -> Goals:
+        return MappingProxyType({name: self._values[name] for name in _GOALS})
+
+    def _reset_controller(self) -> None:
+        """State of a servo that has just got power."""
+        self._registered = None
+        self._overloaded_s = 0.0
+        self._reset_mode()
+
+    def _reset_mode(self) -> None:
+        """A new mode starts from its own first values; assumed: the same gains for all modes, and no profile."""
+        for name in self._registers:
+            if name.endswith("_gain") or name.startswith("profile_"):
+                self._values[name] = self._registers[name].initial
+        self._values["goal_velocity"] = 0
+        self._reset_goals()
+        self._stop()
+
+    def _reset_goals(self) -> None:
+        """Goals that ask for nothing, and bounds that allow everything."""
+        mode = self._values["operating_mode"]
+        self._values["goal_pwm"] = 0 if mode == OperatingMode.PWM else self._values["pwm_limit"]
+        self._values["goal_current"] = 0 if mode == OperatingMode.CURRENT else self._values["current_limit"]
+        self._values["goal_position"] = self._values["present_position"]
+
+    def _start(self, now_s: float) -> None:
+        """Torque on: stay where it is."""
+        self._values["goal_velocity"] = 0
+        self._reset_goals()
+        self._stop()
+        self._goals = self._written_goals()
+        self._heard_s = now_s
+
+    def _stop(self) -> None:
+        """No current until new goals arrive."""
+        self._goals = None
+        self._pending = deque()
+        self._velocity_integral = 0.0
+
+    def fail(self, error: HardwareError) -> None:
+        """Report a hardware error; torque goes off when the register Shutdown says so."""
+        self._values["hardware_error_status"] |= 1 << error
+        if self._shut_down:
+            self._values["torque_enable"] = 0
+            self._stop()
+
+    # --- the motor side
+
+    def control(self, now_s: float, angle_rad: float, velocity_rad_s: float) -> float:
+        """One period of the controller: measure, look for trouble, choose the current.
+
+        Args:
+            now_s: Time; `CONTROL_PERIOD_S` after the last call.
+            angle_rad, velocity_rad_s: Of the shaft; the angle is rounded to the encoder's counts.
+
+        Returns:
+            Current that flows until the next call [A], a whole number of the servo's counts.
+        """
+        values, model = self._values, self.model
+        sign = -1.0 if values["drive_mode"] & _REVERSE else 1.0
+        velocity_rad_s *= sign
+        self._velocities.append(velocity_rad_s)
+        mean_rad_s = sum(self._velocities) / len(self._velocities)
+        values["present_position"] = model.counts_of_position(sign * angle_rad) + values["homing_offset"]
+        values["present_velocity"] = round(mean_rad_s / model.velocity_unit_rad_s)
+        values["moving"] = int(abs(values["present_velocity"]) > values["moving_threshold"])
+        # the small addition keeps a sum of milliseconds from being rounded down
+        values["realtime_tick"] = int((now_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
+
+        self._look_for_trouble(now_s)
+        while self._pending and self._pending[0][0] <= now_s:
+            self._goals = self._pending.popleft()[1]
+        counts = 0
+        powered = values["torque_enable"] and self._goals is not None and self.awake(now_s)
+        if powered and values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
+            counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
+        current_A = model.current_A(counts)
+
+        voltage_V = (self._resistance_ohm * current_A + self._back_emf_V_s_per_rad * velocity_rad_s) if powered else 0.0
+        values["present_current"] = counts
+        values["present_pwm"] = self._registers["present_pwm"].decode(
+            self._registers["present_pwm"].encode(round(voltage_V / self._volt_per_pwm))
+        )
+        self._warm_up(current_A)
+        return sign * current_A
+
+    @property
+    def _volt_per_pwm(self) -> float:
+        return max(self.supply_voltage_V, 1e-3) / self._registers["pwm_limit"].highest
+
+    def _wanted(self, velocity_rad_s: float) -> float:
+        """Current before any bound [counts]."""
+        assert self._goals is not None
+        goals, values, model = self._goals, self._values, self.model
+        mode = values["operating_mode"]
+        if mode == OperatingMode.CURRENT:
+            return goals["goal_current"]
+        if mode == OperatingMode.VELOCITY:
+            error = goals["goal_velocity"] - velocity_rad_s / model.velocity_unit_rad_s
+            self._velocity_integral += error * values["velocity_i_gain"] / _VELOCITY_I_DIVISOR
+            self._velocity_integral = _clip(self._velocity_integral, values["current_limit"])
+            return error * values["velocity_p_gain"] / _VELOCITY_P_DIVISOR + self._velocity_integral
+        if mode == OperatingMode.PWM:
+            return self._current_of_pwm(goals["goal_pwm"], velocity_rad_s)
+        output = (goals["goal_position"] - values["present_position"]) * (
+            values["position_p_gain"] / model.position_p_divisor
+        ) - velocity_rad_s / model.position_unit_rad * 1e-3 * (values["position_d_gain"] / model.position_d_divisor)
+        if mode == OperatingMode.CURRENT_BASED_POSITION:
+            return _clip(output, abs(goals["goal_current"]))
+        return self._current_of_pwm(_clip(output, abs(goals["goal_pwm"])), velocity_rad_s)
+
+    def _current_of_pwm(self, pwm: float, velocity_rad_s: float) -> float:
+        voltage_V = _clip(pwm, self._values["pwm_limit"]) * self._volt_per_pwm
+        return self._current_at_A(voltage_V, velocity_rad_s) / self.model.current_unit_A
+
+    def _current_at_A(self, voltage_V: float, velocity_rad_s: float) -> float:
+        """Steady current; the inductance settles well within a period."""
+        return (voltage_V - self._back_emf_V_s_per_rad * velocity_rad_s) / self._resistance_ohm
+
+    def _bounded(self, wanted: float, velocity_rad_s: float) -> int:
+        """Whole counts within Current Limit, and within what the supply can drive at this speed."""
+        counts = round(_clip(wanted, self._values["current_limit"]))
+        supply_V = self._values["pwm_limit"] * self._volt_per_pwm
+        unit_A = self.model.current_unit_A
+        lowest = math.ceil(self._current_at_A(-supply_V, velocity_rad_s) / unit_A)
+        highest = math.floor(self._current_at_A(supply_V, velocity_rad_s) / unit_A)
+        return max(lowest, min(highest, counts))
+
+    def _look_for_trouble(self, now_s: float) -> None:
+        values = self._values
+        values["present_input_voltage"] = max(0, round(self.supply_voltage_V / self.model.voltage_unit_V))
+        values["present_temperature"] = min(255, max(0, round(self.temperature_C)))
+        if not values["min_voltage_limit"] <= values["present_input_voltage"] <= values["max_voltage_limit"]:
+            self.fail(HardwareError.INPUT_VOLTAGE)
+        if values["present_temperature"] > values["temperature_limit"]:
+            self.fail(HardwareError.OVERHEATING)
+        # assumed: overload is nearly the highest possible current without motion for some seconds
+        highest_A = min(
+            self.model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, velocity_rad_s=0.0)
+        )
+        current_A = self.model.current_A(abs(values["present_current"]))
+        straining = current_A > 0.0 and current_A >= _OVERLOAD_FRACTION * highest_A and not values["moving"]
+        self._overloaded_s = self._overloaded_s + CONTROL_PERIOD_S if straining else 0.0
+        if self._overloaded_s > _OVERLOAD_S:
+            self.fail(HardwareError.OVERLOAD)
+        if values["torque_enable"] and values["bus_watchdog"] > 0:
+            if now_s - self._heard_s > values["bus_watchdog"] * BUS_WATCHDOG_UNIT_S:
+                values["bus_watchdog"] = BUS_WATCHDOG_TRIPPED
+                # the manual's example gives a new goal after the error is cleared: the old one is gone
+                self._stop()
+
+    def _warm_up(self, current_A: float) -> None:
+        """Heat of the winding into one thermal mass; assumed values."""
+        final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * current_A**2
+        self.temperature_C += (final_C - self.temperature_C) * (CONTROL_PERIOD_S / _THERMAL_TIME_S)
+
+
+def _clip(value: float, bound: float) -> float:
+    return max(-bound, min(bound, value))
+
+
+class _Spans:
+    """Which registers lie where."""
+
+    def __init__(self, registers: Mapping[str, Register]) -> None:
+        self._registers = registers
+        self._starts = {register.address: name for name, register in registers.items()}
+        self._overlaps: dict[tuple[int, int], tuple[tuple[str, Register], ...]] = {}
+        self.end = max(register.address + register.size for register in registers.values())
+
+    def starting_at(self, address: int) -> str | None:
+        return self._starts.get(address)
+
+    def overlapping(self, address: int, length: int) -> tuple[tuple[str, Register], ...]:
+        key = (address, length)
+        if key not in self._overlaps:
+            self._overlaps[key] = tuple(
+                (name, register)
+                for name, register in self._registers.items()
+                if register.address < address + length and address < register.address + register.size
+            )
+        return self._overlaps[key]

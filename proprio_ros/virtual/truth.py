@@ -1,0 +1,180 @@
+"""What a virtual robot hides: the numbers that the identification has to find out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.robot import DriveTrain, Robot
+
+FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006
+"""From a command on the bus to the motor's torque."""
+
+
+@dataclass(frozen=True)
+class JointTruth:
+    """One motor with its gears and encoder, at the output shaft; the law is that of `proprio_ros.robot.DriveTrain`.
+
+    Attributes:
+        torque_constant: [N m/A].
+        coulomb: Dry friction without load [N m].
+        viscous: [N m s/rad].
+        load_friction: Part of the motor's torque that adds to the dry friction.
+        armature: [kg m^2].
+        zero_rad: True position minus reading.
+        stribeck: By how much of itself dry friction is greater at rest.
+        stribeck_velocity: Speed at which 1/e of that is left [rad/s].
+        once_per_turn_sin_rad, once_per_turn_cos_rad: The reading is too large by this times sine and cosine of the position.
+        encoder_noise_rad: Standard deviation of a reading before rounding.
+    """
+
+    torque_constant: float
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    load_friction: float = 0.0
+    armature: float = 0.0
+    zero_rad: float = 0.0
+    stribeck: float = 0.0
+    stribeck_velocity: float = 0.1
+    once_per_turn_sin_rad: float = 0.0
+    once_per_turn_cos_rad: float = 0.0
+    encoder_noise_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class LinkTruth:
+    """How one link departs from the URDF.
+
+    Attributes:
+        mass: Relative, its inertia with it: 0.01 is one per cent too heavy.
+        com_m: Shift of the centre of mass in the link's frame.
+        inertia: Relative, about the centre of mass, beyond that of the mass.
+    """
+
+    mass: float = 0.0
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: float = 0.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A virtual robot's hidden numbers.
+
+    Attributes:
+        joints: By driven joint.
+        latency_s: From a command to its torque. The servos apply it, the arm does not.
+        arm_scale: All masses of the URDF times this.
+        links: By link; those not named are as in the URDF.
+    """
+
+    joints: Mapping[str, JointTruth]
+    latency_s: float = 0.0
+    arm_scale: float = 1.0
+    links: Mapping[str, LinkTruth] = field(default_factory=dict)
+
+    @classmethod
+    def nominal(cls, robot: Robot) -> Truth:
+        """The robot file's values exactly; its encoders make no once-per-turn error."""
+        return cls(
+            joints={name: _nominal(drive) for name, drive in robot.drive_trains.items()},
+            latency_s=max(robot.delay.value, 0.0),
+            arm_scale=robot.arm_scale.value,
+        )
+
+    @classmethod
+    def draw(cls, robot: Robot, seed: int, *, links: bool = False, stribeck: bool = False) -> Truth:
+        """Draw a robot from what its file leaves open.
+
+        Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part of that
+        deviation (Coulomb 0.3 to 0.9, viscous 0.1 to 0.6, with the load 0 to 0.6 of it), so that no joint is stuck for good.
+        Everything else is normal, and cut off where it would make no sense.
+
+        Args:
+            robot: The robot.
+            seed: The same seed gives the same motors, whether or not links and Stribeck's excess are drawn.
+            links: Whether the links' masses, centres and inertias and the scale of all depart from the URDF.
+            stribeck: Whether dry friction is greater at rest.
+        """
+        motors, bodies, excess = (np.random.default_rng((seed, part)) for part in range(3))
+        joints = {}
+        for name, drive in robot.drive_trains.items():
+
+            def friction(term: str, low: float, high: float, drive: DriveTrain = drive) -> float:
+                quantity = getattr(drive, term)
+                if quantity.value > 0.0:
+                    return max(float(motors.normal(quantity.value, quantity.std)), 0.0)
+                return float(motors.uniform(low, high)) * float(quantity.std)
+
+            constant, armature = drive.torque_constant, drive.armature
+            excess_part = abs(float(excess.normal(drive.stribeck.value, drive.stribeck.std)))
+            excess_velocity = float(excess.normal(drive.stribeck_velocity.value, drive.stribeck_velocity.std))
+            joints[name] = JointTruth(
+                torque_constant=max(float(motors.normal(constant.value, constant.std)), 0.5 * constant.value),
+                coulomb=friction("coulomb", 0.3, 0.9),
+                viscous=friction("viscous", 0.1, 0.6),
+                load_friction=friction("load_friction", 0.0, 0.6),
+                armature=max(float(motors.normal(armature.value, armature.std)), 0.4 * armature.value),
+                zero_rad=float(motors.normal(drive.zero.value, drive.zero.std)),
+                stribeck=excess_part if stribeck else 0.0,
+                stribeck_velocity=max(excess_velocity, 0.3 * drive.stribeck_velocity.value),
+                once_per_turn_sin_rad=float(motors.normal(0.0, drive.encoder_once_per_turn)),
+                once_per_turn_cos_rad=float(motors.normal(0.0, drive.encoder_once_per_turn)),
+                encoder_noise_rad=drive.encoder_noise,
+            )
+        latency_s = float(motors.uniform(FASTEST_LATENCY_S, SLOWEST_LATENCY_S))
+        if not links:
+            return cls(joints, latency_s, robot.arm_scale.value)
+        scale = max(float(bodies.normal(robot.arm_scale.value, robot.arm_scale.std)), 0.5)
+        departures = {}
+        for link in robot.model.links:
+            if link.pseudo_inertia[3, 3] > 0.0:
+                x, y, z = (float(shift) for shift in bodies.normal(0.0, robot.link_com_std, 3))
+                departures[link.name] = LinkTruth(
+                    mass=max(float(bodies.normal(0.0, robot.link_mass_std)), -0.5),
+                    com_m=(x, y, z),
+                    inertia=max(float(bodies.normal(0.0, robot.link_inertia_std)), -0.5),
+                )
+        return cls(joints, latency_s, scale, departures)
+
+    def as_json(self) -> str:
+        """As the text of a JSON file."""
+        return json.dumps(asdict(self), indent=2)
+
+    @classmethod
+    def from_json(cls, text: str) -> Truth:
+        """Read what `as_json` wrote.
+
+        Raises:
+            ConfigurationError: It is no JSON, or no truth.
+        """
+        try:
+            given: dict[str, Any] = json.loads(text)
+            joints = {name: JointTruth(**values) for name, values in given.pop("joints").items()}
+            links = {
+                name: LinkTruth(**{**values, "com_m": tuple(values["com_m"])})
+                for name, values in given.pop("links", {}).items()
+            }
+            return cls(joints=joints, links=links, **given)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigurationError(
+                f"truth: {error}; write such a file with Truth.draw(robot, seed).as_json()"
+            ) from error
+
+
+def _nominal(drive: DriveTrain) -> JointTruth:
+    return JointTruth(
+        torque_constant=drive.torque_constant.value,
+        coulomb=drive.coulomb.value,
+        viscous=drive.viscous.value,
+        load_friction=drive.load_friction.value,
+        armature=drive.armature.value,
+        zero_rad=drive.zero.value,
+        stribeck=drive.stribeck.value,
+        stribeck_velocity=drive.stribeck_velocity.value,
+        encoder_noise_rad=drive.encoder_noise,
+    )
