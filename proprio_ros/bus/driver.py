@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
@@ -49,7 +49,7 @@ class DriverSettings:
 
     command_timeout_s: float = 0.1
     on_timeout: str = "hold"
-    watchdog_s: float = 0.1
+    watchdog_s: float = 0.2
     limit_margin_rad: float = 0.05
     max_velocity_rad_s: float = 7.0
     max_goal_velocity_rad_s: float = 1.5
@@ -170,6 +170,7 @@ class ArmDriver:
         self._next_health_s = -np.inf
         self._health_turn = 0
         self._goals_at_s = -np.inf
+        self._sampled_at_s = -np.inf
         self._alerts: set[str] = set()
 
     def _joint(self, name: str) -> _Joint:
@@ -343,7 +344,7 @@ class ArmDriver:
         for name, joint in self._joints.items():
             joint.angle_rad = joint.goal_rad = joint.target_rad = reading.states[name].angle_rad
             joint.mode, joint.blocked, joint.commanded_A = JointMode.HELD, "", 0.0
-        self._last_answer_s = self._clock()
+        self._last_answer_s, self._sampled_at_s = self._clock(), reading.sampled_at_s
         self.state, self.reason = BusState.RUNNING, "held"
         self._write_goals()
 
@@ -373,10 +374,12 @@ class ArmDriver:
         return None
 
     def _take(self, reading: Reading) -> None:
+        since_s = max(reading.sampled_at_s - self._sampled_at_s, 0.0)
+        self._sampled_at_s = reading.sampled_at_s
         for name, state in reading.states.items():
             joint = self._joints[name]
-            # a position that speed does not explain: the encoder, not the arm
-            explained = abs(joint.velocity_rad_s) * 0.1 + self.settings.max_jump_rad
+            # a position that no speed explains: the encoder, not the arm
+            explained = self.settings.max_jump_rad + self.settings.max_velocity_rad_s * since_s
             if abs(state.angle_rad - joint.angle_rad) > explained:
                 self._block_all(f"{name}: its encoder jumped from {joint.angle_rad:.3f} to {state.angle_rad:.3f} rad")
             joint.angle_rad, joint.velocity_rad_s = state.angle_rad, state.velocity_rad_s
@@ -549,58 +552,3 @@ class ArmDriver:
                 self._log("error", f"{error}; the servos' watchdog ends their current")
             self.bus.close()
         self.state, self.reason = BusState.DISCONNECTED, "closed"
-
-
-@dataclass
-class Pacer:
-    """Cycles at a fixed rate, against absolute deadlines, so that lateness does not add up.
-
-    Attributes:
-        period_s: Of a cycle.
-        lateness_s: How late each cycle began, the newest `keep`.
-    """
-
-    period_s: float
-    keep: int = 10_000
-    lateness_s: list[float] = field(default_factory=list)
-    _next_s: float = field(default=float("nan"))
-
-    def wait(self) -> float:
-        """Sleep until the next cycle is due; returns how late it begins [s]. Cycles that were missed are left out."""
-        now = time.monotonic()
-        if not np.isfinite(self._next_s):
-            self._next_s = now
-        if now < self._next_s:
-            time.sleep(self._next_s - now)
-            now = time.monotonic()
-        late = now - self._next_s
-        self._next_s += self.period_s * max(1, int(late / self.period_s) + 1)
-        self.lateness_s.append(late)
-        if len(self.lateness_s) > self.keep:
-            del self.lateness_s[: self.keep // 2]
-        return late
-
-
-@dataclass
-class StampClock:
-    """Turns instants of the monotonic clock into stamps that run smoothly, whatever is done to the system's clock.
-
-    The system's clock is looked at only between probes: a jump in the middle of one would tear it apart.
-
-    Attributes:
-        offset_ns: System time minus monotonic time.
-    """
-
-    offset_ns: int | None = None
-
-    def look(self, system_ns: int, monotonic_s: float) -> float:
-        """Follow the system's clock; returns by how much it had moved away [s]."""
-        offset_ns = system_ns - round(1e9 * monotonic_s)
-        moved_s = 0.0 if self.offset_ns is None else 1e-9 * (offset_ns - self.offset_ns)
-        self.offset_ns = offset_ns
-        return moved_s
-
-    def stamp_ns(self, monotonic_s: float) -> int:
-        """Stamp of an instant; `look` must have been called before."""
-        assert self.offset_ns is not None
-        return self.offset_ns + round(1e9 * monotonic_s)

@@ -25,6 +25,7 @@ from proprio_ros.identification.problem import (
     robot_unknowns,
 )
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.kinematics import bent_pose, clearance
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts, payload_parameters
@@ -212,7 +213,7 @@ def _poses(robot: Robot, joint: str, starts: int, held: int) -> list[dict[str, f
     rest = {
         name: float(np.clip(0.0, model.joint(name).lower, model.joint(name).upper)) for name in model.independent_joints
     }
-    matters = prepare_run(robot, _synthetic(joint, _bent(robot, rest), 0.0, 0.1), KnownLoad()).coefficients.pose
+    matters = prepare_run(robot, _synthetic(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
     others = [name for name in matters if name in robot.drive_trains]
     grids = [_range(robot, joint, starts), *(_range(robot, name, held) for name in others)]
     poses = []
@@ -221,32 +222,6 @@ def _poses(robot: Robot, joint: str, starts: int, held: int) -> list[dict[str, f
         if clearance(robot, pose) >= CLEARANCE_M:
             poses.append(pose)
     return poses
-
-
-def _bent(robot: Robot, rest: Mapping[str, float]) -> dict[str, float]:
-    """A pose in which no lever happens to vanish."""
-    return {
-        name: float(np.clip(0.3 + 0.1 * n, robot.model.joint(name).lower, robot.model.joint(name).upper))
-        for n, name in enumerate(rest)
-    }
-
-
-def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
-    """Height above the base's plane, against gravity, of the lowest link that can be lowered, or of the hand [m]."""
-    return min((_height(robot, frame, pose) for frame in _lowerable(robot)), default=np.inf)
-
-
-def _height(robot: Robot, frame: str, pose: Mapping[str, float]) -> float:
-    up = -robot.gravity / np.linalg.norm(robot.gravity)
-    return float(up @ robot.model.frame_transform(frame, pose)[:3, 3])
-
-
-def _lowerable(robot: Robot) -> list[str]:
-    """Links whose height depends on the pose: the first of most arms stands where it stands."""
-    rest = dict.fromkeys(robot.model.independent_joints, 0.0)
-    bent = _bent(robot, rest)
-    frames = dict.fromkeys([*(joint.child for joint in robot.model.joints if joint.independent), robot.payload_frame])
-    return [frame for frame in frames if abs(_height(robot, frame, bent) - _height(robot, frame, rest)) > 1e-6]
 
 
 def _synthetic(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:

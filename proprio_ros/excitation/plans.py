@@ -1,0 +1,288 @@
+"""Probe sequences: which joint is pushed with which current, from where and for how long, as probe files state them.
+
+A probe file is YAML; its section ``excitation`` is read here. Keys are the names of the fields below. Positions, velocities
+and travel count in the unit of the joint: rad for one that turns, m for one that slides. Currents are in A.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.kinematics import clearance
+from proprio_ros.resources import resource, resource_names
+from proprio_ros.robot import Robot
+
+HANDS = ("empty", "payload", "reference", "container", "block", "any")
+"""What should be in the hand: nothing, the object, a weighed reference, a container, a soft block; or no matter what."""
+
+START_MARGIN_RAD = 0.08
+"""A start pose stays this far from a joint's limits, so that noise at rest cannot look like running into one."""
+LARGEST_CURRENT_A = 10.0  # no servo of this kind takes more: such a number was meant in mA
+LARGEST_POSITION_RAD = 7.0  # beyond a full turn: such a number was meant in degrees
+
+
+@dataclass(frozen=True)
+class ProbeRun:
+    """One push of one joint.
+
+    Attributes:
+        joint: The joint that the current drives; all others hold their positions.
+        current_A: Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X.
+        duration_s: The current is on for at most so long.
+        start: Positions of joints before the run [rad or m]; joints not named stay where they are.
+        max_travel: The current ends early when the joint has moved so far either way, and the run is good [rad or m].
+        min_travel: A run that moves less is repeated from its start with another current [rad or m].
+        raise_by: Factor on the current of each repetition. Below 1 the current is eased instead: for a run in which
+            gravity pulls and the current only supports.
+        max_current_A: Largest magnitude that raising may reach; None: the current is not raised. Easing needs none.
+    """
+
+    joint: str
+    current_A: float
+    duration_s: float
+    start: Mapping[str, float] = field(default_factory=dict)
+    max_travel: float = 1.0
+    min_travel: float = 0.0
+    raise_by: float = 1.25
+    max_current_A: float | None = None
+
+
+@dataclass(frozen=True)
+class ProbeSequence:
+    """Runs in the order in which they are made.
+
+    Attributes:
+        name: Of the file, without its suffix.
+        hand: What should be in the hand, one of `HANDS`.
+        runs: At least one.
+        description: One sentence for the user.
+        approach_velocity: Peak speed on the way to a start pose, at the motor's shaft [rad/s].
+        settle_s: Rest before each run; the identification uses up to 1 s of it.
+        brake_s: The joint is held so long after its run before it goes anywhere.
+        home: Where to go at the end [rad or m]; empty: stay.
+        min_clearance_m: Nothing that can be lowered comes closer to the base's plane than this.
+    """
+
+    name: str
+    hand: str
+    runs: tuple[ProbeRun, ...]
+    description: str = ""
+    approach_velocity: float = 0.8
+    settle_s: float = 1.2
+    brake_s: float = 0.4
+    home: Mapping[str, float] = field(default_factory=dict)
+    min_clearance_m: float = 0.03
+
+
+def sequence_names() -> tuple[str, ...]:
+    """Names of the package's probe files that have an excitation section, sorted."""
+    return tuple(name for name in resource_names("probes") if "excitation" in _content(resource("probes", name)))
+
+
+def load_sequence(name_or_path: str | Path, robot: Robot) -> ProbeSequence:
+    """Read the section ``excitation`` of a probe file and check it against the robot.
+
+    Args:
+        name_or_path: One of `sequence_names`, or the path of a YAML file.
+        robot: The arm that is to make the runs.
+
+    Raises:
+        ConfigurationError: The file is missing or not readable, a key is unknown or missing, a value has the wrong type or
+            unit, or the robot cannot make the runs.
+    """
+    text = str(name_or_path)
+    given = Path(text).expanduser()
+    is_path = isinstance(name_or_path, Path) or "/" in text or given.suffix in (".yaml", ".yml")
+    path = given if is_path else resource("probes", text)
+    content = _content(path)
+    if "excitation" not in content:
+        choices = ", ".join(sequence_names()) or "none"
+        raise ConfigurationError(
+            f"{path.name}: has no section 'excitation'; probe files with one: {choices}; or add it"
+        )
+    sequence = _sequence(content["excitation"], path.stem, robot, f"{path.name}: excitation")
+    check_sequence(sequence, robot)
+    return sequence
+
+
+def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
+    """Whether the robot can make these runs at all.
+
+    Raises:
+        ConfigurationError: No run, an unknown joint, a current above the motor's limit, a pose outside the joints' limits
+            or too low above the base's plane.
+    """
+    if not sequence.runs:
+        raise ConfigurationError(f"{sequence.name}: has no run; state at least one under 'runs'")
+    if sequence.hand not in HANDS:
+        raise ConfigurationError(f"{sequence.name}: hand={sequence.hand!r} is unknown; choose from: {', '.join(HANDS)}")
+    for key in ("approach_velocity", "settle_s", "brake_s", "min_clearance_m"):
+        value = getattr(sequence, key)
+        if not math.isfinite(value) or value < 0.0 or (key == "approach_velocity" and value == 0.0):
+            raise ConfigurationError(f"{sequence.name}: {key}={value} must be a positive number")
+    _check_pose(sequence.home, sequence, robot, f"{sequence.name}: home")
+    pose: dict[str, float] = {}
+    for number, run in enumerate(sequence.runs, 1):
+        where = f"{sequence.name}: run {number} ({run.joint})"
+        _check_run(run, robot, where)
+        pose |= run.start
+        _check_pose(run.start, sequence, robot, where, known=pose)
+
+
+def margin(robot: Robot, joint: str, margin_rad: float) -> float:
+    """A distance at the motor's shaft [rad] in the unit of the joint [rad or m]."""
+    return margin_rad * abs(robot.drive_trains[joint].transmission)
+
+
+def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
+    if run.joint not in robot.drive_trains:
+        raise ConfigurationError(f"{where}: no such driven joint; {robot.name} drives {', '.join(robot.drive_trains)}")
+    largest = max(abs(run.current_A), run.max_current_A or 0.0)
+    if not math.isfinite(run.current_A) or largest > LARGEST_CURRENT_A:
+        raise ConfigurationError(f"{where}: {largest:g} A is too much for a servo: currents are in A, not mA")
+    limit = robot.motors[run.joint].current_limit_A
+    if largest > limit:
+        raise ConfigurationError(
+            f"{where}: {largest:g} A is above the motor's limit of {limit:g} A; lower it, or current_limit_A in the robot file"
+        )
+    if run.max_current_A is not None and not abs(run.current_A) <= run.max_current_A:
+        raise ConfigurationError(
+            f"{where}: max_current_A={run.max_current_A:g} is a magnitude and must not be below that of {run.current_A:g} A"
+        )
+    if not 0.0 < run.duration_s <= 60.0:
+        raise ConfigurationError(f"{where}: duration_s={run.duration_s:g} must be above 0 s, and 60 s at most")
+    if not 0.0 <= run.min_travel < run.max_travel:
+        raise ConfigurationError(
+            f"{where}: min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
+        )
+    if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
+        raise ConfigurationError(
+            f"{where}: raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
+        )
+
+
+def _check_pose(
+    stated: Mapping[str, float],
+    sequence: ProbeSequence,
+    robot: Robot,
+    where: str,
+    known: Mapping[str, float] | None = None,
+) -> None:
+    """Limits of the joints named; and the height of the pose, where the joints that nobody named yet are at zero."""
+    for name, position in stated.items():
+        if name not in robot.drive_trains:
+            raise ConfigurationError(
+                f"{where}: {name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
+            )
+        joint = robot.model.joint(name)
+        slides = joint.kind == "prismatic"
+        spare = margin(robot, name, START_MARGIN_RAD)
+        low, high = joint.lower + spare, joint.upper - spare
+        if not math.isfinite(position) or abs(position) > LARGEST_POSITION_RAD or not low <= position <= high:
+            unit, other = ("m", "mm") if slides else ("rad", "degrees")
+            raise ConfigurationError(
+                f"{where}: {name}={position:g} is outside {low:.4g} .. {high:.4g} {unit} (limits less a margin); "
+                f"positions are in {unit}, not {other}"
+            )
+    if not stated:
+        return
+    rest = {name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper) for name in _all(robot)}
+    height = clearance(robot, {**rest, **(known or {}), **stated})
+    if height < sequence.min_clearance_m:
+        raise ConfigurationError(
+            f"{where}: the arm would be {100 * height:.1f} cm above the base's plane, less than "
+            f"min_clearance_m={sequence.min_clearance_m:g}; choose a higher pose"
+        )
+
+
+def _all(robot: Robot) -> tuple[str, ...]:
+    return robot.model.independent_joints
+
+
+# ----------------------------------------------------------------------------------------------------------------- YAML
+
+
+def _content(path: Path) -> Mapping[str, Any]:
+    try:
+        content = YAML(typ="safe", pure=True).load(path)
+    except (OSError, YAMLError, UnicodeDecodeError) as error:
+        what = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        raise ConfigurationError(f"{path}: not readable as YAML ({what})") from error
+    if not isinstance(content, Mapping):
+        raise ConfigurationError(f"{path}: holds no sections; a probe file starts with 'excitation:'")
+    return content
+
+
+def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequence:
+    values = _known(section, ProbeSequence, where, leave_out=("name",))
+    for key in ("hand", "description"):
+        if key in values and not isinstance(values[key], str):
+            raise ConfigurationError(f"{where}.{key}: expected a text, got {values[key]!r}")
+    for key in ("approach_velocity", "settle_s", "brake_s", "min_clearance_m"):
+        if key in values:
+            values[key] = _number(values[key], f"{where}.{key}")
+    if "home" in values:
+        values["home"] = _pose(values["home"], f"{where}.home")
+    runs = values["runs"]
+    if not isinstance(runs, list) or not runs:
+        raise ConfigurationError(f"{where}.runs: expected a list of runs, each with joint, current_A and duration_s")
+    values["runs"] = tuple(_run(run, robot, f"{where}.runs[{number}]") for number, run in enumerate(runs, 1))
+    return ProbeSequence(name=name, **values)
+
+
+def _run(section: Any, robot: Robot, where: str) -> ProbeRun:
+    values = _known(section, ProbeRun, where)
+    for key, value in values.items():
+        if key == "joint":
+            if not isinstance(value, str):
+                raise ConfigurationError(f"{where}.joint: expected the name of a joint, got {value!r}")
+        elif key == "start":
+            values[key] = _pose(value, f"{where}.start")
+        else:
+            values[key] = _number(value, f"{where}.{key}")
+    run = ProbeRun(**values)
+    if "max_travel" not in values and run.joint in robot.drive_trains:
+        # the default counts at the shaft, too: a finger cannot move 1 m
+        return replace(run, max_travel=margin(robot, run.joint, ProbeRun.max_travel))
+    return run
+
+
+def _known(section: Any, kind: type, where: str, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The section's entries, all of them fields of the data class, and none missing that has no default."""
+    entries = [entry for entry in fields(kind) if entry.name not in leave_out]
+    choices = ", ".join(entry.name for entry in entries)
+    if not isinstance(section, Mapping):
+        raise ConfigurationError(f"{where}: expected keys and values, got {section!r}; keys: {choices}")
+    unknown = [str(key) for key in section if key not in {entry.name for entry in entries}]
+    if unknown:
+        raise ConfigurationError(f"{where}: unknown key {', '.join(unknown)}; valid keys: {choices}")
+    missing = [
+        entry.name
+        for entry in entries
+        if entry.default is MISSING and entry.default_factory is MISSING and entry.name not in section
+    ]
+    if missing:
+        raise ConfigurationError(f"{where}: lacks {', '.join(missing)}; valid keys: {choices}")
+    return dict(section)
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ConfigurationError(f"{where}: expected a number, got {value!r}")
+    return float(value)
+
+
+def _pose(value: Any, where: str) -> dict[str, float]:
+    if not isinstance(value, Mapping):
+        raise ConfigurationError(
+            f"{where}: expected joints and their positions, such as {{joint3: 0.6}}, got {value!r}"
+        )
+    return {str(joint): _number(position, f"{where}.{joint}") for joint, position in value.items()}

@@ -1,0 +1,150 @@
+"""How high an arm is above its base's plane, without any dynamics: planning and excitation both ask before they move it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.errors import RobotError
+from proprio_ros.robot import Robot
+
+Vector = tuple[float, float, float]
+_STILL_M = 1e-6  # a link whose height changes by less than this stands where it stands
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One joint on the way from the base to a link that can be lowered, as plain numbers: numpy is slow for three of them.
+
+    Attributes:
+        parent: index of the step before it, -1 for the base.
+        driver, multiplier, offset: the independent joint that it follows; it is its own where it mimics none.
+        columns: of parent_R_joint at position zero; origin: in the parent's frame [m]; axis: in its own frame.
+        counts: whether its child is one of the links asked for.
+    """
+
+    parent: int
+    kind: str
+    driver: str
+    multiplier: float
+    offset: float
+    columns: tuple[Vector, Vector, Vector]
+    origin: Vector
+    axis: Vector
+    counts: bool
+
+
+def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
+    """Height above the base's plane, against gravity, of the lowest link that can be lowered, or of the hand [m].
+
+    Args:
+        robot: the arm.
+        pose: positions of all its independent joints [rad or m].
+
+    Raises:
+        RobotError: a position that matters is missing.
+    """
+    up, steps = _way_to_lowerable(robot)
+    return _lowest(up, steps, pose)
+
+
+def bent_pose(robot: Robot) -> dict[str, float]:
+    """A pose of all independent joints in which no lever happens to vanish [rad or m]."""
+    model = robot.model
+    return {
+        name: float(np.clip(0.3 + 0.1 * n, model.joint(name).lower, model.joint(name).upper))
+        for n, name in enumerate(model.independent_joints)
+    }
+
+
+def _lowest(up: Vector, steps: tuple[_Step, ...], pose: Mapping[str, float]) -> float:
+    # only heights are wanted: carry the vertical into each frame instead of the frame into the base
+    passed: list[tuple[Vector, float]] = []
+    lowest = math.inf
+    for step in steps:
+        vertical, height = passed[step.parent] if step.parent >= 0 else (up, 0.0)
+        height += _dot(vertical, step.origin)
+        x, y, z = (_dot(vertical, column) for column in step.columns)
+        if step.kind != "fixed":
+            try:
+                position = step.multiplier * pose[step.driver] + step.offset
+            except KeyError as error:
+                raise RobotError(f"the pose lacks the position of joint {step.driver!r}: give all of them") from error
+            if step.kind == "prismatic":
+                height += position * _dot((x, y, z), step.axis)
+            else:
+                x, y, z = _turned((x, y, z), step.axis, -position)
+        passed.append(((x, y, z), height))
+        if step.counts:
+            lowest = min(lowest, height)
+    return lowest
+
+
+@functools.lru_cache(maxsize=16)
+def _way_to_lowerable(robot: Robot) -> tuple[Vector, tuple[_Step, ...]]:
+    """The vertical in the base frame, and the joints to the links whose height depends on the pose, parents first.
+
+    The first link of most arms stands where it stands.
+    """
+    rest = dict.fromkeys(robot.model.independent_joints, 0.0)
+    bent = bent_pose(robot)
+    up = _vector(-robot.gravity / np.linalg.norm(robot.gravity))
+    children = (joint.child for joint in robot.model.joints if joint.independent)
+    frames: list[str] = []
+    for frame in dict.fromkeys([*children, robot.payload_frame]):
+        steps = _way(robot, [frame])
+        if abs(_lowest(up, steps, bent) - _lowest(up, steps, rest)) > _STILL_M:
+            frames.append(frame)
+    return up, _way(robot, frames)
+
+
+def _way(robot: Robot, frames: list[str]) -> tuple[_Step, ...]:
+    by_child = {joint.child: joint for joint in robot.model.joints}
+    needed = set()
+    for frame in frames:
+        while frame in by_child:
+            needed.add(frame)
+            frame = by_child[frame].parent
+    index: dict[str, int] = {}
+    steps: list[_Step] = []
+    for joint in robot.model.joints:
+        if joint.child not in needed:
+            continue
+        driver, multiplier, offset = joint.name, 1.0, 0.0
+        while (mimic := robot.model.joint(driver).mimic) is not None:
+            offset += multiplier * mimic[2]
+            multiplier *= mimic[1]
+            driver = mimic[0]
+        first, second, third = (_vector(joint.origin[:3, n]) for n in range(3))
+        index[joint.child] = len(steps)
+        steps.append(
+            _Step(
+                index.get(joint.parent, -1), joint.kind, driver, multiplier, offset,
+                (first, second, third), _vector(joint.origin[:3, 3]), _vector(joint.axis), joint.child in frames,
+            )
+        )  # fmt: skip
+    return tuple(steps)
+
+
+def _vector(values: np.ndarray) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
+    """Rodrigues' formula: v turned about a unit axis by an angle [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    along = (1.0 - c) * _dot(axis, v)
+    return (
+        c * v[0] + s * (axis[1] * v[2] - axis[2] * v[1]) + along * axis[0],
+        c * v[1] + s * (axis[2] * v[0] - axis[0] * v[2]) + along * axis[1],
+        c * v[2] + s * (axis[0] * v[1] - axis[1] * v[0]) + along * axis[2],
+    )
