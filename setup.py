@@ -43,6 +43,7 @@ setup(
         "matplotlib>=3.6",
         "cma>=3.3",
         "dynamixel-sdk",
+        "pyserial",
     ],
     extras_require={
         # wheels of ROS 2 Jazzy exist for x86-64 only; never beside /opt/ros, whose rclpy they would shadow
@@ -53,6 +54,14 @@ setup(
         "sim": ["mujoco>=3.2"],
         "test": ["pytest>=7", "hypothesis", "ruff", "mypy"],
     },
-    entry_points={"console_scripts": ["proprio = proprio_ros.cli:run"]},
+    entry_points={
+        "console_scripts": [
+            "proprio = proprio_ros.cli:run",
+            "proprio_driver = proprio_ros.nodes.driver:main",
+            "proprio_excitation = proprio_ros.nodes.excitation:main",
+            "proprio_identifier = proprio_ros.nodes.identifier:main",
+            "proprio_virtual = proprio_ros.nodes.virtual:main",
+        ]
+    },
     license="Apache-2.0",
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -638,13 +639,11 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
         RecordingError: The folder exists or cannot be written.
         ConfigurationError: Unknown storage.
     """
-    plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-    if storage not in plugins:
-        raise ConfigurationError(f"bag storage {storage!r} is not known; choose from {', '.join(plugins)}")
+    plugin = _storage_plugin(storage)
     types = _types()
     record, inputs = recording.joints, recording.inputs
     try:
-        with Writer(Path(path), version=9, storage_plugin=plugins[storage]) as writer:
+        with Writer(Path(path), version=9, storage_plugin=plugin) as writer:
             rows: list[tuple[int, Connection, Any]] = []
             if inputs is not None:
                 commands = writer.add_connection("/current_command", FLOAT_ARRAYS[0], typestore=types)
@@ -660,6 +659,53 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
                 writer.write(connection, time_ns, types.serialize_cdr(message, connection.msgtype))
     except (WriterError, OSError) as error:
         raise RecordingError(f"{path}: cannot be written ({error}); give a new folder") from error
+
+
+class RawMessage(NamedTuple):
+    """A message as it came over the wire.
+
+    Attributes:
+        time_ns: When it was received [ns].
+        data: Its CDR bytes; of a raw subscription, not of rclpy's `serialize_message`, which leaves stray bytes behind.
+    """
+
+    topic: str
+    msgtype: str
+    time_ns: int
+    data: bytes
+
+
+def write_messages(path: str | Path, messages: Sequence[RawMessage], storage: str = "mcap") -> None:
+    """Write messages to a new bag as they came, byte by byte.
+
+    Args:
+        path: Folder to make; it must not exist. Nothing is left of it when writing fails.
+        messages: Of the types in which recordings come: JointState and Float64MultiArray.
+        storage: 'mcap' or 'sqlite3'.
+
+    Raises:
+        RecordingError: The folder exists or cannot be written, as on a full disk.
+        ConfigurationError: Unknown storage.
+    """
+    path, plugin = Path(path), _storage_plugin(storage)
+    existed = path.exists()
+    try:
+        with Writer(path, version=9, storage_plugin=plugin) as writer:
+            kinds = sorted({(message.topic, message.msgtype) for message in messages})
+            connections = {kind: writer.add_connection(*kind, typestore=_types()) for kind in kinds}
+            for message in sorted(messages, key=lambda message: message.time_ns):
+                writer.write(connections[message.topic, message.msgtype], message.time_ns, message.data)
+    except (WriterError, OSError) as error:
+        if not existed:
+            shutil.rmtree(path, ignore_errors=True)
+        raise RecordingError(f"{path}: cannot be written ({error}); give a new folder on a disk with room") from error
+
+
+def _storage_plugin(storage: str) -> StoragePlugin:
+    plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+    if storage not in plugins:
+        raise ConfigurationError(f"bag storage {storage!r} is not known; choose from {', '.join(plugins)}")
+    return plugins[storage]
 
 
 def _joint_state(types: Typestore, record: JointRecord, row: int) -> Any:

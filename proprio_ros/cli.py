@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from proprio_ros import __version__
 from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER = 0, 2, 3
 
@@ -161,7 +162,7 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
 
 
 def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
-    settings = _settings(options.set)
+    settings = parse_settings(options.set)
     # heavy imports only now, so that --help and a mistyped option answer at once
     from proprio_ros.replay import ReplayOptions, replay
 
@@ -193,7 +194,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
-    settings = _settings(options.set)
+    settings = parse_settings(options.set)
     references = {}
     for pair in options.reference:
         path, _, mass = pair.rpartition("=")
@@ -241,7 +242,7 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     masses = _masses(options.mass)
     if options.count < 1:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
-    settings = _settings(options.set)
+    settings = parse_settings(options.set)
     from proprio_ros.calibrate import plan_probes
     from proprio_ros.replay import ReplayOptions
 
@@ -278,21 +279,6 @@ def _masses(text: str) -> list[float]:
 def _progress(message: str) -> None:
     if sys.stderr is not None and sys.stderr.isatty():
         print(f"proprio: {message}", file=sys.stderr)
-
-
-def _settings(pairs: Sequence[str]) -> dict[str, Any]:
-    settings: dict[str, Any] = {}
-    for pair in pairs:
-        key, separator, text = pair.partition("=")
-        if not separator or not key:
-            raise ConfigurationError(f"--set {pair}: write KEY=VALUE, e.g. --set payload.size=0.03")
-        try:
-            settings[key] = json.loads(text)
-        except ValueError:
-            if text[:1] in '[{"' or not text:
-                raise ConfigurationError(f"--set {pair}: {text!r} is not JSON, e.g. [0,0,0.01] or 0.03") from None
-            settings[key] = text  # a bare word such as cube
-    return settings
 
 
 def _as_text(estimate: Any) -> str:

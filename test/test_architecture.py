@@ -17,17 +17,34 @@ ROOMS: dict[str, set[str]] = {
     "quantity": {"errors"},
     "calibration": {"errors", "quantity"},
     "robot": {"errors", "resources", "quantity", "calibration"},
+    "kinematics": {"errors", "robot"},
+    "settings": {"errors"},
+    "realtime": set(),
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
-    "identification": {"errors", "records", "quantity", "robot", "calibration", "sim"},
+    "identification": {"errors", "records", "quantity", "robot", "calibration", "kinematics", "sim"},
     "replay": {"errors", "records", "resources", "robot", "bags", "runs", "sim", "identification"},
     "calibrate": {"errors", "resources", "robot", "calibration", "identification", "replay"},
     "report": {"errors", "resources", "calibration", "identification"},
-    "cli": {"errors", "replay", "calibrate", "report"},
+    # a live recording: raw messages to a bag, and the bag to a result
+    "session": {
+        "errors",
+        "resources",
+        "records",
+        "robot",
+        "bags",
+        "runs",
+        "sim",
+        "identification",
+        "replay",
+        "calibrate",
+    },
+    "cli": {"errors", "settings", "replay", "calibrate", "report", "nodes"},
     "bus": {"errors", "records", "robot"},
-    "virtual": {"errors", "records", "robot"},
-    "excitation": {"errors", "records", "robot"},
+    # an emulated servo is the same table of registers as a real one
+    "virtual": {"errors", "records", "robot", "realtime", "bus"},
+    "excitation": {"errors", "records", "resources", "robot", "kinematics"},
     "nodes": {
         "errors",
         "records",
@@ -41,6 +58,10 @@ ROOMS: dict[str, set[str]] = {
         "report",
         "bus",
         "excitation",
+        "virtual",
+        "session",
+        "settings",
+        "realtime",
     },
 }
 ROS = {
@@ -51,6 +72,8 @@ ROS = {
     "geometry_msgs",
     "diagnostic_msgs",
     "visualization_msgs",
+    "rcl_interfaces",
+    "builtin_interfaces",
     "launch",
 }
 # heavy or special libraries, and the only rooms that may import them

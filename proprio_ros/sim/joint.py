@@ -55,6 +55,7 @@ _HARMLESS = np.array([float(name in ("inertia", "stribeck_velocity")) for name i
 
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 14, 16, 24, 32)
+_USUAL_SIZE = 16  # there are no more parameters to differentiate by; more directions come from callers of their own
 MAX_STEPS = 200_000
 TIME_EPS = 1e-9  # s; two instants closer than this are one
 
@@ -652,6 +653,16 @@ class JointSimulator:
     def tape(self, world_run: np.ndarray, p: np.ndarray) -> "TapedRollout":
         """The same rollout recorded on a ``wp.Tape`` (see ``TapedRollout``)."""
         return TapedRollout(self, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
+
+
+def compile_kernels(integrator: str = "rk4") -> None:
+    """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing."""
+    simulator = JointSimulator([JointRun(np.array([0.01]), np.zeros(1), np.zeros(1))], integrator)
+    for size in (size for size in _TANGENT_SIZES if size <= _USUAL_SIZE):
+        for stribeck in (0.0, 1.0):
+            p = _HARMLESS[None].copy()
+            p[:, INDEX["stribeck"]] = stribeck
+            simulator.jacobian(np.zeros(1, dtype=np.int32), p, np.zeros((1, len(PARAMETERS), size)))
 
 
 class _Launch:

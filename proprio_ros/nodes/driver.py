@@ -1,0 +1,237 @@
+"""The driver node: the servos' bus as topics. A thread of its own owns the bus, so that no callback delays a cycle."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from proprio_ros.bus.driver import ArmDriver, ArmSample, BusState, DriverSettings
+from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.parameters import ROBOT, Parameter
+from proprio_ros.nodes.runtime import COMMANDS, STREAM, ManagedNode, run_node
+from proprio_ros.realtime import Pacer, StampClock, run_in_real_time
+from proprio_ros.robot import load_robot
+
+_D = DriverSettings()
+LATE_S = 0.005
+"""A cycle that begins later than this is told in the diagnostics."""
+CLOCK_JUMP_S = 0.05
+"""The system's clock has been set when it moved by more than this within a second."""
+
+
+class DriverNode(ManagedNode):
+    """Publishes what the servos report, and passes on what they are told, inside the limits."""
+
+    parameters = (
+        ROBOT,
+        Parameter("port", "/dev/ttyUSB0", "Serial port of the servo bus."),
+        Parameter("baud_rate", 1_000_000, "Bits per second; the servos must be set to the same."),
+        Parameter("rate", 100.0, "Cycles per second [Hz]: 40 as in the paper, 100 or more where the bus allows.", 1.0, 1000.0),
+        Parameter("joints", [], "Order of the joints in commands without labels; empty: the robot file's."),
+        Parameter("command_timeout", _D.command_timeout_s, "`on_timeout` after so long without a current command [s].", 0.01, 5.0),
+        Parameter("on_timeout", _D.on_timeout, "hold: a driven joint is held where it is; zero: it is left without current."),
+        Parameter("on_shutdown", "zero", "zero: current zero and torque off at the end; hold: the servos keep their position."),
+        Parameter("watchdog", _D.watchdog_s, "The servos stop after so much silence on the bus [s]; 0: never.", 0.0, 2.54),
+        Parameter("limit_margin", _D.limit_margin_rad, "A joint is not driven nearer to its limit [rad].", 0.0, 0.5),
+        Parameter("max_velocity", _D.max_velocity_rad_s, "A driven joint that turns faster is braked [rad/s].", 0.1, 20.0),
+        Parameter("max_goal_velocity", _D.max_goal_velocity_rad_s, "Goal positions are followed no faster [rad/s].", 0.01, 5.0),
+        Parameter("max_temperature", _D.max_temperature_C, "No currents above this temperature of the motor [deg C].", 20.0, 80.0),
+        Parameter("max_jump", _D.max_jump_rad, "A position that jumps further is an encoder fault [rad].", 0.05, 3.0),
+        Parameter("position_d_gain", _D.position_d_gain, "Register value that damps held joints.", 0, 16383),
+        Parameter("reply_timeout", 0.02, "How long a servo may take to answer [s].", 0.001, 0.2),
+        Parameter("fast_sync_read", True, "Read all servos in one packet where their firmware (45 or newer) knows it."),
+        Parameter("reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0),
+    )  # fmt: skip
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("driver", **kwargs)
+        self._driver: ArmDriver | None = None
+        self._thread: threading.Thread | None = None
+        self._ended = threading.Event()
+
+    def configure(self) -> None:
+        values = self.values
+        for name, choices in (("on_timeout", ("hold", "zero")), ("on_shutdown", ("hold", "zero"))):
+            if values[name] not in choices:
+                raise ConfigurationError(f"parameter {name}={values[name]!r}: choose one of {', '.join(choices)}")
+        robot = load_robot(values["robot"])
+        servos = servos_of(robot)
+        self._order = tuple(values["joints"]) or tuple(servo.joint for servo in servos)
+        unknown = [name for name in self._order if name not in robot.motors]
+        if unknown:
+            raise ConfigurationError(
+                f"parameter joints: {robot.name} has no motor at {unknown[0]!r}; it has: {', '.join(robot.motors)}"
+            )
+        bus = DynamixelBus(
+            values["port"], servos, values["baud_rate"], values["reply_timeout"], values["fast_sync_read"]
+        )
+        settings = DriverSettings(
+            command_timeout_s=values["command_timeout"],
+            on_timeout=values["on_timeout"],
+            watchdog_s=values["watchdog"],
+            limit_margin_rad=values["limit_margin"],
+            max_velocity_rad_s=values["max_velocity"],
+            max_goal_velocity_rad_s=values["max_goal_velocity"],
+            max_temperature_C=values["max_temperature"],
+            max_jump_rad=values["max_jump"],
+            position_d_gain=values["position_d_gain"],
+            reconnect_s=values["reconnect_period"],
+        )
+        self._driver = ArmDriver(robot, bus, settings, self.say)
+        # effort at the joint: N m per A, and N per A where the motor pushes a slide
+        self._torque_constant = {
+            name: drive.nominal_torque_constant / drive.transmission for name, drive in robot.drive_trains.items()
+        }
+        self._hardware_id = f"{robot.name} on {values['port']}"
+        self._states = self.create_publisher(JointState, "joint_states", STREAM)
+        self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
+        self._current = self.create_publisher(Float64MultiArray, "applied_current", STREAM)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_subscription(Float64MultiArray, "current_command", self._on_current, COMMANDS)
+        self.create_subscription(Float64MultiArray, "position_command", self._on_position, COMMANDS)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(SetBool, "~/torque", self._on_torque)
+        self.create_timer(1.0, self._each_second)
+
+    def activate(self) -> None:
+        self._ended.clear()
+        self._pacer = Pacer(1.0 / self.values["rate"])
+        self._stamps = StampClock()
+        self._thread = threading.Thread(target=self._loop, name="servo bus", daemon=True)
+        self._thread.start()
+
+    def deactivate(self) -> None:
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+            self._thread = None
+
+    # --- the bus thread -----------------------------------------------------------------------------------------------
+
+    def _loop(self) -> None:
+        driver = self._driver
+        assert driver is not None
+        run_in_real_time()
+        try:
+            while not self._ended.is_set():
+                self._pacer.wait()
+                sample = driver.cycle()
+                if sample is not None:
+                    self._publish(driver, sample)
+                elif driver.state is BusState.DISCONNECTED:
+                    self._ended.wait(0.02)
+        except Exception as error:  # a defect must not leave a motor pushing
+            self.say("error", f"the servo loop failed ({type(error).__name__}: {error}); current zero")
+            raise
+        finally:
+            driver.close(hold=self.values["on_shutdown"] == "hold")
+
+    def _publish(self, driver: ArmDriver, sample: ArmSample) -> None:
+        if self._stamps.offset_ns is None:
+            self._stamps.look(self.get_clock().now().nanoseconds, time.monotonic())
+        stamp = self._stamps.stamp_ns(sample.sampled_at_s)
+        names = driver.joints
+        measured = [sample.current_A[name] * self._torque_constant[name] for name in names]
+        applied = [sample.commanded_A[name] * self._torque_constant[name] for name in names]
+        position, velocity = [sample.position[n] for n in names], [sample.velocity[n] for n in names]
+        # what drives the joints from this instant on goes first: a listener then has it when the state comes
+        self._effort.publish(messages.joint_state(stamp, names, effort=applied))
+        self._states.publish(messages.joint_state(stamp, names, position, velocity, measured))
+        self._current.publish(messages.labelled(sample.commanded_A))
+
+    # --- callbacks ----------------------------------------------------------------------------------------------------
+
+    def _on_current(self, message: Float64MultiArray) -> None:
+        self._obey(message, "current_command")
+
+    def _on_position(self, message: Float64MultiArray) -> None:
+        self._obey(message, "position_command")
+
+    def _obey(self, message: Float64MultiArray, topic: str) -> None:
+        if self._driver is None or not self.active:
+            return
+        values = messages.by_joint(message, self._order)
+        if isinstance(values, str):
+            reason = values
+        elif topic == "current_command":
+            reason = self._driver.command_currents(values)
+        else:
+            reason = self._driver.command_positions(values)
+        if reason:
+            self.get_logger().error(f"{topic} refused: {reason}", throttle_duration_sec=1.0)
+
+    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._driver is not None and self.active:
+            self._driver.stop()
+            response.success, response.message = True, "current zero; ~/torque true holds the arm again"
+        else:
+            response.success, response.message = True, "the driver is not active, and drives nothing"
+        return response
+
+    def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        driver = self._driver
+        if driver is None or not self.active or driver.state is BusState.DISCONNECTED:
+            reason = driver.reason if driver is not None and self.active else "the driver is not active"
+            response.success, response.message = False, f"not possible: {reason}"
+            return response
+        driver.set_torque(request.data)
+        wanted = BusState.RUNNING if request.data else BusState.RELEASED
+        deadline = time.monotonic() + 5.0  # a servo with a fault is rebooted first
+        while driver.state is not wanted and time.monotonic() < deadline:
+            time.sleep(0.005)
+        response.success = driver.state is wanted
+        response.message = ("held" if request.data else "torque is off") if response.success else driver.reason
+        return response
+
+    def _each_second(self) -> None:
+        driver = self._driver
+        if driver is None or not self.active:
+            return
+        now = self.get_clock().now().nanoseconds
+        if "driven" not in driver.modes.values():
+            moved_s = self._stamps.look(now, time.monotonic())
+            if abs(moved_s) > CLOCK_JUMP_S:
+                self.say("warning", f"the system's clock was set by {moved_s:+.3f} s; stamps follow it from here on")
+        self._diagnostics.publish(messages.diagnostics(now, self._statuses(driver)))
+
+    def _statuses(self, driver: ArmDriver) -> list[DiagnosticStatus]:
+        late = list(self._pacer.lateness_s)
+        statistics = driver.statistics
+        running = driver.state is BusState.RUNNING
+        values = {
+            "state": driver.state.value,
+            "rate [Hz]": self.values["rate"],
+            "cycles": statistics.cycles,
+            "incomplete": statistics.incomplete,
+            "asked again": statistics.retries,
+            "refused commands": statistics.refused_commands,
+            f"cycles later than {1e3 * LATE_S:.0f} ms": sum(value > LATE_S for value in late),
+            "latest [ms]": 1e3 * max(late, default=0.0),
+        }
+        level = "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
+        statuses = [messages.status(level, "driver: servo bus", driver.reason, values, self._hardware_id)]
+        modes = driver.modes
+        for name, health in list(driver.health.items()):
+            hot = health.temperature_C >= self.values["max_temperature"]
+            words = "; ".join(health.faults) or ("too hot to be driven" if hot else modes[name])
+            level = "error" if health.faults else "warning" if hot else "ok"
+            told = {"mode": modes[name], "temperature [C]": health.temperature_C, "voltage [V]": health.voltage_V}
+            statuses.append(messages.status(level, f"driver: {name}", words, told, self._hardware_id))
+        return statuses
+
+
+def main() -> int:
+    """Entry point of `proprio_driver`."""
+    return run_node(DriverNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,211 @@
+"""The excitation node: makes probe sequences. The driver holds or ends the current by itself when this node falls silent."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, JointSample, Phase
+from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
+from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode, run_node
+from proprio_ros.robot import load_robot
+
+_G = Guards()
+STATUS_PERIOD_S = 0.1
+
+
+class ExcitationNode(ManagedNode):
+    """Joint states in, current and position commands out, by the state machine."""
+
+    parameters = (
+        ROBOT,
+        Parameter("probe", "payload", "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
+        Parameter("limit_margin", _G.limit_margin_rad, "Room left before a joint's limit during a run [rad].", 0.0, 0.5),
+        Parameter("max_velocity", _G.max_velocity_rad_s, "A run ends when a joint is faster [rad/s].", 0.1, 20.0),
+        Parameter("stale_after", _G.stale_after_s, "Joint states further apart end the sequence [s].", 0.02, 5.0),
+        Parameter("follow_error", _G.follow_error_rad, "A joint may be off its goal by so much [rad].", 0.01, 1.0),
+        Parameter("held_joint_error", _G.held_joint_error_rad, "A held joint may give way by so much [rad].", 0.01, 1.0),
+        Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
+    )  # fmt: skip
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("excitation", **kwargs)
+        self._machine: ExcitationMachine | None = None
+        self._sample: JointSample | None = None
+        self._driving = False
+        self._count = 0
+        self._told_at_s = -math.inf
+        self._told: tuple[Any, ...] = ()
+
+    def configure(self) -> None:
+        self._robot = load_robot(self.values["robot"])
+        self._machine = ExcitationMachine(
+            self._robot,
+            Guards(
+                limit_margin_rad=self.values["limit_margin"],
+                max_velocity_rad_s=self.values["max_velocity"],
+                stale_after_s=self.values["stale_after"],
+                follow_error_rad=self.values["follow_error"],
+                held_joint_error_rad=self.values["held_joint_error"],
+                max_jump_rad=self.values["max_jump"],
+            ),
+        )
+        load_sequence(value_of(self, "probe"), self._robot)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
+        self._positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self.create_subscription(JointState, "joint_states", self._on_joint_state, COMMANDS)
+        self.create_service(Trigger, "~/run", self._on_run)
+        self.create_service(Trigger, "~/abort", self._on_abort)
+        self.create_timer(0.02, self._on_timer)
+
+    def activate(self) -> None:
+        self._tell()
+
+    def deactivate(self) -> None:
+        if self._machine is not None and self._machine.busy:
+            self._machine.abort("the excitation node was told to end")
+            self._send(self._machine.command)
+            self._tell()
+
+    def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
+        """A probe that cannot be made is refused when it is named, with the reason."""
+        for parameter in parameters:
+            if parameter.name == "probe":
+                try:
+                    load_sequence(str(parameter.value), self._robot)
+                except ProprioError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    # --- the way of the data ------------------------------------------------------------------------------------------
+
+    def _on_joint_state(self, message: JointState) -> None:
+        if self._machine is None:
+            return
+        now = time.monotonic()
+        position = dict(zip(message.name, message.position, strict=False))
+        velocity = dict(zip(message.name, message.velocity, strict=False)) or dict.fromkeys(position, 0.0)
+        self._sample = JointSample(now, position, velocity)
+        self._tick(now)
+
+    def _on_timer(self) -> None:
+        """Joint states drive the machine; this only notices when they stop coming."""
+        now = time.monotonic()
+        late = self._sample is None or now - self._sample.time_s > 0.5 * self.values["stale_after"]
+        if late:
+            self._tick(now)
+        self._tell_when_due(now)
+
+    def _tick(self, now: float) -> None:
+        machine = self._machine
+        if machine is None or not machine.busy:
+            return
+        command = machine.tick(now, self._sample)
+        self._send(command)
+        if machine.phase is Phase.ABORTED:
+            self.say("error", f"aborted: {machine.abort_reason}")
+        elif machine.phase is Phase.DONE:
+            self.say("info", machine.message)
+        self._tell_when_due(now)
+
+    def _send(self, command: Command) -> None:
+        """Currents first: an empty one ends the push at once, and what is not driven is held."""
+        if command.current_A or self._driving:
+            self._currents.publish(messages.labelled(command.current_A))
+        self._driving = bool(command.current_A)
+        if command.position:
+            self._positions.publish(messages.labelled(command.position))
+
+    # --- services -----------------------------------------------------------------------------------------------------
+
+    def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "the excitation node is not active"
+        machine = self._machine
+        if machine is None or not self.active:
+            return response
+        sample = self._sample
+        if not machine.busy and (sample is None or time.monotonic() - sample.time_s > self.values["stale_after"]):
+            response.message = (
+                "no joint states are coming: start the driver, and check its bus and the topic joint_states"
+            )
+            return response
+        try:
+            if sample is None:
+                raise ConfigurationError("no joint states are coming")
+            sequence = load_sequence(value_of(self, "probe"), self._robot)
+            machine.start(sequence, sample)
+        except ProprioError as error:
+            response.message = str(error)
+            return response
+        self._count += 1
+        self._tell()
+        # the count tells whoever listens to ~/status which sequence a status belongs to
+        response.success = True
+        response.message = f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
+        return response
+
+    def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        machine = self._machine
+        response.success = True
+        if machine is None or not machine.busy:
+            response.message = "nothing was under way"
+            return response
+        machine.abort("by ~/abort")
+        self._send(machine.command)
+        self._tell()
+        response.message = "aborted; the arm is held"
+        return response
+
+    # --- status -------------------------------------------------------------------------------------------------------
+
+    def _tell_when_due(self, now: float) -> None:
+        machine = self._machine
+        if machine is None or not self.active:
+            return
+        state = (machine.phase, machine.run_number, machine.attempt, self._count)
+        if state != self._told or (machine.busy and now - self._told_at_s >= STATUS_PERIOD_S):
+            self._tell()
+
+    def _tell(self) -> None:
+        machine = self._machine
+        assert machine is not None
+        self._told = (machine.phase, machine.run_number, machine.attempt, self._count)
+        self._told_at_s = time.monotonic()
+        sequence = machine.sequence
+        values = {
+            "sequence": self._count,
+            "phase": machine.phase.value,
+            "busy": machine.busy,
+            "probe": sequence.name if sequence else "",
+            "hand": sequence.hand if sequence else "any",
+            "run": machine.run_number,
+            "runs": machine.runs,
+            "attempt": machine.attempt,
+            "fraction": round(machine.fraction, 4),
+            "good_runs": sum(outcome.used for outcome in machine.outcomes),
+            "reason": machine.abort_reason,
+        }
+        level = "error" if machine.phase is Phase.ABORTED else "ok"
+        self._status.publish(messages.status(level, "excitation", machine.message, values))
+
+
+def main() -> int:
+    """Entry point of `proprio_excitation`."""
+    return run_node(ExcitationNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

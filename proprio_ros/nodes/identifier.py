@@ -1,0 +1,456 @@
+"""The identifier node: asks for a probe, listens, keeps the recording, says what it tells.
+
+A job has a thread of its own, so that neither the arm's motion nor the identification ever blocks the executor; a second thread
+weighs what has come so far while a probe is under way. The recording is written before anything is identified, and what is
+identified is the recording, by the function that `proprio replay` calls.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import InertiaStamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from proprio_ros import __version__
+from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.estimate import Z95, Estimate, Verdict
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
+from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.replay import ReplayOptions
+from proprio_ros.report import write_calibration_report, write_report
+from proprio_ros.session import (
+    LiveWeighing,
+    Session,
+    as_diagnostics,
+    calibrate_bags,
+    inertia_tensor,
+    live_interval,
+    prepare_identification,
+    replay_command,
+    weigh_bag,
+)
+from proprio_ros.settings import parse_settings
+
+STALE_S = 0.5
+SILENT_S = 3.0
+"""The excitation node tells its state ten times a second while it is busy; without a word for so long it is gone."""
+CALL_S = 5.0
+TAIL_S = 0.3
+"""Joint states after the last run that belong to the recording."""
+
+
+class JobError(ProprioError):
+    """Why a job ended without a result, in one sentence."""
+
+
+@dataclass
+class Job:
+    """One service call that is being worked on."""
+
+    kind: str
+    cancelled: threading.Event = field(default_factory=threading.Event)
+    ended: threading.Event = field(default_factory=threading.Event)
+    success: bool = False
+    message: str = ""
+    on_end: list[Callable[[], None]] = field(default_factory=list)
+
+
+class IdentifierNode(ManagedNode):
+    """Services in, results out."""
+
+    parameters = (
+        ROBOT,
+        Parameter("calibration", "", "Calibration file; empty: the newest of this robot in data_directory; none: without."),
+        Parameter("data_directory", "~/.ros/proprio_ros", "Where recordings, results and calibrations are kept."),
+        Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03.", dynamic=True),
+        Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot."),
+        Parameter("payload_sequence", "payload", "Probe sequence of calibrate_payload."),
+        Parameter("reference_sequence", "reference", "Probe sequence of calibrate_robot with the reference object."),
+        Parameter("reference_mass", 0.0, "Mass of a weighed object for calibrate_robot [kg]; 0: none.", 0.0, 5.0, dynamic=True),
+        Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
+        Parameter("excitation_node", "excitation", "Name of the excitation node."),
+        Parameter("report", True, "Write an HTML report beside every recording."),
+        Parameter("live_period", 0.03, "Pause between live estimates [s]; 0 turns them off.", 0.0, 10.0),
+    )  # fmt: skip
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("identifier", **kwargs)
+        self._job: Job | None = None
+        self._job_lock = threading.Lock()
+        self._session: Session | None = None
+        self._unsaved: list[Session] = []
+        self._live: LiveWeighing | None = None
+        self._driven = False
+        self._state_at_s = -1e9
+        self._excitation: dict[str, str] = {}
+        self._excitation_message = ""
+        self._excitation_at_s = -1e9
+
+    # --- lifecycle ----------------------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        self._data = Path(self.values["data_directory"]).expanduser()
+        self._calibration = self._find_calibration()
+        started = time.monotonic()
+        prepare_identification()  # kernels are compiled here, and never inside a probe
+        self._live = LiveWeighing(self._options("payload"))
+        self.say("info", f"ready after {time.monotonic() - started:.1f} s; calibration: {self._calibration or 'none'}")
+
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._estimate = self.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
+        self._payload = self.create_publisher(InertiaStamped, "~/payload", LATCHED)
+        self._markers = self.create_publisher(MarkerArray, "~/markers", LATCHED)
+        self._numbers = {
+            name: self.create_publisher(Float64, f"~/{name}", LATCHED)
+            for name in ("mass", "lame_mu", "lame_lambda", "youngs_modulus")
+        }
+        # bytes as they came over the wire: that is what goes into the bag
+        for topic, kind in (
+            ("joint_states", JointState), ("applied_effort", JointState), ("applied_current", Float64MultiArray),
+        ):  # fmt: skip
+            listener = self._listener(self.resolve_topic_name(topic), topic, kind)
+            self.create_subscription(kind, topic, listener, STREAM, raw=True)
+        name = self.values["excitation_node"]
+        self.create_subscription(DiagnosticStatus, f"{name}/status", self._on_excitation, LATCHED)
+        self._set_probe = self.create_client(SetParameters, f"{name}/set_parameters")
+        self._run = self.create_client(Trigger, f"{name}/run")
+        self._abort = self.create_client(Trigger, f"{name}/abort")
+        for kind_ in ("robot", "payload", "container", "softness"):
+            LongService(self, f"~/calibrate_{kind_}", partial(self._begin, kind_))
+        LongService(self, "~/cancel", self._cancel)
+        self.create_timer(5.0, self._save_again)
+
+    def activate(self) -> None:
+        self._tell("idle", "ready")
+
+    def deactivate(self) -> None:
+        job = self._job
+        if job is not None:
+            job.cancelled.set()
+            job.ended.wait(2.0 * CALL_S)
+        self._save_again()
+
+    def _find_calibration(self) -> Path | None:
+        stated = self.values["calibration"]
+        if stated == "none":
+            return None
+        path = Path(stated).expanduser() if stated else self._newest_calibration()
+        # the file behind the link stays what it is, so that a result can be had again
+        return path.resolve() if stated or path.exists() else None
+
+    def _newest_calibration(self) -> Path:
+        return self._data / f"{Path(self.values['robot']).stem}_calibration.yaml"
+
+    def _options(self, probe: str) -> ReplayOptions:
+        return ReplayOptions(
+            probe=probe,
+            robot=None if self._calibration else self.values["robot"],
+            settings=parse_settings(value_of(self, "settings")),
+            calibration=self._calibration,
+        )
+
+    # --- what comes in ------------------------------------------------------------------------------------------------
+
+    def _listener(self, full_name: str, topic: str, kind: type) -> Callable[[bytes], None]:
+        msgtype = "sensor_msgs/msg/JointState" if kind is JointState else "std_msgs/msg/Float64MultiArray"
+
+        def listen(data: bytes) -> None:
+            if topic == "joint_states":
+                self._state_at_s = time.monotonic()
+            session = self._session
+            if session is None:
+                return
+            session.add(full_name, msgtype, self.get_clock().now().nanoseconds, bytes(data))
+            live = self._live
+            if live is not None and kind is JointState:
+                message = deserialize_message(data, JointState)
+                stamp = messages.time_ns(message.header.stamp)
+                if topic == "joint_states":
+                    live.add_state(stamp, message.name, message.position)
+                else:
+                    live.add_input(stamp, message.name, message.effort)
+                    self._driven = any(message.effort)
+
+        return listen
+
+    def _on_excitation(self, message: DiagnosticStatus) -> None:
+        self._excitation = messages.values_of(message)
+        self._excitation_message = message.message
+        self._excitation_at_s = time.monotonic()
+        job = self._job
+        if job is not None and self._excitation.get("busy") == "true":
+            values = self._excitation
+            where = f"run {values.get('run')} of {values.get('runs')}, {values.get('phase')}: {message.message}"
+            self._tell(job.kind, where, {"fraction": values.get("fraction", ""), "phase": values.get("phase", "")})
+
+    # --- services -----------------------------------------------------------------------------------------------------
+
+    def _begin(self, kind: str, answer: Answer) -> None:
+        """Begin a job, or answer why there can be none now."""
+        if not self.active:
+            return answer(False, "the identifier node is not active")
+        if kind in ("container", "softness"):
+            return answer(False, f"the {kind} probe is not available in version {__version__}")
+        if self._job is not None:
+            return answer(False, f"busy: calibrate_{self._job.kind} is under way; wait for it, or call ~/cancel")
+        if time.monotonic() - self._state_at_s > STALE_S:
+            return answer(False, "not ready: no joint states are coming; start the driver and check its bus")
+        if not self._run.service_is_ready() or not self._set_probe.service_is_ready():
+            return answer(False, f"not ready: there is no {self.values['excitation_node']} node; start it")
+        self._job = job = Job(kind)
+        threading.Thread(target=self._work, args=(job, answer), name=f"calibrate {kind}", daemon=True).start()
+        return None
+
+    def _cancel(self, answer: Answer) -> None:
+        job = self._job
+        if job is None:
+            return answer(True, "nothing was under way")
+        job.cancelled.set()
+        job.on_end.append(lambda: answer(True, f"calibrate_{job.kind} was cancelled; the arm is held"))
+        return None
+
+    # --- the job's thread ---------------------------------------------------------------------------------------------
+
+    def _work(self, job: Job, answer: Answer) -> None:
+        level = "error"
+        try:
+            job.success, job.message = self._weigh(job) if job.kind == "payload" else self._calibrate(job)
+            level = "ok" if job.success else "warning"
+        except ProprioError as error:
+            job.message = str(error)
+        except Exception as error:  # a defect must be told, and must not leave the services busy for ever
+            job.message = f"a defect in the identification ({type(error).__name__}: {error}); the recording is kept"
+            self.get_logger().error(job.message)
+        finally:
+            self._session = None
+            self._job = None
+            self.say("info" if job.success else "warning", job.message)
+            if self.active:
+                self._tell("idle", job.message, level=level)
+            job.ended.set()
+            answer(job.success, job.message)
+            for tell in job.on_end:
+                tell()
+
+    def _weigh(self, job: Job) -> tuple[bool, str]:
+        options = self._options("payload")
+        self._live = LiveWeighing(options) if self.values["live_period"] > 0.0 else None
+        bag = self._record(job, "payload", value_of(self, "payload_sequence"))
+        self._tell(job.kind, "identifying")
+        estimate = weigh_bag(bag, options)
+        self._publish(estimate)
+        if self.values["report"]:
+            command = replay_command(bag, options)
+            write_report(estimate, bag.parent / "report.html", command=command, sources=[str(bag)])
+        value = estimate.values[0]
+        if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float):
+            return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons) or value.reason}; recording: {bag}"
+        low, high = (1e3 * end for end in value.ci95)
+        told = f"payload {1e3 * value.value:.1f} g, 95 % interval {low:.1f} .. {high:.1f} g"
+        calibrated = "" if self._calibration else " (robot not calibrated)"
+        return True, f"{told}, {estimate.runs} runs{calibrated}; recording: {bag}"
+
+    def _calibrate(self, job: Job) -> tuple[bool, str]:
+        self._live = None
+        bag = self._record(job, "robot", value_of(self, "robot_sequence"))
+        references: dict[str | Path, float] = {}
+        mass = float(value_of(self, "reference_mass"))
+        if mass > 0.0:
+            wait_s = float(value_of(self, "reference_wait"))
+            self._tell(job.kind, f"put the reference object of {mass:g} kg into the hand: going on in {wait_s:g} s")
+            if job.cancelled.wait(wait_s):
+                raise JobError(f"cancelled before the reference was weighed; recording: {bag}")
+            references[self._record(job, "reference", value_of(self, "reference_sequence"))] = mass
+        self._tell(job.kind, "identifying the robot")
+        output = bag.parent / "calibration.yaml"
+        options = ReplayOptions(robot=self.values["robot"], settings=parse_settings(value_of(self, "settings")))
+        estimate = calibrate_bags([bag], references, options, output, lambda text: self._tell(job.kind, text))
+        self._publish_calibration(estimate)
+        if self.values["report"]:
+            sources = [str(path) for path in (bag, *references)]
+            write_calibration_report(estimate, bag.parent / "report.html", sources=sources)
+        if estimate.verdict is not Verdict.ACCEPTED:
+            return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
+        self._calibration = output
+        newest = self._newest_calibration()
+        fresh = newest.with_name(f".{newest.name}.{os.getpid()}")
+        fresh.symlink_to(output)
+        fresh.replace(newest)
+        return True, f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+
+    def _record(self, job: Job, kind: str, sequence: str) -> Path:
+        """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
+        session = Session(self._data, kind)
+        if self._live is not None:
+            self._live.reset()
+        self._session = session
+        failure = ""
+        try:
+            self._excite(job, sequence)
+            time.sleep(TAIL_S)
+        except JobError as error:
+            failure = str(error)
+        finally:
+            self._session = None
+        try:
+            bag, warning = session.save()
+        except RecordingError as error:
+            if len(session):
+                self._unsaved.append(session)
+            raise JobError(f"{failure}; {error}" if failure else str(error)) from error
+        if warning:
+            self.say("warning", warning)
+        if failure:
+            raise JobError(f"{failure}; recording: {bag}")
+        return bag
+
+    def _excite(self, job: Job, sequence: str) -> None:
+        """Ask the excitation node for a sequence and wait until it has ended well.
+
+        Raises:
+            JobError: It was refused, aborted, cancelled, or the node fell silent.
+        """
+        named = RosParameter("probe", RosParameter.Type.STRING, sequence).to_parameter_msg()
+        results = self._call(self._set_probe, SetParameters.Request(parameters=[named])).results
+        if not results or not results[0].successful:
+            raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
+        begun = time.monotonic()
+        answer = self._call(self._run, Trigger.Request())
+        if not answer.success:
+            raise JobError(f"the excitation node refuses: {answer.message}")
+        number = answer.message.split(":")[0].removeprefix("sequence ")
+        live = threading.Thread(target=self._weigh_live, args=(job,), name="live estimate", daemon=True)
+        live.start()
+        try:
+            while True:
+                if job.cancelled.wait(0.02):
+                    self._call(self._abort, Trigger.Request())
+                    raise JobError("cancelled")
+                values, heard_s = self._excitation, max(self._excitation_at_s, begun)
+                if values.get("sequence") == number and values.get("busy") == "false":
+                    break
+                if time.monotonic() - heard_s > SILENT_S:
+                    raise JobError("the excitation node has fallen silent: the driver holds the arm; restart the node")
+        finally:
+            self._driven = False
+        if values.get("phase") == "aborted":
+            raise JobError(f"the probe was aborted: {values.get('reason')}")
+
+    def _call(self, client: Any, request: Any) -> Any:
+        """Call a service and wait for its answer, at most `CALL_S`."""
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(CALL_S):
+            client.remove_pending_request(future)
+            raise JobError(f"{client.srv_name} does not answer: is the excitation node running?")
+        return future.result()
+
+    # --- results ------------------------------------------------------------------------------------------------------
+
+    def _weigh_live(self, job: Job) -> None:
+        """What has come so far, again and again while a joint is driven."""
+        live, period_s = self._live, self.values["live_period"]
+        if live is None or period_s <= 0.0:
+            return
+        told_samples = 0
+        while self._session is not None and not job.cancelled.is_set():
+            if not self._driven:
+                time.sleep(0.005)
+                continue
+            estimate = live.estimate()
+            known = None if estimate is None else live_interval(estimate)
+            if known is not None and estimate is not None:
+                mass, std = known
+                samples = sum(len(run.times_s) for run in estimate.run_fits)
+                if samples <= told_samples:  # a fast end of a run may be left out
+                    continue
+                told_samples = samples
+                told = {
+                    "probe": "payload", "final": False, "samples": samples, "payload_mass": mass, "payload_mass.unit": "kg",
+                    "payload_mass.std": std, "payload_mass.ci95": [mass - Z95 * std, mass + Z95 * std],
+                }  # fmt: skip
+                self._publish_estimate("ok", "payload", f"live, {samples} samples: {1e3 * mass:.1f} g", told)
+            time.sleep(period_s)
+
+    def _publish_estimate(self, level: str, name: str, message: str, told: dict[str, Any]) -> None:
+        now = self.get_clock().now().nanoseconds
+        self._estimate.publish(messages.diagnostics(now, [messages.status(level, name, message, told)]))
+
+    def _publish(self, estimate: Estimate) -> None:
+        accepted = estimate.verdict is Verdict.ACCEPTED
+        told = {**as_diagnostics(estimate), "final": True, "calibration": str(self._calibration or "none")}
+        told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
+        words = "; ".join(estimate.reasons) or estimate.verdict.value
+        self._publish_estimate("ok" if accepted else "warning", estimate.probe, words, told)
+        value = estimate.values[0]
+        live = self._live or LiveWeighing(self._options("payload"))
+        if not accepted or not isinstance(value.value, float) or not isinstance(value.std, float):
+            return
+        now, frame = self.get_clock().now().nanoseconds, live.robot.payload_frame
+        com = next((entry.value for entry in estimate.values if entry.name == "payload_com"), None)
+        centre = [float(v) for v in (com if isinstance(com, list) and None not in com else live.facts.com)]  # type: ignore[arg-type]
+        tensor = inertia_tensor(live.facts, value.value)
+        self._payload.publish(messages.inertia(now, frame, value.value, centre, tensor))
+        self._numbers["mass"].publish(messages.number(value.value))
+        self._markers.publish(messages.payload_markers(now, frame, centre, value.value, value.std))
+
+    def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
+        told: dict[str, Any] = {
+            "probe": "robot",
+            "final": True,
+            "verdict": estimate.verdict.value,
+            "runs": estimate.runs,
+        }
+        for row in estimate.unknowns:
+            if not row.name.startswith(("link_", "ripple_")):
+                told |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
+        told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
+        accepted = estimate.verdict is Verdict.ACCEPTED
+        words = "; ".join(estimate.reasons) or estimate.verdict.value
+        self._publish_estimate("ok" if accepted else "warning", "robot", words, told)
+
+    def _tell(self, doing: str, message: str, told: dict[str, Any] | None = None, level: str = "ok") -> None:
+        values = {"doing": doing, "calibration": str(self._calibration or "none"), **(told or {})}
+        self._status.publish(messages.status(level, "identifier", message, values))
+
+    def _save_again(self) -> None:
+        """Recordings that could be written nowhere are tried again until they are on disk."""
+        for session in list(self._unsaved):
+            try:
+                bag, _ = session.save()
+            except RecordingError as error:
+                self.get_logger().error(f"{session.name}: {error}", throttle_duration_sec=60.0)
+                continue
+            self._unsaved.remove(session)
+            self.say("info", f"the recording of {session.name} is saved now: {bag}")
+
+
+def main() -> int:
+    """Entry point of `proprio_identifier`."""
+    # the solver's many short calls hand the interpreter's lock over; at the default of 5 ms it would wait for it most of the time
+    sys.setswitchinterval(0.0005)
+    os.nice(5)  # the servo loop comes first: its stamps are what everything here rests on
+    return run_node(IdentifierNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,141 @@
+"""Our values as ROS messages. Scalars go through `float()`: Jazzy publishes other types as garbage without a word."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import InertiaStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from visualization_msgs.msg import Marker, MarkerArray
+
+LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+
+
+def time_message(time_ns: int) -> Time:
+    seconds, nanoseconds = divmod(int(time_ns), 1_000_000_000)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def time_ns(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def joint_state(
+    stamp_ns: int,
+    names: Sequence[str],
+    position: Sequence[float] = (),
+    velocity: Sequence[float] = (),
+    effort: Sequence[float] = (),
+) -> JointState:
+    """Quantities that are not known stay empty."""
+    message = JointState(name=list(names))
+    message.header.stamp = time_message(stamp_ns)
+    message.position = [float(value) for value in position]
+    message.velocity = [float(value) for value in velocity]
+    message.effort = [float(value) for value in effort]
+    return message
+
+
+def labelled(values: Mapping[str, float]) -> Float64MultiArray:
+    """Numbers by joint; `layout.dim` names the joints, joined by commas."""
+    size = len(values)
+    layout = MultiArrayLayout(dim=[MultiArrayDimension(label=",".join(values), size=size, stride=size)])
+    return Float64MultiArray(layout=layout, data=[float(value) for value in values.values()])
+
+
+def by_joint(message: Float64MultiArray, order: Sequence[str]) -> dict[str, float] | str:
+    """Numbers by joint: as labelled, else in the given order; a sentence where neither fits.
+
+    A message without numbers drives nothing.
+    """
+    labels = [label.strip() for dim in message.layout.dim for label in dim.label.split(",") if label.strip()]
+    names = labels or list(order)
+    if not message.data:
+        return {}
+    if len(message.data) != len(names):
+        named = f"labelled {', '.join(labels)}" if labels else f"for the joints {', '.join(order)}"
+        return f"a command of {len(message.data)} values {named}: give one value for each, or label them in layout.dim"
+    if len(set(names)) != len(names):
+        return f"a command names a joint twice: {', '.join(names)}"
+    return dict(zip(names, (float(value) for value in message.data), strict=True))
+
+
+def number(value: float) -> Float64:
+    return Float64(data=float(value))
+
+
+def text_of(value: Any) -> str:
+    """Numbers with all their digits, lists in brackets."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (float, np.floating)):
+        return repr(float(value))
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(text_of(entry) for entry in value) + "]"
+    return str(value)
+
+
+def status(level: str, name: str, message: str, values: Mapping[str, Any], hardware_id: str = "") -> DiagnosticStatus:
+    """A diagnostic status; level is ``ok``, ``warning`` or ``error``."""
+    return DiagnosticStatus(
+        level=LEVELS[level],
+        name=name,
+        message=message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=str(key), value=text_of(value)) for key, value in values.items()],
+    )
+
+
+def diagnostics(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = time_message(stamp_ns)
+    return message
+
+
+def values_of(message: DiagnosticStatus) -> dict[str, str]:
+    """The key-value pairs of a status."""
+    return {pair.key: pair.value for pair in message.values}
+
+
+def inertia(stamp_ns: int, frame: str, mass_kg: float, com_m: Sequence[float], tensor: np.ndarray) -> InertiaStamped:
+    """Payload in its frame; the tensor about the centre of mass [kg m^2], shape (3, 3), is NaN where nothing tells it."""
+    message = InertiaStamped()
+    message.header.stamp = time_message(stamp_ns)
+    message.header.frame_id = frame
+    message.inertia.m = float(mass_kg)
+    message.inertia.com.x, message.inertia.com.y, message.inertia.com.z = (float(value) for value in com_m)
+    for name, row, column in (
+        ("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2),
+    ):  # fmt: skip
+        setattr(message.inertia, name, float(tensor[row, column]))
+    return message
+
+
+def payload_markers(stamp_ns: int, frame: str, com_m: Sequence[float], mass_kg: float, std_kg: float) -> MarkerArray:
+    """A ball of the payload's weight in the hand, and its mass in words."""
+    markers = []
+    for number_, kind in enumerate((Marker.SPHERE, Marker.TEXT_VIEW_FACING)):
+        marker = Marker(ns="proprio_payload", id=number_, type=kind, action=Marker.ADD)
+        marker.header.stamp = time_message(stamp_ns)
+        marker.header.frame_id = frame
+        marker.pose.orientation.w = 1.0
+        position = marker.pose.position
+        position.x, position.y, position.z = (float(value) for value in com_m)
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.1, 0.5, 0.9, 0.7
+        # the ball of water that weighs as much
+        size = float(max((6.0 * max(mass_kg, 1e-4) / (1000.0 * math.pi)) ** (1.0 / 3.0), 0.01))
+        marker.scale.x = marker.scale.y = marker.scale.z = size
+        if kind == Marker.TEXT_VIEW_FACING:
+            position.z += 0.06
+            marker.scale.x = marker.scale.y = 0.0
+            marker.scale.z = 0.03
+            marker.color.a = 1.0
+            marker.text = f"{1e3 * mass_kg:.1f} g +- {1.96e3 * std_kg:.1f} g"
+        markers.append(marker)
+    return MarkerArray(markers=markers)

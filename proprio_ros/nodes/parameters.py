@@ -1,0 +1,77 @@
+"""ROS parameters as data: name, default, unit and range, with a description for `ros2 param describe`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+_TYPES = {
+    bool: RosParameter.Type.BOOL,
+    int: RosParameter.Type.INTEGER,
+    float: RosParameter.Type.DOUBLE,
+    str: RosParameter.Type.STRING,
+    list: RosParameter.Type.STRING_ARRAY,
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a node.
+
+    Attributes:
+        default: Its value where nobody states one; tells the type, too. A list is one of strings.
+        description: For `ros2 param describe`, with the unit.
+        lowest, highest: Range of a number, ends included.
+        dynamic: Whether it may be changed while the node runs.
+        loose: A text that may look like a number: ``-p object:=0.05`` comes as one.
+    """
+
+    name: str
+    default: Any
+    description: str
+    lowest: float | None = None
+    highest: float | None = None
+    dynamic: bool = False
+    loose: bool = False
+
+    def descriptor(self) -> ParameterDescriptor:
+        message = ParameterDescriptor(
+            name=self.name, description=self.description, read_only=not self.dynamic, dynamic_typing=self.loose
+        )
+        if self.lowest is not None and self.highest is not None:
+            if isinstance(self.default, float):
+                message.floating_point_range = [
+                    FloatingPointRange(from_value=float(self.lowest), to_value=float(self.highest), step=0.0)
+                ]
+            else:
+                message.integer_range = [IntegerRange(from_value=int(self.lowest), to_value=int(self.highest), step=1)]
+        return message
+
+
+def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
+    """Declare parameters and return their values by name."""
+    for parameter in parameters:
+        # an empty list alone would be declared as one of bytes
+        value = RosParameter(parameter.name, _TYPES[type(parameter.default)], parameter.default).value
+        node.declare_parameter(parameter.name, value, parameter.descriptor())
+    values = {parameter.name: value_of(node, parameter.name) for parameter in parameters}
+    return values | {parameter.name: str(values[parameter.name]) for parameter in parameters if parameter.loose}
+
+
+def value_of(node: Node, name: str) -> Any:
+    """Present value of a parameter; a string array comes as a list."""
+    value = node.get_parameter(name).value
+    return list(value) if isinstance(value, (list, tuple)) else value
+
+
+ROBOT = Parameter("robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file.")
+AUTOSTART = Parameter(
+    "autostart",
+    True,
+    "Configure and activate at once; false leaves that to a lifecycle manager or `ros2 lifecycle set`.",
+)

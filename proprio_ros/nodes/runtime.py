@@ -1,0 +1,188 @@
+"""How every node lives: lifecycle, signals, one line for every error, and an orderly end."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from proprio_ros.errors import ProprioError
+from proprio_ros.nodes.parameters import AUTOSTART, Parameter, declare
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
+"""The last message reaches those who come later, too."""
+
+STREAM = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""Joint states that are being recorded: none may be lost while a thread is busy."""
+
+COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+"""Only the newest command counts."""
+
+
+class ManagedNode(LifecycleNode):
+    """A lifecycle node whose transitions fail with one line instead of a traceback.
+
+    Subclasses give `parameters` and override `configure`, `activate`, `deactivate` and `cleanup`, which may raise
+    `ProprioError`.
+    """
+
+    parameters: Sequence[Parameter] = ()
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.values = declare(self, [AUTOSTART, *self.parameters])
+        self.active = False
+
+    # --- for subclasses -----------------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Read files, make publishers."""
+
+    def activate(self) -> None:
+        """Begin."""
+
+    def deactivate(self) -> None:
+        """Leave everything safe."""
+
+    def cleanup(self) -> None:
+        """Undo `configure`."""
+
+    def say(self, severity: str, message: str) -> None:
+        """Log; severity is ``info``, ``warning`` or ``error``. rclpy wants one place in the code for each severity."""
+        if severity == "error":
+            self.get_logger().error(message)
+        elif severity == "warning":
+            self.get_logger().warning(message)
+        else:
+            self.get_logger().info(message)
+
+    # --- the lifecycle ------------------------------------------------------------------------------------------------
+
+    def _transition(self, what: str, action: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            action()
+        except ProprioError as error:
+            self.say("error", f"cannot {what}: {error}")
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition("configure", self.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = self._transition("activate", self.activate)
+        self.active = result == TransitionCallbackReturn.SUCCESS
+        return result if not self.active else super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.active = False
+        result = self._transition("deactivate", self.deactivate)
+        return result if result != TransitionCallbackReturn.SUCCESS else super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition("clean up", self.cleanup)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.finish()
+        return TransitionCallbackReturn.SUCCESS
+
+    def finish(self) -> None:
+        """The end, from whatever state; also called when the process is told to go."""
+        if self.active:
+            self.active = False
+            self._transition("deactivate", self.deactivate)
+
+
+Answer = Callable[[bool, str], None]
+"""What answers a service call, once, from any thread: success and a sentence."""
+
+
+class LongService:
+    """A `std_srvs/Trigger` service that is answered later, without a thread that waits.
+
+    rclpy answers when the callback returns; a coroutine that waits, or `MultiThreadedExecutor`, keeps a processor busy until
+    then (rclpy 7.1: the identifier stood at 95 % of a core). So the answer is held back at the service's own `send_response`.
+
+    Args:
+        node: That offers it.
+        name: Of the service.
+        serve: Called with what answers; returns at once.
+    """
+
+    def __init__(self, node: ManagedNode, name: str, serve: Callable[[Answer], None]) -> None:
+        self._serve = serve
+        self._service = node.create_service(Trigger, name, lambda request, response: response)
+        self._send = self._service.send_response
+        self._service.send_response = self._begin
+
+    def _begin(self, response: Trigger.Response, header: Any) -> None:
+        def answer(success: bool, message: str) -> None:
+            response.success, response.message = success, message
+            # the caller, or this node, may be gone by now
+            with contextlib.suppress(RuntimeError):
+                self._send(response, header)
+
+        self._serve(answer)
+
+
+def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = None) -> int:
+    """Run one node until it is told to end (SIGINT, SIGTERM), and end it in order.
+
+    rclpy's own handlers shut the context down first, after which nothing can be published any more; ours let the node
+    leave everything safe before.
+
+    Returns:
+        Exit code: 0, or 2 when it could not be configured.
+    """
+    _warn_about_mixed_installations()
+    ended = threading.Event()
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    node: ManagedNode | None = None
+    spinner = SingleThreadedExecutor()
+    code = 0
+    try:
+        node = make()
+        spinner.add_node(node)
+        if node.values["autostart"]:
+            configured = node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+            if not configured or node.trigger_activate() != TransitionCallbackReturn.SUCCESS:
+                code = 2
+                ended.set()
+        while not ended.is_set():
+            spinner.spin_once(timeout_sec=0.1)
+    except (ProprioError, ParameterException) as error:
+        logging.getLogger("proprio_ros").error("%s", " ".join(str(error).split()))
+        code = 2
+    finally:
+        if node is not None:
+            node.finish()
+        spinner.shutdown(timeout_sec=1.0)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return code
+
+
+def _warn_about_mixed_installations() -> None:
+    """Wheels of ROS beside an installed ROS load each other's libraries."""
+    here = getattr(rclpy, "__file__", "") or ""
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p.startswith("/opt/ros")]
+    if prefixes and here.startswith(sys.prefix) and not here.startswith("/opt/ros"):
+        logging.getLogger("proprio_ros").warning(
+            "rclpy comes from %s although %s is sourced: use one of the two, not both (README)", sys.prefix, prefixes[0]
+        )

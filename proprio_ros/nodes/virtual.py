@@ -1,0 +1,110 @@
+"""The virtual robot as a process, and the person beside it, who puts into the hand what a probe asks for."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
+
+from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.parameters import ROBOT, Parameter
+from proprio_ros.nodes.runtime import LATCHED, ManagedNode, run_node
+from proprio_ros.robot import load_robot
+from proprio_ros.virtual.objects import Payload, parse_object
+from proprio_ros.virtual.robot import VirtualRobot
+from proprio_ros.virtual.truth import Truth
+
+DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
+
+
+class VirtualNode(ManagedNode):
+    """Opens a pseudo-terminal with servos and an arm behind it."""
+
+    parameters = (
+        ROBOT,
+        Parameter("link", DEFAULT_LINK, "Path under which the servo bus appears; the driver's `port`."),
+        Parameter("object", "none", "What the hand holds in a probe: 0.05 (kg), payload:.., container:.., block:..", dynamic=True,
+                  loose=True),
+        Parameter("reference", 0.1, "Mass of the reference object [kg].", 0.001, 2.0, dynamic=True),
+        Parameter("seed", 1, "Draws the arm's hidden numbers from what its file leaves open; -1: the file's.", -1, 2**31 - 1),
+        Parameter("links", False, "Whether the links, too, differ from the URDF."),
+        Parameter("truth", "", "File with the hidden numbers, instead of seed and links."),
+        Parameter("fault", "", "drop=P, corrupt=P, hang=JOINT, overheat=JOINT, jump=JOINT or unplug.", dynamic=True),
+    )  # fmt: skip
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("virtual", **kwargs)
+        self._robot: VirtualRobot | None = None
+        self._hand = "any"
+
+    def configure(self) -> None:
+        robot = load_robot(self.values["robot"])
+        self._object = parse_object(self.values["object"])
+        self._reference = Payload(self.values["reference"])
+        if self.values["truth"]:
+            try:
+                truth = Truth.from_json(Path(self.values["truth"]).read_text(encoding="utf-8"))
+            except OSError as error:
+                raise ConfigurationError(f"truth {self.values['truth']}: cannot be read ({error.strerror})") from error
+        elif self.values["seed"] < 0:
+            truth = Truth.nominal(robot)
+        else:
+            truth = Truth.draw(robot, self.values["seed"], links=self.values["links"])
+        self._robot = VirtualRobot(robot, truth, link=Path(self.values["link"]), seed=max(self.values["seed"], 0))
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
+
+    def activate(self) -> None:
+        self._fill_hand()
+        self.say("info", f"a virtual {self.values['robot']} at {self.values['link']}")
+
+    def deactivate(self) -> None:
+        if self._robot is not None:
+            self._robot.close()
+            self._robot = None
+
+    def _on_excitation(self, message: DiagnosticStatus) -> None:
+        """What a person beside a real arm would do when a sequence begins."""
+        values = messages.values_of(message)
+        hand = values.get("hand", "any")
+        if values.get("busy") == "true" and hand != self._hand:
+            self._hand = hand
+            self._fill_hand()
+
+    def _fill_hand(self) -> None:
+        if self._robot is None:
+            return
+        things = {"empty": None, "reference": self._reference}
+        thing = things.get(self._hand, self._object)
+        self._robot.hold(thing)
+        held = "nothing" if thing is None else str(thing)
+        self._status.publish(messages.status("ok", "virtual robot", f"the hand holds {held}", {"hand": self._hand}))
+
+    def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
+        try:
+            for parameter in parameters:
+                if parameter.name == "object":
+                    self._object = parse_object(str(parameter.value))
+                elif parameter.name == "reference":
+                    self._reference = Payload(float(parameter.value))
+                elif parameter.name == "fault" and self._robot is not None:
+                    self._robot.set_fault(str(parameter.value))
+        except ProprioError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._fill_hand()
+        return SetParametersResult(successful=True)
+
+
+def main() -> int:
+    """Entry point of `proprio_virtual`."""
+    return run_node(VirtualNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,234 @@
+"""One calibration as it happened: the messages that came in, the bag they become, and what that bag says.
+
+The bag is written before anything is identified, and what is identified is the bag: replaying it later runs the same function on
+the same bytes, so it gives the same numbers. No ROS here; the identifier node only hands the bytes in.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tempfile
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.bags import RawMessage, write_messages
+from proprio_ros.calibrate import calibrate_from_bags
+from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.estimate import Estimate
+from proprio_ros.identification.weighing import WeighingOptions, weigh
+from proprio_ros.records import InputRecord, JointRecord, Recording
+from proprio_ros.replay import ReplayOptions, Settings, payload_facts, probe_file, replay, robot_of
+from proprio_ros.resources import write_in_one_step
+from proprio_ros.robot import Robot
+from proprio_ros.runs import cut_runs
+from proprio_ros.sim.joint import compile_kernels
+from proprio_ros.sim.payload import PayloadFacts
+
+LIVE_STARTS_KG = (0.01, 0.1)
+"""A live estimate need not find its way from two orders of magnitude."""
+
+
+class Session:
+    """The messages of one calibration.
+
+    Args:
+        root: Folder below which the session's own folder is made.
+        kind: Such as ``payload``; part of the folder's name.
+        now: Time of its beginning; default the present.
+    """
+
+    def __init__(self, root: Path, kind: str, now: datetime | None = None) -> None:
+        stamp = (now or datetime.now(timezone.utc)).strftime("%Y%m%d_%H%M%S_%f")[:-3]
+        self.name = f"{stamp}_{kind}"
+        self.folder = root / self.name
+        self.bag: Path | None = None
+        self._messages: list[RawMessage] = []
+        self._lock = threading.Lock()
+
+    def add(self, topic: str, msgtype: str, time_ns: int, data: bytes) -> None:
+        """Keep one message; from any thread."""
+        with self._lock:
+            self._messages.append(RawMessage(topic, msgtype, time_ns, data))
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def save(self) -> tuple[Path, str]:
+        """Write the bag, where that is not possible into a temporary folder, so that nothing is lost on a full disk.
+
+        Returns:
+            The bag, and a sentence when it is not where it should be.
+
+        Raises:
+            RecordingError: It can be written nowhere; the messages are kept, and it can be tried again.
+        """
+        with self._lock:
+            messages = list(self._messages)
+        if not messages:
+            raise RecordingError("no joint states came in: is the driver running, and are the topics named right?")
+        problem = ""
+        for parent in (self.folder.parent, *_elsewhere()):
+            folder = parent / self.name
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                write_messages(folder / "bag", messages)
+            except (OSError, RecordingError) as error:
+                problem = problem or str(error)
+                continue
+            self.folder, self.bag = folder, folder / "bag"
+            return self.bag, f"the recording is in {folder}, because of this: {problem}" if problem else ""
+        raise RecordingError(
+            f"the recording can be written nowhere ({problem}): free some room; it is kept in memory meanwhile"
+        )
+
+
+def _elsewhere() -> list[Path]:
+    return [Path(tempfile.gettempdir()) / "proprio_ros", Path("/dev/shm/proprio_ros")]
+
+
+def prepare_identification() -> None:
+    """Compile and load all kernels that a weighing or a calibration may need, so that none is compiled in a probe."""
+    compile_kernels()
+
+
+def weigh_bag(bag: Path, options: ReplayOptions) -> Estimate:
+    """What the payload's bag says, and beside it `estimate.json` and the command that says it again."""
+    estimate = replay([bag], options)
+    content = {**estimate.as_json(), "command": replay_command(bag, options)}
+    write_in_one_step(bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result")
+    return estimate
+
+
+def replay_command(bag: Path, options: ReplayOptions) -> str:
+    """The command line that gives the same numbers again."""
+    words = ["proprio", "replay", str(bag), "--probe", options.probe]
+    if options.robot:
+        words += ["--robot", options.robot]
+    if options.calibration:
+        words += ["--calibration", str(options.calibration)]
+    for key, value in options.settings.items():
+        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
+    return shlex.join(words)
+
+
+def calibrate_bags(
+    empty: Sequence[Path],
+    references: Mapping[str | Path, float],
+    options: ReplayOptions,
+    output: Path,
+    progress: Callable[[str], None],
+) -> CalibrationEstimate:
+    """What empty-hand bags (and bags with a weighed reference) say about the robot; the calibration is written to ``output``."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    return calibrate_from_bags(list(empty), references, options, output, progress)
+
+
+class LiveWeighing:
+    """An estimate from what has come so far; its interval shrinks as the probe goes on.
+
+    `add_state` and `add_input` may be called from another thread than `estimate`.
+
+    Args:
+        options: As for the bag that will be identified afterwards.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with the options.
+    """
+
+    def __init__(self, options: ReplayOptions) -> None:
+        settings = Settings(options.settings)
+        overrides = settings.take_prefix("robot.")
+        robot = robot_of(options.robot, options.calibration)
+        self.robot: Robot = robot.with_overrides(overrides) if overrides else robot
+        self.facts: PayloadFacts = payload_facts(settings, probe_file(options.probe)["payload"])
+        self._weighing = replace(WeighingOptions(), starts_kg=LIVE_STARTS_KG)
+        self._lock = threading.Lock()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything that came."""
+        with self._lock:
+            self._names: tuple[str, ...] = ()
+            self._states: list[tuple[int, tuple[float, ...]]] = []
+            self._inputs: list[tuple[int, tuple[float, ...]]] = []
+            self._weighed = 0
+
+    def add_state(self, stamp_ns: int, names: Sequence[str], position: Sequence[float]) -> None:
+        """One joint state; others than the first's joints, or out of order, are passed over."""
+        self._add(self._states, stamp_ns, names, position)
+
+    def add_input(self, stamp_ns: int, names: Sequence[str], effort: Sequence[float]) -> None:
+        """One applied effort [N m or N] of the same joints."""
+        self._add(self._inputs, stamp_ns, names, effort)
+
+    def _add(
+        self, rows: list[tuple[int, tuple[float, ...]]], stamp_ns: int, names: Sequence[str], values: Sequence[float]
+    ) -> None:
+        row = tuple(float(value) for value in values)
+        with self._lock:
+            self._names = self._names or tuple(names)
+            usable = tuple(names) == self._names and len(row) == len(self._names) and bool(np.all(np.isfinite(row)))
+            if usable and (not rows or stamp_ns > rows[-1][0]):
+                rows.append((stamp_ns, row))
+
+    def estimate(self) -> Estimate | None:
+        """The estimate of all runs so far, the one under way included; None before there is one, or when nothing new came."""
+        with self._lock:
+            states, inputs, names = list(self._states), list(self._inputs), self._names
+        if len(states) == self._weighed or not inputs:
+            return None
+        self._weighed = len(states)
+        try:
+            record = JointRecord(
+                np.array([row[0] for row in states]),
+                names,
+                np.array([row[1] for row in states]).reshape(-1, len(names)),
+            )
+            drives = self.robot.drive_trains
+            constants = np.array(
+                [drives[n].nominal_torque_constant / drives[n].transmission if n in drives else 1.0 for n in names]
+            )
+            current = np.array([row[1] for row in inputs]).reshape(-1, len(names)) / constants
+            source = InputRecord(np.array([row[0] for row in inputs]), names, current, "/applied_effort")
+            runs = cut_runs(Recording("live", record, source), joints=list(drives))
+            return weigh(self.robot, runs, self.facts, self._weighing)
+        except ProprioError:
+            return None  # not enough yet; what is wrong for good is told by the identification of the bag
+
+
+def live_interval(estimate: Estimate) -> tuple[float, float] | None:
+    """Mass and standard deviation as far as the run has come, also where a verdict would still withhold them [kg]."""
+    for row in estimate.unknowns:
+        if row.name == "payload_mass" and np.isfinite(row.std):
+            return float(row.value), float(row.std)
+    return None
+
+
+def as_diagnostics(estimate: Estimate) -> dict[str, Any]:
+    """What a message about an estimate tells, key by key."""
+    told: dict[str, Any] = {"probe": estimate.probe, "verdict": estimate.verdict.value, "robot": estimate.robot}
+    for value in estimate.values:
+        told[value.name] = "not told" if value.value is None else value.value
+        told[f"{value.name}.unit"] = value.unit
+        if value.std is not None:
+            told[f"{value.name}.std"] = value.std
+        if value.ci95 is not None:
+            told[f"{value.name}.ci95"] = list(value.ci95)
+    return told
+
+
+def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
+    """Inertia about the payload's centre of mass [kg m^2], shape (3, 3); NaN where its shape was not stated, since one joint's
+    motion does not tell it."""
+    if facts.shape_std_relative > 0.0:
+        return np.full((3, 3), np.nan)
+    spread = facts.shape.second_moment_per_mass
+    return mass_kg * (np.trace(spread) * np.eye(3) - spread)
