@@ -126,6 +126,21 @@ def _parser() -> argparse.ArgumentParser:
     _add_set(plan)
     plan.add_argument("--json", action="store_true", help="print one JSON object")
     plan.set_defaults(command=_plan)
+
+    demo = commands.add_parser(
+        "demo",
+        help="a virtual robot weighs itself and an object, live",
+        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object.",
+        epilog="Exit code: 0 accepted, 2 could not run, 3 rejected or not identifiable. Ctrl-C ends everything.",
+    )
+    demo.add_argument("--mass", type=float, default=0.05, metavar="KG", help="of the object in the virtual hand (0.05)")
+    demo.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="draws the arm's hidden friction, torque constants .."
+    )
+    demo.add_argument("--full", action="store_true", help="calibrate all joints, as on a real arm (a minute more)")
+    demo.add_argument("--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs")
+    _add_robot(demo)
+    demo.set_defaults(command=_demo)
     return parser
 
 
@@ -263,6 +278,33 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     for number, plan in enumerate(plans, start=1):
         print(f"{number:2d}. " + _plan_as_text(plan))
     return EXIT_OK
+
+
+def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
+    if not 0.0 < options.mass <= 2.0:
+        raise ConfigurationError(f"--mass {options.mass:g}: masses are in kg, so 50 g is 0.05")
+    try:
+        from proprio_ros.nodes.demo import demo
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
+        ) from error
+    result = demo(
+        options.mass,
+        folder=Path(options.output),
+        seed=options.seed,
+        robot=options.robot or "open_manipulator_x",
+        full=options.full,
+        tell=lambda words: print(f"proprio: {words}", file=sys.stderr),
+    )
+    print(result.sentence)
+    if result.mass_kg is not None:
+        print(
+            f"the virtual hand held {1e3 * result.true_mass_kg:.1f} g, a hidden robot; {result.elapsed_s:.0f} s in all"
+        )
+    if result.report is not None:
+        print(f"report: {result.report}")
+    return EXIT_OK if result.accepted else EXIT_NO_ANSWER
 
 
 def _masses(text: str) -> list[float]:

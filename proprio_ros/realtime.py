@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import statistics
 import time
+from collections import deque
 from dataclasses import dataclass, field
 
 
@@ -73,3 +75,27 @@ class StampClock:
         """Stamp of an instant; `look` must have been called before."""
         assert self.offset_ns is not None
         return self.offset_ns + round(1e9 * monotonic_s)
+
+
+@dataclass
+class RoundTrips:
+    """Tells a round trip that took longer than usual from the usual ones, whatever those are.
+
+    Attributes:
+        slack_s: So much above the median is always usual; more where they scatter more.
+    """
+
+    slack_s: float = 0.001
+    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=200))
+    _limit_s: float = math.inf
+    _count: int = 0
+
+    def unusual(self, round_trip_s: float) -> bool:
+        """Take one in; whether it was much longer than most of the newest 200."""
+        self._recent.append(round_trip_s)
+        self._count += 1
+        if self._count % 20 == 0:
+            middle = statistics.median(self._recent)
+            scatter = statistics.median(abs(value - middle) for value in self._recent)
+            self._limit_s = middle + max(self.slack_s, 6.0 * scatter)
+        return round_trip_s > self._limit_s

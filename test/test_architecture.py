@@ -41,7 +41,7 @@ ROOMS: dict[str, set[str]] = {
         "calibrate",
     },
     "cli": {"errors", "settings", "replay", "calibrate", "report", "nodes"},
-    "bus": {"errors", "records", "robot"},
+    "bus": {"errors", "records", "robot", "realtime"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
     "excitation": {"errors", "records", "resources", "robot", "kinematics"},

@@ -18,6 +18,7 @@ import numpy as np
 
 from proprio_ros.bus.dynamixel import DynamixelBus, Goal, Reading, ServoHealth
 from proprio_ros.errors import BusError, PortLostError
+from proprio_ros.realtime import RoundTrips
 from proprio_ros.robot import Robot
 
 FAR_COUNTS = 1_000_000
@@ -94,10 +95,18 @@ class ArmSample(NamedTuple):
 
 @dataclass
 class DriverStatistics:
-    """Attributes: cycles: begun; incomplete: without an intact answer of every servo; retries: rounds asked for again."""
+    """Counts since the start.
+
+    Attributes:
+        cycles: Begun.
+        incomplete: Without an intact answer of every servo.
+        untimely: Whose answers took so much longer than usual that the instant they were taken at is not known.
+        retries: Rounds that were asked for again, for either reason.
+    """
 
     cycles: int = 0
     incomplete: int = 0
+    untimely: int = 0
     retries: int = 0
     reconnects: int = 0
     refused_commands: int = 0
@@ -171,7 +180,9 @@ class ArmDriver:
         self._health_turn = 0
         self._goals_at_s = -np.inf
         self._sampled_at_s = -np.inf
+        self._round_trips = RoundTrips()
         self._alerts: set[str] = set()
+        self._limp = False  # there was to be no current when the bus was lost
 
     def _joint(self, name: str) -> _Joint:
         joint, drive = self.robot.model.joint(name), self.robot.drive_trains[name]
@@ -257,6 +268,7 @@ class ArmDriver:
         """Current zero on every joint from the next cycle on, until torque is switched on again."""
         with self._lock:
             self._stop_wanted = True
+            self._torque_wanted = None if self._torque_wanted else self._torque_wanted  # the later request counts
             self._command = None
             self._targets.clear()
 
@@ -274,14 +286,14 @@ class ArmDriver:
         """One round: read, check, command. Never raises for what happens on the bus.
 
         Returns:
-            What was read; None when the round was not intact.
+            What was read; None when the round was not intact, or its instant is not known.
         """
         self.statistics.cycles += 1
         if self.state is BusState.DISCONNECTED and not self._connected():
             return None
         try:
             self._obey_requests()
-            reading = self._read()
+            reading, timely = self._read()
             now = self._clock()
             sample = None
             if reading is not None:
@@ -294,10 +306,11 @@ class ArmDriver:
             else:
                 self.statistics.incomplete += 1
             # the deadline of a command counts, whether an answer came or not
-            self._decide(now, reading is not None)
+            self._decide(now, reading is not None, timely)
             self._write_goals()
-            if reading is not None:
+            if reading is not None and timely:
                 sample = self._sample(reading)
+            self.statistics.untimely += reading is not None and not timely
             self._look_after_health(now)
             return sample
         except BusError as error:
@@ -312,7 +325,10 @@ class ArmDriver:
         try:
             self.bus.open()
             self.bus.handshake()
-            self._hold_here()
+            if self._limp:
+                self._release()
+            else:
+                self._hold_here()
         except BusError as error:
             self.bus.close()
             if str(error) != self.reason:
@@ -321,12 +337,22 @@ class ArmDriver:
             return False
         for warning in self.bus.warnings:
             self._log("warning", warning)
-        self._log("info", f"{self.bus.port_name}: {len(self._joints)} servos, held where they are")
+        done = "torque is off, as before" if self._limp else "held where they are"
+        self._log("info", f"{self.bus.port_name}: {len(self._joints)} servos, {done}")
         return True
+
+    def _release(self) -> None:
+        """Torque off."""
+        for problem in self.bus.release():
+            self._log("error", problem)
+        self._last_answer_s = self._clock()
+        self.state, self.reason = BusState.RELEASED, "torque is off; switch it on to go on"
 
     def _hold_here(self) -> None:
         """Torque on, every joint held at its present position."""
         self.bus.prepare(watchdog_s=self.settings.watchdog_s, position_d_gain=self.settings.position_d_gain)
+        # a hot servo must not be driven before its turn comes
+        self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
         for _ in range(5):
             reading = self.bus.read_states()
             if len(reading.states) == len(self._joints):
@@ -335,12 +361,9 @@ class ArmDriver:
             raise BusError(f"{self.bus.port_name}: the servos answer one by one but not together: check the cable")
         with self._lock:
             self._command = None
-            self._targets.clear()
-            self._stop_wanted = False
-            self._torque_wanted = None
+            self._targets.clear()  # but not a stop that came meanwhile
         self._alerts.clear()
-        self.health.clear()
-        self._driving = False
+        self._driving = self._limp = False
         for name, joint in self._joints.items():
             joint.angle_rad = joint.goal_rad = joint.target_rad = reading.states[name].angle_rad
             joint.mode, joint.blocked, joint.commanded_A = JointMode.HELD, "", 0.0
@@ -358,36 +381,43 @@ class ArmDriver:
             self._write_goals()
             self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
         if torque is False:
-            for problem in self.bus.release():
-                self._log("error", problem)
-            self.state, self.reason = BusState.RELEASED, "torque is off; switch it on to go on"
+            self._release()
         elif torque is True:
             self._hold_here()
 
-    def _read(self) -> Reading | None:
-        """All servos' answers, asked for twice if need be."""
+    def _read(self) -> tuple[Reading | None, bool]:
+        """All servos' answers, asked for twice if need be, and whether the instant of their stamp can be trusted."""
+        last = None
         for attempt in range(2):
             reading = self.bus.read_states()
             if len(reading.states) == len(self._joints):
-                return reading
+                if not self._round_trips.unusual(reading.round_trip_s):
+                    return reading, True
+                last = reading
             self.statistics.retries += attempt == 0
-        return None
+        return last, False
 
     def _take(self, reading: Reading) -> None:
         since_s = max(reading.sampled_at_s - self._sampled_at_s, 0.0)
         self._sampled_at_s = reading.sampled_at_s
+        problems = []
         for name, state in reading.states.items():
             joint = self._joints[name]
             # a position that no speed explains: the encoder, not the arm
             explained = self.settings.max_jump_rad + self.settings.max_velocity_rad_s * since_s
-            if abs(state.angle_rad - joint.angle_rad) > explained:
-                self._block_all(f"{name}: its encoder jumped from {joint.angle_rad:.3f} to {state.angle_rad:.3f} rad")
+            before_rad = joint.angle_rad
             joint.angle_rad, joint.velocity_rad_s = state.angle_rad, state.velocity_rad_s
+            if abs(joint.angle_rad - before_rad) > explained:
+                problems.append(f"{name}: its encoder jumped from {before_rad:.3f} to {joint.angle_rad:.3f} rad")
+                if joint.mode is not JointMode.FREE:
+                    self._hold(joint)  # the old goal, seen by the new encoder, would swing the arm
             if state.alert and name not in self._alerts:
                 self._alerts.add(name)
-                self._block_all(f"{name}: its servo reports a fault and has switched itself off")
+                problems.append(f"{name}: its servo reports a fault and has switched itself off")
                 self._next_health_s = -np.inf
                 self._health_turn = list(self._joints).index(name)
+        for problem in problems:
+            self._block_all(problem)
 
     def _block_all(self, reason: str) -> None:
         """End every current, until the commands have paused."""
@@ -403,7 +433,7 @@ class ArmDriver:
         joint.goal_rad = joint.target_rad = min(max(joint.angle_rad, joint.lower_rad), joint.upper_rad)
         joint.commanded_A = 0.0
 
-    def _decide(self, now: float, seen: bool) -> None:
+    def _decide(self, now: float, seen: bool, timely: bool) -> None:
         """What every joint does until the next cycle."""
         if self.state is not BusState.RUNNING:
             return
@@ -415,7 +445,8 @@ class ArmDriver:
         fresh = command is not None and now - command.arrived_s <= self.settings.command_timeout_s
         currents = command.current_A if command is not None and fresh else {}
         for joint in self._joints.values():
-            if joint.name in currents:
+            # a push begins in a cycle whose stamp is right, since everything is measured from that instant
+            if joint.name in currents and (timely or joint.mode is JointMode.DRIVEN):
                 self._drive(joint, currents[joint.name])
                 continue
             if joint.mode is JointMode.DRIVEN:
@@ -525,6 +556,7 @@ class ArmDriver:
         """The bus is gone: the servos' own watchdog ends every current; try again from the start."""
         self.statistics.reconnects += 1
         self.bus.close()
+        self._limp = self.state in (BusState.STOPPED, BusState.RELEASED)
         self.state, self.reason = BusState.DISCONNECTED, str(error)
         self._next_connect_s = self._clock() + self.settings.reconnect_s
         for joint in self._joints.values():

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import dynamixel_sdk
 import serial
@@ -60,29 +60,51 @@ _PORT_FAULTS = (serial.SerialException, OSError, termios.error, TypeError, Attri
 _Result = TypeVar("_Result")
 
 
+class SerialLike(Protocol):
+    """What a bus needs of a port; reads return what is there and never wait."""
+
+    def read(self, size: int, /) -> bytes: ...
+
+    def write(self, data: bytes, /) -> int | None: ...
+
+    def reset_input_buffer(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
 class _Port(dynamixel_sdk.PortHandler):
     """A port that waits without spinning, on the monotonic clock, and only as long as it is told."""
 
-    def __init__(self, name: str, reply_timeout_s: float) -> None:
+    def __init__(self, name: str, reply_timeout_s: float, connect: Callable[[], SerialLike] | None) -> None:
         super().__init__(name)
+        self.ser: Any = None
         self.is_open: bool = False
         self.reply_timeout_s = reply_timeout_s
+        self._connect = connect
 
     def setupPort(self, _flag: int) -> bool:
         if self.is_open:
             self.closePort()
-        # exclusive: two drivers on one bus would answer each other's servos
-        self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
+        if self._connect is not None:
+            self.ser = self._connect()
+        else:
+            # exclusive: two drivers on one bus would answer each other's servos
+            self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10_000.0 / self.baudrate
         return True
 
     def readPort(self, length: int) -> bytes:
+        if length <= 0:
+            return b""
         data: bytes = self.ser.read(length)
-        if not data and length > 0:
-            left_s = 1e-3 * (self.packet_timeout - self.getTimeSinceStart())
-            select.select([self.ser.fileno()], [], [], min(max(left_s, 0.0), 0.005))
+        if not data:
+            left_s = max(1e-3 * (self.packet_timeout - self.getTimeSinceStart()), 0.0)
+            if self._connect is None:
+                select.select([self.ser.fileno()], [], [], min(left_s, 0.005))
+            else:
+                time.sleep(min(left_s, 0.0002))  # not every such port has a descriptor to wait for
             data = self.ser.read(length)
         return data
 
@@ -146,11 +168,14 @@ class Reading(NamedTuple):
 
     Attributes:
         sampled_at_s: When the request had left: servos sample when they hear it. On the monotonic clock.
+        round_trip_s: From before the request to after the last answer. One that is longer than usual means that something
+            was late, and that may have been the request.
         states: By joint; servos that did not answer, or not intact, are missing.
     """
 
     sampled_at_s: float
     states: Mapping[str, ServoState]
+    round_trip_s: float = 0.0
 
 
 class ServoHealth(NamedTuple):
@@ -181,6 +206,7 @@ class DynamixelBus:
         baud_rate: In bits per second, one of `BAUD_RATES`.
         reply_timeout_s: See `REPLY_TIMEOUT_S`.
         fast_sync_read: Whether to use Fast Sync Read where every servo's firmware knows it.
+        connect: Makes another port than the serial one of that name; it is asked for bytes again and again.
 
     Raises:
         BusError: The baud rate is unknown.
@@ -193,6 +219,7 @@ class DynamixelBus:
         baud_rate: int = 1_000_000,
         reply_timeout_s: float = REPLY_TIMEOUT_S,
         fast_sync_read: bool = True,
+        connect: Callable[[], SerialLike] | None = None,
     ) -> None:
         if baud_rate not in BAUD_RATES.values():
             raise BusError(
@@ -205,6 +232,7 @@ class DynamixelBus:
         self._by_id = {servo.id: servo for servo in self.servos}
         self._reply_timeout_s = reply_timeout_s
         self._want_fast = fast_sync_read
+        self._connect = connect
         self._fast = False
         self._port: _Port | None = None
         self._packets = dynamixel_sdk.PacketHandler(2.0)
@@ -222,6 +250,11 @@ class DynamixelBus:
     def is_open(self) -> bool:
         return self._port is not None
 
+    @property
+    def fast(self) -> bool:
+        """Whether all servos answer in one packet (Fast Sync Read); known after `handshake`."""
+        return self._fast
+
     def open(self) -> None:
         """Open the port alone for this process.
 
@@ -229,7 +262,7 @@ class DynamixelBus:
             PortLostError: It is not there, not permitted, or in use; the message says which.
         """
         self.close()
-        port = _Port(self.port_name, self._reply_timeout_s)
+        port = _Port(self.port_name, self._reply_timeout_s, self._connect)
         try:
             opened = port.setBaudRate(self.baud_rate)
         except _PORT_FAULTS as error:
@@ -423,7 +456,12 @@ class DynamixelBus:
             result, error = self._packets.reboot(port, servo_id)
             return None, result, error & ALERT
 
-        self._tried(servo_id, "reboot", exchange)
+        try:
+            self._tried(servo_id, "reboot", exchange)
+        except PortLostError:
+            raise
+        except BusError:
+            pass  # its answer may be what was lost, and now it boots in silence; what it says afterwards counts
         deadline = time.monotonic() + ready_s
         while True:
             time.sleep(0.1)
@@ -469,16 +507,17 @@ class DynamixelBus:
                 return int(self._packets.syncReadTx(port, *arguments, self._fast))
             return int(self._packets.syncReadTx(port, *arguments))
 
+        asked_at_s = time.monotonic()
         result = self._guarded(request)
         sampled_at_s = time.monotonic()
         if result != dynamixel_sdk.COMM_SUCCESS:
             return Reading(sampled_at_s, {})
         blocks = self._guarded(self._receive_fast if self._fast else self._receive_each)
+        round_trip_s = time.monotonic() - asked_at_s
         if len(blocks) < len(ids):
             self._settle()
-        return Reading(
-            sampled_at_s, {self._by_id[i].joint: self._state(i, error, data) for i, (error, data) in blocks.items()}
-        )
+        states = {self._by_id[i].joint: self._state(i, error, data) for i, (error, data) in blocks.items()}
+        return Reading(sampled_at_s, states, round_trip_s)
 
     def _receive_each(self, port: Any) -> dict[int, tuple[int, bytes]]:
         # the SDK's own group read stops at the first servo that is silent and then calls every value 0

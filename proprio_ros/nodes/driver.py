@@ -211,6 +211,7 @@ class DriverNode(ManagedNode):
             "rate [Hz]": self.values["rate"],
             "cycles": statistics.cycles,
             "incomplete": statistics.incomplete,
+            "untimely": statistics.untimely,
             "asked again": statistics.retries,
             "refused commands": statistics.refused_commands,
             f"cycles later than {1e3 * LATE_S:.0f} ms": sum(value > LATE_S for value in late),

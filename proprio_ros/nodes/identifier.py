@@ -50,6 +50,7 @@ from proprio_ros.session import (
 from proprio_ros.settings import parse_settings
 
 STALE_S = 0.5
+READY_S = 2.0
 SILENT_S = 3.0
 """The excitation node tells its state ten times a second while it is busy; without a word for so long it is gone."""
 CALL_S = 5.0
@@ -198,8 +199,9 @@ class IdentifierNode(ManagedNode):
         job = self._job
         if job is not None and self._excitation.get("busy") == "true":
             values = self._excitation
-            where = f"run {values.get('run')} of {values.get('runs')}, {values.get('phase')}: {message.message}"
-            self._tell(job.kind, where, {"fraction": values.get("fraction", ""), "phase": values.get("phase", "")})
+            self._tell(
+                job.kind, message.message, {"fraction": values.get("fraction", ""), "phase": values.get("phase", "")}
+            )
 
     # --- services -----------------------------------------------------------------------------------------------------
 
@@ -211,10 +213,6 @@ class IdentifierNode(ManagedNode):
             return answer(False, f"the {kind} probe is not available in version {__version__}")
         if self._job is not None:
             return answer(False, f"busy: calibrate_{self._job.kind} is under way; wait for it, or call ~/cancel")
-        if time.monotonic() - self._state_at_s > STALE_S:
-            return answer(False, "not ready: no joint states are coming; start the driver and check its bus")
-        if not self._run.service_is_ready() or not self._set_probe.service_is_ready():
-            return answer(False, f"not ready: there is no {self.values['excitation_node']} node; start it")
         self._job = job = Job(kind)
         threading.Thread(target=self._work, args=(job, answer), name=f"calibrate {kind}", daemon=True).start()
         return None
@@ -232,6 +230,7 @@ class IdentifierNode(ManagedNode):
     def _work(self, job: Job, answer: Answer) -> None:
         level = "error"
         try:
+            self._await_others()
             job.success, job.message = self._weigh(job) if job.kind == "payload" else self._calibrate(job)
             level = "ok" if job.success else "warning"
         except ProprioError as error:
@@ -249,6 +248,24 @@ class IdentifierNode(ManagedNode):
             answer(job.success, job.message)
             for tell in job.on_end:
                 tell()
+
+    def _await_others(self) -> None:
+        """Driver and excitation may have come up a moment ago.
+
+        Raises:
+            JobError: One of them is not there.
+        """
+        deadline = time.monotonic() + READY_S
+        while True:
+            if time.monotonic() - self._state_at_s > STALE_S:
+                missing = "no joint states are coming; start the driver and check its bus"
+            elif not self._run.service_is_ready() or not self._set_probe.service_is_ready():
+                missing = f"there is no {self.values['excitation_node']} node; start it"
+            else:
+                return
+            if time.monotonic() > deadline:
+                raise JobError(f"not ready: {missing}")
+            time.sleep(0.05)
 
     def _weigh(self, job: Job) -> tuple[bool, str]:
         options = self._options("payload")
@@ -388,7 +405,9 @@ class IdentifierNode(ManagedNode):
                     "probe": "payload", "final": False, "samples": samples, "payload_mass": mass, "payload_mass.unit": "kg",
                     "payload_mass.std": std, "payload_mass.ci95": [mass - Z95 * std, mass + Z95 * std],
                 }  # fmt: skip
-                self._publish_estimate("ok", "payload", f"live, {samples} samples: {1e3 * mass:.1f} g", told)
+                self._publish_estimate(
+                    "ok", "payload", f"live, {samples} samples: {1e3 * mass:.1f} +- {1e3 * Z95 * std:.1f} g", told
+                )
             time.sleep(period_s)
 
     def _publish_estimate(self, level: str, name: str, message: str, told: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -65,7 +66,10 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
 
 def value_of(node: Node, name: str) -> Any:
     """Present value of a parameter; a string array comes as a list."""
-    value = node.get_parameter(name).value
+    try:
+        value = node.get_parameter(name).value
+    except ParameterUninitializedException:
+        return []  # `[]` in a parameter file: an empty list without a type is none at all for rcl
     return list(value) if isinstance(value, (list, tuple)) else value
 
 

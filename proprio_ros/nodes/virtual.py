@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
+from sensor_msgs.msg import JointState
 
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
@@ -58,6 +59,8 @@ class VirtualNode(ManagedNode):
         self._robot = VirtualRobot(robot, truth, link=Path(self.values["link"]), seed=max(self.values["seed"], 0))
         self.add_on_set_parameters_callback(self._on_parameters)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._motors = self.create_publisher(JointState, "~/motors", 10)
+        self.create_timer(0.02, self._publish_motors)
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
 
     def activate(self) -> None:
@@ -76,6 +79,15 @@ class VirtualNode(ManagedNode):
         if values.get("busy") == "true" and hand != self._hand:
             self._hand = hand
             self._fill_hand()
+
+    def _publish_motors(self) -> None:
+        """What is really going on: true positions [rad or m], and as effort the current in each motor [A]."""
+        if self._robot is not None and self.active:
+            position, current = self._robot.truth()
+            names = list(current)
+            now = self.get_clock().now().nanoseconds
+            true = [position[name] for name in names]
+            self._motors.publish(messages.joint_state(now, names, true, effort=[current[name] for name in names]))
 
     def _fill_hand(self) -> None:
         if self._robot is None:

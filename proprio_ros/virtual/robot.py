@@ -20,6 +20,9 @@ from proprio_ros.virtual.truth import Truth
 LONGEST_PAUSE_S = 0.5
 """When this process was not run for longer, the world stood still meanwhile."""
 
+LATE_S = 0.03
+"""The port moves the world on every 2 ms; more means that this process was not run."""
+
 PARKED = {"joint2": -1.0, "joint3": 0.6, "joint4": 0.4}
 """Where an OpenManipulator-X is parked: away from all limits, high above the table [rad]."""
 
@@ -91,6 +94,10 @@ class VirtualRobot:
         """Move servos and arm on to an instant of the monotonic clock; called by the bus."""
         if self._time_s is None or now_s - self._time_s > LONGEST_PAUSE_S:
             self._time_s = now_s - CONTROL_PERIOD_S
+        if now_s - self._time_s > LATE_S:
+            # this process was not run; what waits on the wire came meanwhile, so no watchdog may count that as silence
+            for servo in self._all:
+                servo.heard(now_s)
         arm, servos, current = self.arm, self._all, self._current
         while self._time_s + CONTROL_PERIOD_S <= now_s:
             self._time_s += CONTROL_PERIOD_S
@@ -102,6 +109,11 @@ class VirtualRobot:
                 self._supported = not any(servo["torque_enable"] for servo in servos)
             else:
                 arm.step(current)
+
+    def truth(self) -> tuple[dict[str, float], dict[str, float]]:
+        """True joint positions [rad or m] and the currents that flow in the motors [A], by joint."""
+        with self.port.lock:
+            return self.arm.position(), dict(zip(self.servos, self._current.tolist(), strict=True))
 
     def hold(self, thing: HandObject | None) -> None:
         """Put something into the hand, or take it out."""

@@ -1,0 +1,199 @@
+"""`proprio demo`: a virtual robot and three nodes in processes of their own, one calibration, one object, the result."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.graph import Graph
+from proprio_ros.nodes.runtime import LATCHED
+
+READY_S = 40.0
+"""On a new machine the identifier compiles its kernels first."""
+ROBOT_S, OBJECT_S = 240.0, 120.0
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What the demo showed.
+
+    Attributes:
+        accepted: Whether the robot and the object were identified.
+        sentence: The service's own words.
+        mass_kg, ci95_kg: Of the object; None when not told.
+        true_mass_kg: What the virtual hand held.
+        report: The HTML page.
+        elapsed_s: From start to result.
+    """
+
+    accepted: bool
+    sentence: str
+    mass_kg: float | None
+    ci95_kg: str
+    true_mass_kg: float
+    report: Path | None
+    elapsed_s: float
+
+
+def demo(
+    mass_kg: float = 0.05,
+    *,
+    folder: Path = Path("proprio_demo"),
+    seed: int = 1,
+    robot: str = "open_manipulator_x",
+    full: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> DemoResult:
+    """Weigh an object with a virtual arm that first weighs itself.
+
+    Args:
+        mass_kg: Of the object.
+        folder: For recordings, calibration, report and the nodes' logs.
+        seed: Draws the arm's hidden numbers.
+        robot: Its name or file.
+        full: All joints, as on a real arm, instead of the elbow alone.
+        tell: Told what is going on, a sentence at a time.
+
+    Raises:
+        ConfigurationError: A node ended or did not come up; with its own words.
+        KeyboardInterrupt: Told to end (SIGINT, SIGTERM); no process is left behind.
+    """
+    started = time.monotonic()
+    folder = folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
+    domain = os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    link = folder / "bus"
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    with Graph(folder / "logs") as graph:
+        sequences = {} if full else {"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"}
+        graph.start("virtual", {"robot": robot, "link": link, "object": mass_kg, "seed": seed})
+        graph.start("driver", {"robot": robot, "port": link})
+        graph.start("excitation", {"robot": robot})
+        graph.start("identifier", {"robot": robot, "data_directory": folder, "calibration": "none", **sequences})
+        tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
+        with _Client(graph, tell) as client:
+            client.wait_until_ready(READY_S)
+            tell("the robot weighs itself, with nothing in its hand")
+            accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
+            tell(sentence)
+            if accepted:
+                tell("now something is in its hand")
+                accepted, sentence = client.call("/identifier/calibrate_payload", OBJECT_S)
+            final = client.final_estimate(3.0) if accepted else {}
+            elapsed = time.monotonic() - started
+            tell("done; the nodes are ending")
+    reports = sorted(folder.glob("*_payload/report.html"))
+    return DemoResult(
+        accepted,
+        sentence,
+        float(final["payload_mass"]) if "payload_mass" in final else None,
+        final.get("payload_mass.ci95", ""),
+        mass_kg,
+        reports[-1] if accepted and reports else None,
+        elapsed,
+    )
+
+
+def _interrupt(_number: int, _frame: Any) -> None:
+    # once is enough: the nodes end in order, and a second Ctrl-C must not leave one behind
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+class _Client:
+    """Calls services and listens, in this process."""
+
+    def __init__(self, graph: Graph, tell: Callable[[str], None]) -> None:
+        self._graph = graph
+        self._tell = tell
+        self._told = ""
+        self._final: dict[str, str] = {}
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("proprio_demo")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._node.create_subscription(DiagnosticStatus, "/identifier/status", self._on_status, LATCHED)
+        self._node.create_subscription(DiagnosticArray, "/identifier/estimate", self._on_estimate, LATCHED)
+
+    def __enter__(self) -> _Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown(timeout_sec=1.0)
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        values = messages.values_of(message)
+        words = f"{values.get('doing', '')}: {message.message}"
+        if words != self._told and values.get("doing") not in (None, "idle"):
+            self._told = words
+            self._tell(words)
+
+    def _on_estimate(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = messages.values_of(status)
+            if status.name == "payload" and values.get("final") == "true":
+                self._final = values
+            elif status.name == "payload":
+                self._tell(status.message)
+
+    def _spin_until(self, ready: Callable[[], bool], seconds: float) -> bool:
+        deadline = time.monotonic() + seconds
+        while not ready():
+            self._graph.check()
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.05)
+        return True
+
+    def wait_until_ready(self, seconds: float) -> None:
+        """Wait until a calibration would be accepted: services there, joint states coming."""
+        states = threading.Event()
+        subscription = self._node.create_subscription(JointState, "/joint_states", lambda _: states.set(), 1)
+        services = [
+            self._node.create_client(Trigger, name) for name in ("/identifier/calibrate_payload", "/excitation/run")
+        ]
+        ready = self._spin_until(
+            lambda: states.is_set() and all(service.service_is_ready() for service in services), seconds
+        )
+        self._node.destroy_subscription(subscription)
+        if not ready:
+            raise ConfigurationError(f"the nodes did not come up within {seconds:g} s; see {self._graph.logs}")
+
+    def call(self, name: str, seconds: float) -> tuple[bool, str]:
+        """Call a service and wait for its word."""
+        client = self._node.create_client(Trigger, name)
+        if not self._spin_until(client.service_is_ready, 5.0):
+            raise ConfigurationError(f"{name} is not there; see {self._graph.logs}")
+        future = client.call_async(Trigger.Request())
+        if not self._spin_until(future.done, seconds):
+            raise ConfigurationError(f"{name} gave no answer within {seconds:g} s; see {self._graph.logs}")
+        answer = future.result()
+        return bool(answer.success), str(answer.message)
+
+    def final_estimate(self, seconds: float) -> dict[str, str]:
+        """The last word of the identifier on its topic."""
+        self._spin_until(lambda: bool(self._final), seconds)
+        return self._final

@@ -1,0 +1,105 @@
+"""The nodes as processes of their own, started and ended together, without `launch` (which is not on the package index)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.nodes.messages import text_of
+
+NODES = ("virtual", "driver", "excitation", "identifier")
+END_S = 4.0
+"""A node releases the arm and ends within a second; one that does not is killed."""
+_PR_SET_PDEATHSIG = 1
+
+
+def _end_with_parent() -> None:
+    """In the child: Linux tells it to end when we are gone, even killed."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class Graph:
+    """Processes of nodes.
+
+    Leaving the context ends them all: the driver last but for the virtual robot, so that what others still say is obeyed.
+
+    Args:
+        logs: Folder for what each node prints.
+        environment: Added to this process's.
+    """
+
+    def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
+        self.logs = logs
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._environment = {**os.environ, **(environment or {})}
+        logs.mkdir(parents=True, exist_ok=True)
+
+    def __enter__(self) -> Graph:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def start(self, node: str, parameters: Mapping[str, Any], namespace: str = "") -> subprocess.Popen[bytes]:
+        """Start one of `NODES` in a process and a session of its own, so that Ctrl-C reaches only us."""
+        words = [sys.executable, "-m", f"proprio_ros.nodes.{node}", "--ros-args"]
+        for name, value in parameters.items():
+            words += ["-p", f"{name}:={text_of(value)}"]
+        if namespace:
+            words += ["-r", f"__ns:=/{namespace}"]
+        with (self.logs / f"{node}.log").open("ab") as log:
+            process = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
+            )
+        self.processes[node] = process
+        return process
+
+    def log(self, node: str) -> str:
+        """What a node has printed so far."""
+        return (self.logs / f"{node}.log").read_text(encoding="utf-8", errors="replace")
+
+    def check(self) -> None:
+        """Raises: ConfigurationError: a node has ended, with the last line it printed."""
+        for node, process in self.processes.items():
+            if process.poll() is not None:
+                lines = self.log(node).strip().splitlines() or [f"exit code {process.returncode}"]
+                raise ConfigurationError(f"the {node} node has ended: {lines[-1]}")
+
+    def stop(self, node: str | None = None, number: int = signal.SIGINT) -> None:
+        """End one node, or all; one that does not end in time is killed."""
+        if node is not None:
+            self._end([node], number)
+            return
+        self._end([name for name in ("identifier", "excitation") if name in self.processes], number)
+        for name in ("driver", "virtual"):
+            self._end([name] if name in self.processes else [], number)
+
+    def _end(self, nodes: list[str], number: int) -> None:
+        for name in nodes:
+            if self.processes[name].poll() is None:
+                self.processes[name].send_signal(number)
+        deadline = time.monotonic() + END_S
+        for name in nodes:
+            process = self.processes.pop(name)
+            try:
+                process.wait(max(deadline - time.monotonic(), 0.1))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
