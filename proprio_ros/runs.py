@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -69,7 +70,7 @@ def cut_runs(
         The runs, at least one.
 
     Raises:
-        RecordingError: No joint was driven, several were at once, an unknown or unrecorded one was, or a run has fewer
+        RecordingError: No joint was driven, several were at once, an unknown or unrecorded one was, or every run has fewer
             than five samples.
     """
     inputs = recording.inputs
@@ -80,13 +81,20 @@ def cut_runs(
         )
     record = recording.joints
     intervals = _intervals(recording.name, record, inputs, tuple(joints))
-    runs = []
+    runs: list[Run] = []
+    too_short: list[RecordingError] = []
     previous_end_ns: int | None = None
     for number, interval in enumerate(intervals, start=1):
         name = recording.name if len(intervals) == 1 else f"{recording.name}#{number}"
-        runs.append(_run(name, record, inputs, interval, previous_end_ns, dict(held or {})))
+        try:
+            runs.append(_run(name, record, inputs, interval, previous_end_ns, dict(held or {})))
+        except RecordingError as error:
+            too_short.append(error)
         previous_end_ns = interval.end_ns
-    return tuple(runs)
+    if not runs:
+        raise too_short[0]
+    # a push that was broken off at once says nothing, and must not cost the others
+    return tuple(replace(run, notes=(*run.notes, *(f"left out: {error}" for error in too_short))) for run in runs)
 
 
 def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> list[_Interval]:

@@ -212,6 +212,14 @@ def test_a_joint_that_the_robot_does_not_drive_or_nobody_recorded() -> None:
         cut_runs(blind, joints=ROBOT_JOINTS)
 
 
+def test_a_push_that_was_broken_off_at_once_does_not_cost_the_others() -> None:
+    times_s = cycles(end_s=4.0)
+    current = step(times_s, 1.0, 1.05) + step(times_s, 2.5, 3.1)
+    (run,) = cut_runs(recording({"joint3": current}, times_s), joints=ROBOT_JOINTS)
+    assert run.name == "bag#2" and run.duration_s == pytest.approx(0.6)
+    assert any(note.startswith("left out: bag#1: only") for note in run.notes)
+
+
 def test_too_few_samples() -> None:
     with refused(r"only 4 joint states lie in the 0.075 s in which joint3 was driven; at least 5"):
         cut_runs(recording({"joint3": step(cycles(), end_s=0.075)}), joints=ROBOT_JOINTS)

@@ -28,6 +28,8 @@ STANDSTILL_RAD_S = 0.02
 STANDSTILL_WINDOW_S = 0.2
 LONGEST_UNREST_S = 2.0
 """A joint that still moves so long after its time to settle will not come to rest."""
+MOST_LOST_RUNS = 3
+"""So many runs of a sequence may be lost to pauses of driver or computer and are repeated; one more ends it."""
 LEAST_CURRENT_A = 0.01  # easing a current further would change nothing: four counts of an XM430
 PATH_STEP_RAD = 0.03  # of the joint that moves most, between two poses whose height is looked at
 PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are not exact
@@ -84,7 +86,8 @@ class Guards:
     Attributes:
         limit_margin_rad: Room left before a joint's limit during a run.
         max_velocity_rad_s: No joint may be faster.
-        stale_after_s: Neither samples nor ticks may be further apart.
+        stale_after_s: Neither samples nor ticks may be further apart while a current is on; such a run is repeated.
+        patience_s: The same while all joints are held, which the servos do without us.
         follow_error_rad, follow_time_s: A joint may be off its goal by so much, for so long, while no current is on.
         lookahead_s: A run ends when its joint would reach a limit or the table within this time at its present speed.
         held_joint_error_rad: A joint that is held during a run may be off its goal by so much.
@@ -94,6 +97,7 @@ class Guards:
     limit_margin_rad: float = 0.05
     max_velocity_rad_s: float = 6.0
     stale_after_s: float = 0.1
+    patience_s: float = 0.5
     follow_error_rad: float = 0.15
     follow_time_s: float = 0.5
     lookahead_s: float = 0.08
@@ -183,6 +187,7 @@ class ExcitationMachine:
         self._outcomes: list[RunOutcome] = []
         self._run_index = 0
         self._attempt = 1
+        self._lost_runs = 0
         self._current_A = 0.0
         self._goals: dict[str, float] = {}
         self._run_pose: dict[str, float] = {}  # goals when the current came on
@@ -285,7 +290,7 @@ class ExcitationMachine:
             expected_s.append((home.duration_s,))
         self._sequence = sequence
         self._outcomes, self._abort_reason = [], ""
-        self._run_index, self._attempt, self._fraction = 0, 1, 0.0
+        self._run_index, self._attempt, self._fraction, self._lost_runs = 0, 1, 0.0, 0
         self._current_A = sequence.runs[0].current_A
         self._sample, self._now_s, self._tick_s = sample, None, 0.0
         self._expected_s = expected_s
@@ -307,6 +312,16 @@ class ExcitationMachine:
             problem = self._advance(now_s)
         if problem is None and self.busy:
             problem = self._watch(now_s)
+        if (
+            problem is not None
+            and problem[0] == "stale"
+            and self._phase is Phase.PROBE
+            and self._lost_runs < MOST_LOST_RUNS
+        ):
+            self._lost_runs += 1
+            self._brake(now_s, "stale")
+            self._message = f"run {self.run_number} of {self.runs} is lost: {problem[1]}"
+            problem = None
         if problem is not None:
             self._stop(*problem)
         else:
@@ -350,7 +365,7 @@ class ExcitationMachine:
     def _observe(self, now_s: float, sample: JointSample | None) -> _Problem | None:
         """Take in the time and a sample, unless something is wrong with them."""
         assert self._sample is not None
-        longest_s = self.guards.stale_after_s
+        longest_s = self.guards.stale_after_s if self._phase is Phase.PROBE else self.guards.patience_s
         if not math.isfinite(now_s):
             return "clock", f"the time is {now_s}: check the clock"
         if self._now_s is not None:
@@ -358,6 +373,7 @@ class ExcitationMachine:
             if self._tick_s < 0.0:
                 return "clock", f"the clock ran back by {-self._tick_s:.3f} s: use a clock that is never set"
             if self._tick_s > longest_s:
+                self._now_s = now_s
                 return "stale", f"the control loop paused for {self._tick_s:.2f} s: is the computer overloaded?"
         self._now_s = now_s
         if sample is not None:
@@ -366,10 +382,14 @@ class ExcitationMachine:
                 return "sample", problem
             if sample.time_s < self._sample.time_s:
                 return "clock", f"a sample is {self._sample.time_s - sample.time_s:.3f} s older than the one before it"
-            if sample.time_s > self._sample.time_s:
+            gap_s = sample.time_s - self._sample.time_s
+            if gap_s > 0.0:
+                # after a pause of the loop a joint may have gone on as fast as it may
+                unseen_s = max(gap_s - self.guards.stale_after_s, 0.0)
+                allowed = self.guards.max_jump_rad + self.guards.max_velocity_rad_s * unseen_s
                 for name in self.joints:
                     jump = abs(sample.position[name] - self._sample.position[name]) / self._per_rad[name]
-                    if jump > self.guards.max_jump_rad:
+                    if jump > allowed:
                         return (
                             "jump",
                             f"{name} jumped by {jump:.2f} rad between two samples: check its encoder and cable",
@@ -520,7 +540,7 @@ class ExcitationMachine:
 
     def _brake(self, now_s: float, ended_by: str) -> None:
         assert self._sample is not None
-        self._note_outcome(ended_by, used=self._travel >= self._run.min_travel)
+        self._note_outcome(ended_by, used=ended_by != "stale" and self._travel >= self._run.min_travel)
         self._goals = {**self._goals, self._run.joint: self._sample.position[self._run.joint]}
         self._enter(Phase.BRAKE, now_s)
 
@@ -542,7 +562,10 @@ class ExcitationMachine:
     def _after_run(self, now_s: float) -> _Problem | None:
         """Once more with another current, or the next run, or home, or the end."""
         assert self._sequence is not None
-        again_A = None if self._outcomes[-1].used else _other_current(self._run, self._current_A)
+        last = self._outcomes[-1]
+        again_A = None if last.used else _other_current(self._run, self._current_A)
+        if last.ended_by == "stale":
+            again_A = self._current_A  # nothing was wrong with the push
         phase = Phase.APPROACH
         if again_A is not None:
             self._attempt += 1

@@ -28,6 +28,7 @@ from proprio_ros.nodes.runtime import LATCHED
 READY_S = 40.0
 """On a new machine the identifier compiles its kernels first."""
 ROBOT_S, OBJECT_S = 240.0, 120.0
+REFERENCE_KG = 0.1
 
 
 @dataclass(frozen=True)
@@ -85,15 +86,19 @@ def demo(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
-        sequences = {} if full else {"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"}
+        kinds = {"robot_sequence": "empty_hand", "reference_sequence": "reference", "payload_sequence": "payload"}
+        sequences = kinds if full else {kind: f"{name}_elbow" for kind, name in kinds.items()}
+        reference = {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
         graph.start("virtual", {"robot": robot, "link": link, "object": mass_kg, "seed": seed})
         graph.start("driver", {"robot": robot, "port": link})
         graph.start("excitation", {"robot": robot})
-        graph.start("identifier", {"robot": robot, "data_directory": folder, "calibration": "none", **sequences})
+        graph.start(
+            "identifier", {"robot": robot, "data_directory": folder, "calibration": "none", **sequences, **reference}
+        )
         tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
         with _Client(graph, tell) as client:
             client.wait_until_ready(READY_S)
-            tell("the robot weighs itself, with nothing in its hand")
+            tell(f"the robot weighs itself: with nothing in its hand, then with a weight of {1e3 * REFERENCE_KG:.0f} g")
             accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
             tell(sentence)
             if accepted:

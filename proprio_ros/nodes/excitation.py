@@ -19,6 +19,7 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode, run_node
+from proprio_ros.realtime import run_in_real_time
 from proprio_ros.robot import load_robot
 
 _G = Guards()
@@ -79,6 +80,9 @@ class ExcitationNode(ManagedNode):
             self._machine.abort("the excitation node was told to end")
             self._send(self._machine.command)
             self._tell()
+
+    def cleanup(self) -> None:
+        self.remove_on_set_parameters_callback(self._on_parameters)
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """A probe that cannot be made is refused when it is named, with the reason."""
@@ -204,6 +208,7 @@ class ExcitationNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_excitation`."""
+    run_in_real_time()
     return run_node(ExcitationNode)
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.machine import (
+    MOST_LOST_RUNS,
     Command,
     ExcitationMachine,
     Guards,
@@ -315,7 +316,6 @@ def pushed(sequence: ProbeSequence = QUICK, pose: dict[str, float] = HOME) -> Be
 
 
 MISHAPS: dict[str, tuple[dict[str, float], str, str]] = {
-    "the loop paused": ({"later_s": 0.11}, "stale", "paused for 0.11 s"),
     "ahead of the time": ({"age_s": -0.2}, "clock", "ahead of the time"),
     "the clock ran back": ({"later_s": -0.02, "age_s": -0.03}, "clock", "ran back"),
     "an old sample": ({"later_s": 0.01, "age_s": 0.05}, "clock", "older than"),
@@ -342,12 +342,40 @@ def test_the_current_ends_at_the_very_tick(mishap: str) -> None:
         assert math.isfinite(command.position[name])
 
 
+def assert_lost(ready: Bench, command: Command, words: str) -> None:
+    """The current is gone at that very tick; the run is given up, but not yet the sequence."""
+    machine = ready.machine
+    check_command(machine, command, machine.phase)
+    assert machine.phase is Phase.BRAKE and not command.current_A and words in machine.message
+    assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [("stale", False)]
+
+
+def test_a_pause_of_the_loop_ends_the_current_and_the_run_is_repeated_as_it_was() -> None:
+    ready = pushed()
+    assert_lost(ready, ready.tick(later_s=0.11), "paused for 0.11 s")
+    for _ in range(3000):
+        command = ready.tick()
+        if command.current_A:
+            break
+    assert command.current_A == {"joint3": -0.3} and ready.machine.attempt == 2
+    for _ in range(MOST_LOST_RUNS - 1):
+        ready.tick(later_s=0.11)
+        while not ready.tick().current_A:
+            assert ready.machine.busy
+    ready.tick(later_s=0.11)
+    assert ready.machine.phase is Phase.ABORTED and "paused" in ready.machine.abort_reason
+
+
 def test_no_sample_any_more() -> None:
     ready = pushed()
     last_s = ready.sample.time_s
     for n in range(1, 11):
         assert ready.machine.tick(last_s + 0.01 * n, None).current_A
-    assert_stopped(ready, ready.machine.tick(last_s + 0.11, None), "stale", "no new joint positions for 0.11 s")
+    assert_lost(ready, ready.machine.tick(last_s + 0.11, None), "no new joint positions for 0.11 s")
+    for n in range(12, 50):
+        assert ready.machine.tick(last_s + 0.01 * n, None).current_A == {}
+    ready.machine.tick(last_s + 0.51, None)
+    assert ready.machine.phase is Phase.ABORTED and "is the driver alive?" in ready.machine.abort_reason
 
 
 def test_a_sample_that_is_repeated_grows_stale() -> None:
@@ -355,7 +383,7 @@ def test_a_sample_that_is_repeated_grows_stale() -> None:
     frozen = ready.sample
     for n in range(1, 11):
         assert ready.machine.tick(frozen.time_s + 0.01 * n, frozen).current_A
-    assert_stopped(ready, ready.machine.tick(frozen.time_s + 0.11, frozen), "stale", "no new joint positions")
+    assert_lost(ready, ready.machine.tick(frozen.time_s + 0.11, frozen), "no new joint positions")
 
 
 def test_a_sample_that_lacks_a_joint() -> None:
