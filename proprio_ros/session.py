@@ -25,7 +25,7 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.weighing import WeighingOptions, weigh
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, Settings, payload_facts, probe_file, replay, robot_of
+from proprio_ros.replay import ReplayOptions, Settings, held_positions, payload_facts, probe_file, robot_of
 from proprio_ros.resources import write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
@@ -99,12 +99,14 @@ def prepare_identification() -> None:
     compile_kernels()
 
 
-def weigh_bag(bag: Path, options: ReplayOptions) -> Estimate:
-    """What the payload's bag says, and beside it `estimate.json` and the command that says it again."""
-    estimate = replay([bag], options)
-    content = {**estimate.as_json(), "command": replay_command(bag, options)}
+def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
+    """Write `estimate.json` beside a bag: the result, and the command that gives it again.
+
+    Raises:
+        ConfigurationError: It cannot be written.
+    """
+    content = {**estimate.as_json(), "command": command}
     write_in_one_step(bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result")
-    return estimate
 
 
 def replay_command(bag: Path, options: ReplayOptions) -> str:
@@ -148,7 +150,11 @@ class LiveWeighing:
         overrides = settings.take_prefix("robot.")
         robot = robot_of(options.robot, options.calibration)
         self.robot: Robot = robot.with_overrides(overrides) if overrides else robot
+        held_positions(self.robot, settings)
+        settings.take_prefix("solver.")
+        settings.take("payload.frame", None)
         self.facts: PayloadFacts = payload_facts(settings, probe_file(options.probe)["payload"])
+        settings.refuse_rest()
         self._weighing = replace(WeighingOptions(), starts_kg=LIVE_STARTS_KG)
         self._lock = threading.Lock()
         self.reset()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from typing import Any
@@ -231,6 +232,8 @@ class DriverNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_driver`."""
+    # a flood of commands must not keep the bus's thread from the interpreter: at the default of 5 ms it would miss cycles
+    sys.setswitchinterval(0.0005)
     return run_node(DriverNode)
 
 

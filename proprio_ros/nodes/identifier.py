@@ -19,6 +19,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
@@ -34,7 +35,7 @@ from proprio_ros.identification.estimate import Z95, Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
-from proprio_ros.replay import ReplayOptions
+from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.report import write_calibration_report, write_report
 from proprio_ros.session import (
     LiveWeighing,
@@ -42,10 +43,10 @@ from proprio_ros.session import (
     as_diagnostics,
     calibrate_bags,
     inertia_tensor,
+    keep_result,
     live_interval,
     prepare_identification,
     replay_command,
-    weigh_bag,
 )
 from proprio_ros.settings import parse_settings
 
@@ -54,6 +55,7 @@ READY_S = 2.0
 SILENT_S = 3.0
 """The excitation node tells its state ten times a second while it is busy; without a word for so long it is gone."""
 CALL_S = 5.0
+ABORT_S = 2.0
 TAIL_S = 0.3
 """Joint states after the last run that belong to the recording."""
 
@@ -86,9 +88,10 @@ class IdentifierNode(ManagedNode):
         Parameter("payload_sequence", "payload", "Probe sequence of calibrate_payload."),
         Parameter("reference_sequence", "reference", "Probe sequence of calibrate_robot with the reference object."),
         Parameter("reference_mass", 0.0, "Mass of a weighed object for calibrate_robot [kg]; 0: none.", 0.0, 5.0, dynamic=True),
+        Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
         Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
         Parameter("excitation_node", "excitation", "Name of the excitation node."),
-        Parameter("report", True, "Write an HTML report beside every recording."),
+        Parameter("report", True, "Write the result and an HTML report beside every recording."),
         Parameter("live_period", 0.03, "Pause between live estimates [s]; 0 turns them off.", 0.0, 10.0),
     )  # fmt: skip
 
@@ -96,6 +99,7 @@ class IdentifierNode(ManagedNode):
         super().__init__("identifier", **kwargs)
         self._job: Job | None = None
         self._job_lock = threading.Lock()
+        self._closing = False
         self._session: Session | None = None
         self._unsaved: list[Session] = []
         self._live: LiveWeighing | None = None
@@ -138,16 +142,29 @@ class IdentifierNode(ManagedNode):
             LongService(self, f"~/calibrate_{kind_}", partial(self._begin, kind_))
         LongService(self, "~/cancel", self._cancel)
         self.create_timer(5.0, self._save_again)
+        self.add_on_set_parameters_callback(self._on_parameters)
 
     def activate(self) -> None:
+        self._closing = False
         self._tell("idle", "ready")
 
     def deactivate(self) -> None:
+        self._closing = True
         job = self._job
         if job is not None:
             job.cancelled.set()
-            job.ended.wait(2.0 * CALL_S)
+            job.ended.wait(CALL_S)
         self._save_again()
+
+    def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
+        """Facts that cannot be understood are refused when they are stated, with the reason."""
+        for parameter in parameters:
+            if parameter.name in ("settings", "reference_settings"):
+                try:
+                    LiveWeighing(ReplayOptions(settings=parse_settings([pair for pair in parameter.value if pair])))
+                except ProprioError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _find_calibration(self) -> Path | None:
         stated = self.values["calibration"]
@@ -218,11 +235,12 @@ class IdentifierNode(ManagedNode):
         return None
 
     def _cancel(self, answer: Answer) -> None:
-        job = self._job
-        if job is None:
-            return answer(True, "nothing was under way")
+        with self._job_lock:
+            job = self._job
+            if job is None:
+                return answer(True, "nothing was under way")
+            job.on_end.append(lambda: answer(True, f"calibrate_{job.kind} was cancelled; the arm is held"))
         job.cancelled.set()
-        job.on_end.append(lambda: answer(True, f"calibrate_{job.kind} was cancelled; the arm is held"))
         return None
 
     # --- the job's thread ---------------------------------------------------------------------------------------------
@@ -240,7 +258,8 @@ class IdentifierNode(ManagedNode):
             self.get_logger().error(job.message)
         finally:
             self._session = None
-            self._job = None
+            with self._job_lock:
+                self._job = None
             self.say("info" if job.success else "warning", job.message)
             if self.active:
                 self._tell("idle", job.message, level=level)
@@ -272,11 +291,11 @@ class IdentifierNode(ManagedNode):
         self._live = LiveWeighing(options) if self.values["live_period"] > 0.0 else None
         bag = self._record(job, "payload", value_of(self, "payload_sequence"))
         self._tell(job.kind, "identifying")
-        estimate = weigh_bag(bag, options)
+        estimate = replay([bag], options)
         self._publish(estimate)
-        if self.values["report"]:
-            command = replay_command(bag, options)
-            write_report(estimate, bag.parent / "report.html", command=command, sources=[str(bag)])
+        command = replay_command(bag, options)
+        self._keep(lambda: keep_result(bag, estimate, command))
+        self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=[str(bag)]))
         value = estimate.values[0]
         if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float):
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons) or value.reason}; recording: {bag}"
@@ -298,12 +317,12 @@ class IdentifierNode(ManagedNode):
             references[self._record(job, "reference", value_of(self, "reference_sequence"))] = mass
         self._tell(job.kind, "identifying the robot")
         output = bag.parent / "calibration.yaml"
-        options = ReplayOptions(robot=self.values["robot"], settings=parse_settings(value_of(self, "settings")))
+        facts = parse_settings(value_of(self, "reference_settings"))
+        options = ReplayOptions(robot=self.values["robot"], settings=facts)
         estimate = calibrate_bags([bag], references, options, output, lambda text: self._tell(job.kind, text))
         self._publish_calibration(estimate)
-        if self.values["report"]:
-            sources = [str(path) for path in (bag, *references)]
-            write_calibration_report(estimate, bag.parent / "report.html", sources=sources)
+        sources = [str(path) for path in (bag, *references)]
+        self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
         self._calibration = output
@@ -312,6 +331,14 @@ class IdentifierNode(ManagedNode):
         fresh.symlink_to(output)
         fresh.replace(newest)
         return True, f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+
+    def _keep(self, write: Callable[[], None]) -> None:
+        """Write something beside the recording; a full disk costs the page, not the result."""
+        if self.values["report"]:
+            try:
+                write()
+            except ProprioError as error:
+                self.say("warning", str(error))
 
     def _record(self, job: Job, kind: str, sequence: str) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
@@ -359,7 +386,7 @@ class IdentifierNode(ManagedNode):
         try:
             while True:
                 if job.cancelled.wait(0.02):
-                    self._call(self._abort, Trigger.Request())
+                    self._stop_excitation(number)
                     raise JobError("cancelled")
                 values, heard_s = self._excitation, max(self._excitation_at_s, begun)
                 if values.get("sequence") == number and values.get("busy") == "false":
@@ -370,6 +397,15 @@ class IdentifierNode(ManagedNode):
             self._driven = False
         if values.get("phase") == "aborted":
             raise JobError(f"the probe was aborted: {values.get('reason')}")
+
+    def _stop_excitation(self, number: str) -> None:
+        """Abort a sequence and see it end; when this node is ending itself, nobody is left to hear the answer."""
+        self._abort.call_async(Trigger.Request())
+        deadline = time.monotonic() + ABORT_S
+        while not self._closing and time.monotonic() < deadline:
+            if self._excitation.get("sequence") == number and self._excitation.get("busy") == "false":
+                return
+            time.sleep(0.01)
 
     def _call(self, client: Any, request: Any) -> Any:
         """Call a service and wait for its answer, at most `CALL_S`."""

@@ -9,15 +9,6 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
-
-_TYPES = {
-    bool: RosParameter.Type.BOOL,
-    int: RosParameter.Type.INTEGER,
-    float: RosParameter.Type.DOUBLE,
-    str: RosParameter.Type.STRING,
-    list: RosParameter.Type.STRING_ARRAY,
-}
 
 
 @dataclass(frozen=True)
@@ -57,20 +48,20 @@ class Parameter:
 def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
     """Declare parameters and return their values by name."""
     for parameter in parameters:
-        # an empty list alone would be declared as one of bytes
-        value = RosParameter(parameter.name, _TYPES[type(parameter.default)], parameter.default).value
-        node.declare_parameter(parameter.name, value, parameter.descriptor())
+        # an empty list would be declared as one of bytes, and could never be set to one of strings
+        default = [""] if parameter.default == [] else parameter.default
+        node.declare_parameter(parameter.name, default, parameter.descriptor())
     values = {parameter.name: value_of(node, parameter.name) for parameter in parameters}
     return values | {parameter.name: str(values[parameter.name]) for parameter in parameters if parameter.loose}
 
 
 def value_of(node: Node, name: str) -> Any:
-    """Present value of a parameter; a string array comes as a list."""
+    """Present value of a parameter; a string array comes as a list, without empty strings: ``[""]`` is an empty one."""
     try:
         value = node.get_parameter(name).value
     except ParameterUninitializedException:
-        return []  # `[]` in a parameter file: an empty list without a type is none at all for rcl
-    return list(value) if isinstance(value, (list, tuple)) else value
+        return []  # `[]` in a parameter file: an empty list without a type is none for rcl
+    return [entry for entry in value if entry != ""] if isinstance(value, (list, tuple)) else value
 
 
 ROBOT = Parameter("robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file.")

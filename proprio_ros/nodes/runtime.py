@@ -45,6 +45,7 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, **kwargs)
         self.values = declare(self, [AUTOSTART, *self.parameters])
         self.active = False
+        self._own = [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
 
     # --- for subclasses -----------------------------------------------------------------------------------------------
 
@@ -79,8 +80,24 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
+    def _destroy_configured(self) -> None:
+        """What `configure` made; a node that is configured again would otherwise publish and answer twice."""
+        for entities, destroy in (
+            (self.publishers, self.destroy_publisher),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.timers, self.destroy_timer),
+        ):
+            for entity in [*entities]:
+                if entity not in self._own:
+                    destroy(entity)
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._transition("configure", self.configure)
+        result = self._transition("configure", self.configure)
+        if result != TransitionCallbackReturn.SUCCESS:
+            self._destroy_configured()
+        return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = self._transition("activate", self.activate)
@@ -93,7 +110,9 @@ class ManagedNode(LifecycleNode):
         return result if result != TransitionCallbackReturn.SUCCESS else super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._transition("clean up", self.cleanup)
+        result = self._transition("clean up", self.cleanup)
+        self._destroy_configured()
+        return result
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.finish()

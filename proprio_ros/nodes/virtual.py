@@ -56,7 +56,7 @@ class VirtualNode(ManagedNode):
             truth = Truth.nominal(robot)
         else:
             truth = Truth.draw(robot, self.values["seed"], links=self.values["links"])
-        self._robot = VirtualRobot(robot, truth, link=Path(self.values["link"]), seed=max(self.values["seed"], 0))
+        self._model, self._truth = robot, truth
         self.add_on_set_parameters_callback(self._on_parameters)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._motors = self.create_publisher(JointState, "~/motors", 10)
@@ -64,6 +64,8 @@ class VirtualNode(ManagedNode):
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
 
     def activate(self) -> None:
+        seed = max(self.values["seed"], 0)
+        self._robot = VirtualRobot(self._model, self._truth, link=Path(self.values["link"]), seed=seed)
         self._fill_hand()
         self.say("info", f"a virtual {self.values['robot']} at {self.values['link']}")
 
@@ -71,6 +73,9 @@ class VirtualNode(ManagedNode):
         if self._robot is not None:
             self._robot.close()
             self._robot = None
+
+    def cleanup(self) -> None:
+        self.remove_on_set_parameters_callback(self._on_parameters)
 
     def _on_excitation(self, message: DiagnosticStatus) -> None:
         """What a person beside a real arm would do when a sequence begins."""
