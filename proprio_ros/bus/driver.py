@@ -24,6 +24,9 @@ from proprio_ros.robot import Robot
 FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
 
+SAG_RAD = 0.06
+"""A held joint under load is no further from its goal than this: 0.03 rad at 0.3 A with the servo's own gain."""
+
 LOST_AFTER_S = 0.2
 """No servo answered for so long: the bus is lost."""
 
@@ -256,10 +259,12 @@ class ArmDriver:
             if not np.isfinite(value):
                 return f"{name}: the position is {value}; every position must be a number"
             angle = value / joint.transmission
-            if not joint.lower_rad - 1e-6 <= angle <= joint.upper_rad + 1e-6:
+            # an arm that leans on its stop reads a little beyond it: that is its limit, and no mistake
+            spare = self.settings.limit_margin_rad
+            if not joint.lower_rad - spare <= angle <= joint.upper_rad + spare:
                 low, high = joint.lower_rad * joint.transmission, joint.upper_rad * joint.transmission
                 return f"{name}: {value:g} is outside its range {low:g} to {high:g}"
-            targets[name] = angle
+            targets[name] = min(max(angle, joint.lower_rad), joint.upper_rad)
         with self._lock:
             self._targets.update(targets)
         return ""
@@ -351,21 +356,25 @@ class ArmDriver:
     def _hold_here(self) -> None:
         """Torque on, every joint held at its present position."""
         self.bus.prepare(watchdog_s=self.settings.watchdog_s, position_d_gain=self.settings.position_d_gain)
-        # a hot servo must not be driven before its turn comes
-        self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
         for _ in range(5):
             reading = self.bus.read_states()
             if len(reading.states) == len(self._joints):
                 break
         else:
             raise BusError(f"{self.bus.port_name}: the servos answer one by one but not together: check the cable")
+        # what a servo already holds stays its goal: its present position sags under load, and once more with every new hold
+        goals = {s.joint: s.model.angle_rad(self.bus.read(s.id, "goal_position")) for s in self.bus.servos}
+        # a hot servo must not be driven before its turn comes
+        self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
         with self._lock:
             self._command = None
             self._targets.clear()  # but not a stop that came meanwhile
         self._alerts.clear()
         self._driving = self._limp = False
         for name, joint in self._joints.items():
-            joint.angle_rad = joint.goal_rad = joint.target_rad = reading.states[name].angle_rad
+            here, goal = reading.states[name].angle_rad, goals[name]
+            joint.angle_rad = here
+            joint.goal_rad = joint.target_rad = goal if abs(goal - here) < SAG_RAD else here
             joint.mode, joint.blocked, joint.commanded_A = JointMode.HELD, "", 0.0
         self._last_answer_s, self._sampled_at_s = self._clock(), reading.sampled_at_s
         self.state, self.reason = BusState.RUNNING, "held"
@@ -445,9 +454,10 @@ class ArmDriver:
         fresh = command is not None and now - command.arrived_s <= self.settings.command_timeout_s
         currents = command.current_A if command is not None and fresh else {}
         for joint in self._joints.values():
-            # a push begins in a cycle whose stamp is right, since everything is measured from that instant
-            if joint.name in currents and (timely or joint.mode is JointMode.DRIVEN):
-                self._drive(joint, currents[joint.name])
+            if joint.name in currents:
+                # a push begins in a cycle whose stamp is right, since everything is measured from that instant
+                if timely or joint.mode is JointMode.DRIVEN:
+                    self._drive(joint, currents[joint.name])
                 continue
             if joint.mode is JointMode.DRIVEN:
                 timed_out = not fresh and self._driving

@@ -20,6 +20,7 @@ import against_c
 import against_mujoco
 import against_scipy
 import against_substeps
+import bus
 import calibrated
 import case as cases
 import fresh_process
@@ -34,6 +35,7 @@ PARTS = {
     "c": against_c.rows,
     "calibrated": calibrated.rows,
     "fresh": fresh_process.rows,
+    "bus": bus.rows,
 }
 
 

@@ -1,0 +1,148 @@
+"""Driver, excitation and identifier, and with ``virtual:=true`` a robot for them.
+
+Then ``ros2 service call /identifier/calibrate_payload std_srvs/srv/Trigger``. End it with Ctrl-C or SIGINT: `ros2 launch` passes
+SIGINT on to the nodes, which release the arm. A launch that is killed or gets SIGTERM (systemd, docker stop) does not
+(ros2/launch issue 666): then the kernel tells them, through `setpriv`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration, TextSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from proprio_ros.resources import resource
+
+RELEASE_S = "15.0"
+"""From SIGINT to SIGTERM [s]: a job that is under way is ended and its recording written before a node goes."""
+KILL_S = "5.0"
+
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        "virtual", default_value="false", choices=["true", "false"], description="Start a virtual robot, and drive it."
+    ),
+    DeclareLaunchArgument(
+        "robot", default_value="", description="Robot of config/robots, or a robot file. Empty: as in the parameter files."
+    ),
+    DeclareLaunchArgument(
+        "port",
+        default_value="",
+        description="Serial port of the servo bus; with virtual:=true the path under which the virtual bus appears. "
+        "Empty: as in the parameter files (/dev/ttyUSB0); with virtual:=true one in the folder for temporary files.",
+    ),
+    DeclareLaunchArgument(
+        "rate", default_value="", description="Cycles per second of the driver [Hz]. Empty: as in the parameter files (100)."
+    ),
+    DeclareLaunchArgument(
+        "object",
+        default_value="0.05",
+        description="What the virtual hand holds in a probe: a mass [kg], payload:.., container:.., block:.., or none.",
+    ),
+    DeclareLaunchArgument(
+        "seed", default_value="", description="Draws the virtual arm's hidden numbers. Empty: as in the parameter files (1)."
+    ),
+    DeclareLaunchArgument(
+        "reference_mass",
+        default_value="",
+        description="Mass of a weighed object that you put into the hand when calibrate_robot asks for it [kg]; 0: none. "
+        "Empty: as in the parameter files (0); with virtual:=true 0.1, and the virtual robot's helper does it.",
+    ),
+    DeclareLaunchArgument(
+        "data_directory",
+        default_value="",
+        description="Where recordings, results and calibrations are kept. Empty: as in the parameter files; with virtual:=true a "
+        "folder of its own, so that no real arm is weighed with a virtual one's calibration.",
+    ),
+    DeclareLaunchArgument(
+        "params_file", default_value="", description="A parameter file of yours; counts over the package's, not over arguments."
+    ),
+    DeclareLaunchArgument("namespace", default_value="", description="Of all nodes, for several arms on one network."),
+)  # fmt: skip
+
+
+def _program(node: str) -> dict[str, str]:
+    """From a sourced workspace, else (pip) the script beside the running interpreter."""
+    try:
+        get_package_prefix("proprio_ros")
+    except (PackageNotFoundError, OSError):
+        return {"executable": str(Path(sys.executable).with_name(f"proprio_{node}"))}
+    return {"package": "proprio_ros", "executable": f"proprio_{node}"}
+
+
+def _nodes(context: LaunchContext) -> list[Any]:
+    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    namespace = given["namespace"].strip("/")
+    virtual = given["virtual"] == "true"
+    link = Path(tempfile.gettempdir()) / "_".join(["proprio_virtual", *namespace.split("/")]).rstrip("_")
+    port = given["port"] or (str(link) if virtual else "")
+    overrides: dict[str, dict[str, tuple[str, type]]] = {
+        "virtual": {
+            "robot": (given["robot"], str),
+            "link": (port, str),
+            "object": (given["object"], str),
+            "seed": (given["seed"], int),
+        },
+        "driver": {"robot": (given["robot"], str), "port": (port, str), "rate": (given["rate"], float)},
+        "excitation": {"robot": (given["robot"], str)},
+        "identifier": {
+            "robot": (given["robot"], str),
+            "data_directory": (given["data_directory"], str),
+            "reference_mass": (given["reference_mass"], float),
+        },
+    }
+    if virtual:
+        mass = given["reference_mass"] or "0.1"
+        own = f"~/.ros/proprio_ros/virtual_{given['seed'] or 'default'}"
+        overrides["identifier"] |= {
+            "data_directory": (given["data_directory"] or own, str),
+            "reference_mass": (mass, float),
+            "reference_wait": ("1.0", float),
+        }
+        # whoever has no weight has none to put into the hand either
+        overrides["virtual"]["reference"] = (mass if float(mass) > 0.0 else "", float)
+    else:
+        del overrides["virtual"]
+    prefix = "setpriv --pdeathsig INT --" if shutil.which("setpriv") else None
+    actions: list[Any] = []
+    for node, values in overrides.items():
+        files = [str(resource("parameters", node)), *([given["params_file"]] if given["params_file"] else [])]
+        stated = {
+            name: ParameterValue(TextSubstitution(text=value), value_type=kind)
+            for name, (value, kind) in values.items()
+            if value
+        }
+        # nothing can be weighed without the driver; started anew it would take hold of an arm that nobody expects to move
+        ends = node in ("driver", "virtual")
+        actions.append(
+            Node(
+                **_program(node),
+                name=node,
+                namespace=namespace,
+                parameters=[*files, *([stated] if stated else [])],
+                prefix=prefix,
+                exec_name=f"proprio_{node}",
+                output="screen",
+                sigterm_timeout=RELEASE_S,
+                sigkill_timeout=KILL_S,
+                on_exit=[Shutdown(reason=f"the {node} node has ended")] if ends else None,
+            )
+        )
+    base = f"/{namespace}" if namespace else ""
+    actions.append(
+        LogInfo(msg=f"weigh something: ros2 service call {base}/identifier/calibrate_payload std_srvs/srv/Trigger")
+    )
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What `ros2 launch` asks for."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=_nodes)])

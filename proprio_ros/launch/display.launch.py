@@ -1,0 +1,84 @@
+"""The arm as it moves, and what its hand holds, in RViz; beside calibration.launch.py, or any driver of the arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from proprio_ros.errors import ProprioError
+from proprio_ros.resources import resource, share_directory
+from proprio_ros.robot import RobotModel
+
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        "urdf", default_value="open_manipulator_x", description="URDF of the robot: one that comes with the package, or a path."
+    ),
+    DeclareLaunchArgument("namespace", default_value="", description="Of the arm's nodes, as in calibration.launch.py."),
+    DeclareLaunchArgument(
+        "rviz", default_value="true", choices=["true", "false"], description="Start RViz; false publishes the frames only."
+    ),
+    DeclareLaunchArgument(
+        "rviz_config", default_value="", description="RViz configuration file. Empty: the package's config/proprio.rviz."
+    ),
+)  # fmt: skip
+
+
+def _installed(package: str) -> bool:
+    try:
+        get_package_prefix(package)
+    except (PackageNotFoundError, OSError):
+        return False
+    return True
+
+
+def _nodes(context: LaunchContext) -> list[Any]:
+    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    namespace = given["namespace"].strip("/")
+    wanted = ["robot_state_publisher", *(["rviz2"] if given["rviz"] == "true" else [])]
+    missing = [package for package in wanted if not _installed(package)]
+    if missing:
+        packages = " ".join(f"ros-jazzy-{package.replace('_', '-')}" for package in missing)
+        words = f"{' and '.join(missing)} not found: install them (apt install {packages}) and source the workspace"
+        return [LogInfo(msg=words), Shutdown(reason="nothing can be shown")]
+    try:
+        urdf = Path(given["urdf"]) if Path(given["urdf"]).is_file() else resource("urdf", given["urdf"])
+        root = RobotModel.from_urdf(urdf).root
+    except ProprioError as error:
+        return [LogInfo(msg=str(error)), Shutdown(reason="nothing can be shown")]
+    prefix = f"/{namespace}" if namespace else ""
+    actions: list[Any] = [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            namespace=namespace,
+            parameters=[{"robot_description": ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)}],
+            output="screen",
+        )
+    ]
+    if "rviz2" in wanted:
+        config = given["rviz_config"] or str(share_directory() / "config" / "proprio.rviz")
+        topics = ("robot_description", "identifier/markers")
+        actions.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                namespace=namespace,
+                arguments=["-d", config, "-f", root],
+                remappings=[(f"/{topic}", f"{prefix}/{topic}") for topic in topics] if namespace else [],
+                output="screen",
+                on_exit=[Shutdown(reason="RViz was closed")],
+            )
+        )
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What `ros2 launch` asks for."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=_nodes)])
