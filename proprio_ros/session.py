@@ -91,7 +91,7 @@ class Session:
 
 
 def _elsewhere() -> list[Path]:
-    return [Path(tempfile.gettempdir()) / "proprio_ros", Path("/dev/shm/proprio_ros")]
+    return [Path(tempfile.gettempdir()) / "proprio_recordings", Path("/dev/shm/proprio_recordings")]
 
 
 def prepare_identification() -> None:

@@ -30,6 +30,9 @@ SAG_RAD = 0.06
 LOST_AFTER_S = 0.2
 """No servo answered for so long: the bus is lost."""
 
+LOOKAHEAD_S = 0.05
+"""A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
+
 HEALTH_PERIOD_S = 0.2
 """One servo's temperature and voltage are read so often, while nothing is driven."""
 
@@ -56,7 +59,7 @@ class DriverSettings:
     watchdog_s: float = 0.2
     limit_margin_rad: float = 0.05
     max_velocity_rad_s: float = 7.0
-    max_goal_velocity_rad_s: float = 1.5
+    max_goal_velocity_rad_s: float = 2.5
     max_temperature_C: float = 70.0
     max_jump_rad: float = 0.3
     position_d_gain: int = 2000
@@ -175,6 +178,7 @@ class ArmDriver:
         self._command: _Command | None = None
         self._targets: dict[str, float] = {}
         self._torque_wanted: bool | None = None
+        self._torque_set = threading.Event()
         self._stop_wanted = False
         self._driving = False
         self._last_answer_s = -np.inf
@@ -273,17 +277,24 @@ class ArmDriver:
         """Current zero on every joint from the next cycle on, until torque is switched on again."""
         with self._lock:
             self._stop_wanted = True
-            self._torque_wanted = None if self._torque_wanted else self._torque_wanted  # the later request counts
+            if self._torque_wanted:  # the later request counts
+                self._torque_wanted = None
+                self._torque_set.set()
             self._command = None
             self._targets.clear()
 
     def set_torque(self, on: bool) -> None:
         """Off: the arm is limp. On: servos with a fault are rebooted, and the arm is held where it is."""
         with self._lock:
+            self._torque_set.clear()
             self._torque_wanted = on
             self._stop_wanted = False
             self._command = None
             self._targets.clear()
+
+    def await_torque(self, seconds: float) -> bool:
+        """Wait until the last `set_torque` was obeyed, or failed; returns whether that was in time."""
+        return self._torque_set.wait(seconds)
 
     # --- the loop -----------------------------------------------------------------------------------------------------
 
@@ -389,10 +400,17 @@ class ArmDriver:
             self._driving = False
             self._write_goals()
             self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
-        if torque is False:
-            self._release()
-        elif torque is True:
-            self._hold_here()
+        if torque is None:
+            return
+        try:
+            if torque:
+                self._hold_here()
+            else:
+                self._release()
+        finally:
+            with self._lock:
+                if self._torque_wanted is None:  # not asked for once more meanwhile
+                    self._torque_set.set()
 
     def _read(self) -> tuple[Reading | None, bool]:
         """All servos' answers, asked for twice if need be, and whether the instant of their stamp can be trusted."""
@@ -494,9 +512,10 @@ class ArmDriver:
 
     def _why_not_driven(self, joint: _Joint, current_A: float) -> str:
         margin = self.settings.limit_margin_rad
-        if joint.angle_rad > joint.upper_rad - margin and (joint.velocity_rad_s > 0.0 or current_A > 0.0):
+        ahead_rad = joint.angle_rad + joint.velocity_rad_s * LOOKAHEAD_S
+        if ahead_rad > joint.upper_rad - margin and (joint.velocity_rad_s > 0.0 or current_A > 0.0):
             return f"{joint.name} is at its upper limit"
-        if joint.angle_rad < joint.lower_rad + margin and (joint.velocity_rad_s < 0.0 or current_A < 0.0):
+        if ahead_rad < joint.lower_rad + margin and (joint.velocity_rad_s < 0.0 or current_A < 0.0):
             return f"{joint.name} is at its lower limit"
         if abs(joint.velocity_rad_s) > self.settings.max_velocity_rad_s:
             return f"{joint.name} turns at {joint.velocity_rad_s:.1f} rad/s, faster than {self.settings.max_velocity_rad_s:g}"

@@ -31,6 +31,7 @@ LONGEST_UNREST_S = 2.0
 MOST_LOST_RUNS = 3
 """So many runs of a sequence may be lost to pauses of driver or computer and are repeated; one more ends it."""
 LEAST_CURRENT_A = 0.01  # easing a current further would change nothing: four counts of an XM430
+LONGEST_STEP_S = 0.05  # goals move on by no more than this from sample to sample
 PATH_STEP_RAD = 0.03  # of the joint that moves most, between two poses whose height is looked at
 PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are not exact
 _ROUNDING_S = 1e-6
@@ -196,6 +197,8 @@ class ExcitationMachine:
         self._now_s: float | None = None
         self._tick_s = 0.0
         self._phase_start_s: float | None = None
+        self._way_s = 0.0  # how far along the way the goals are
+        self._seen_s = 0.0  # how much of the time since the last tick was seen
         self._recent: deque[tuple[float, float]] = deque()  # times and positions of the run's joint at rest
         self._onset_position = 0.0
         self._travel = 0.0
@@ -376,6 +379,7 @@ class ExcitationMachine:
                 self._now_s = now_s
                 return "stale", f"the control loop paused for {self._tick_s:.2f} s: is the computer overloaded?"
         self._now_s = now_s
+        self._seen_s = 0.0
         if sample is not None:
             problem = self._unfit(sample)
             if problem:
@@ -383,6 +387,8 @@ class ExcitationMachine:
             if sample.time_s < self._sample.time_s:
                 return "clock", f"a sample is {self._sample.time_s - sample.time_s:.3f} s older than the one before it"
             gap_s = sample.time_s - self._sample.time_s
+            # goals wait for joints that were not seen for a while: the servos may not have been told to move either
+            self._seen_s = min(gap_s, LONGEST_STEP_S)
             if gap_s > 0.0:
                 # after a pause of the loop a joint may have gone on as fast as it may
                 unseen_s = max(gap_s - self.guards.stale_after_s, 0.0)
@@ -481,7 +487,7 @@ class ExcitationMachine:
 
     def _enter(self, phase: Phase, now_s: float | None) -> None:
         """Begin a phase; None: with the next tick."""
-        self._phase, self._phase_start_s = phase, now_s
+        self._phase, self._phase_start_s, self._way_s = phase, now_s, 0.0
         self._off_since_s.clear()
         if phase is Phase.SETTLE:
             self._recent.clear()
@@ -502,8 +508,9 @@ class ExcitationMachine:
             self._phase_start_s = now_s
         elapsed_s = now_s - self._phase_start_s + _ROUNDING_S
         if self._phase in (Phase.APPROACH, Phase.RETURN):
-            self._goals = self._way.at(now_s - self._phase_start_s)
-            if elapsed_s >= self._way.duration_s:
+            self._way_s += self._seen_s
+            self._goals = self._way.at(self._way_s)
+            if self._way_s + _ROUNDING_S >= self._way.duration_s:
                 self._enter(Phase.SETTLE if self._phase is Phase.APPROACH else Phase.DONE, now_s)
         elif self._phase is Phase.SETTLE:
             if elapsed_s >= self._sequence.settle_s and self._still(now_s):

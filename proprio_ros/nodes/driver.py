@@ -52,6 +52,8 @@ class DriverNode(ManagedNode):
         Parameter("reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0),
     )  # fmt: skip
 
+    pause_s = 0.001
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("driver", **kwargs)
         self._driver: ArmDriver | None = None
@@ -120,7 +122,6 @@ class DriverNode(ManagedNode):
     def _loop(self) -> None:
         driver = self._driver
         assert driver is not None
-        run_in_real_time()
         try:
             while not self._ended.is_set():
                 self._pacer.wait()
@@ -185,10 +186,8 @@ class DriverNode(ManagedNode):
             return response
         driver.set_torque(request.data)
         wanted = BusState.RUNNING if request.data else BusState.RELEASED
-        deadline = time.monotonic() + 5.0  # a servo with a fault is rebooted first
-        while driver.state is not wanted and time.monotonic() < deadline:
-            time.sleep(0.005)
-        response.success = driver.state is wanted
+        obeyed = driver.await_torque(5.0)  # a servo with a fault is rebooted first
+        response.success = obeyed and driver.state is wanted
         response.message = ("held" if request.data else "torque is off") if response.success else driver.reason
         return response
 
@@ -234,6 +233,8 @@ def main() -> int:
     """Entry point of `proprio_driver`."""
     # a flood of commands must not keep the bus's thread from the interpreter: at the default of 5 ms it would miss cycles
     sys.setswitchinterval(0.0005)
+    # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
+    run_in_real_time()
     return run_node(DriverNode)
 
 

@@ -40,7 +40,8 @@ class Graph:
     def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
         self.logs = logs
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._environment = {**os.environ, **(environment or {})}
+        # whatever lies in the present folder must not be imported (Python 3.11 and later)
+        self._environment = {**os.environ, "PYTHONSAFEPATH": "1", **(environment or {})}
         logs.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> Graph:

@@ -51,7 +51,7 @@ from proprio_ros.session import (
 from proprio_ros.settings import parse_settings
 
 STALE_S = 0.5
-READY_S = 2.0
+READY_S = 4.0
 SILENT_S = 3.0
 """The excitation node tells its state ten times a second while it is busy; without a word for so long it is gone."""
 CALL_S = 5.0

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -40,6 +41,8 @@ class ManagedNode(LifecycleNode):
     """
 
     parameters: Sequence[Parameter] = ()
+    pause_s = 0.0
+    """Between two callbacks: a flood of messages leaves the interpreter to the node's other threads."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -184,6 +187,8 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
                 ended.set()
         while not ended.is_set():
             spinner.spin_once(timeout_sec=0.1)
+            if node.pause_s > 0.0:
+                time.sleep(node.pause_s)
     except (ProprioError, ParameterException) as error:
         logging.getLogger("proprio_ros").error("%s", " ".join(str(error).split()))
         code = 2

@@ -15,6 +15,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode, run_node
+from proprio_ros.realtime import run_in_real_time
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.objects import Payload, parse_object
 from proprio_ros.virtual.robot import VirtualRobot
@@ -120,6 +121,7 @@ class VirtualNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_virtual`."""
+    run_in_real_time()  # servos do not wait for other programs either
     return run_node(VirtualNode)
 
 

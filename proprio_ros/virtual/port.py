@@ -19,7 +19,6 @@ from queue import SimpleQueue
 from types import TracebackType
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.realtime import run_in_real_time
 from proprio_ros.virtual.bus import Reply, VirtualBus
 
 _LONGEST_WAIT_S = 0.002  # the world lags behind the clock by no more
@@ -171,7 +170,6 @@ class PtyPort:
         self._running = False
 
     def _run(self) -> None:
-        run_in_real_time()  # a servo does not wait for other programs either
         try:
             while self._running:
                 self._turn()
