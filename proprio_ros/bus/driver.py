@@ -56,7 +56,7 @@ class DriverSettings:
 
     command_timeout_s: float = 0.1
     on_timeout: str = "hold"
-    watchdog_s: float = 0.2
+    watchdog_s: float = 0.3
     limit_margin_rad: float = 0.05
     max_velocity_rad_s: float = 7.0
     max_goal_velocity_rad_s: float = 2.5
@@ -359,10 +359,17 @@ class ArmDriver:
 
     def _release(self) -> None:
         """Torque off."""
+        self._let_go()
         for problem in self.bus.release():
             self._log("error", problem)
         self._last_answer_s = self._clock()
         self.state, self.reason = BusState.RELEASED, "torque is off; switch it on to go on"
+
+    def _let_go(self) -> None:
+        """Nothing is driven or held, and so it is told."""
+        self._driving = False
+        for joint in self._joints.values():
+            joint.mode, joint.commanded_A = JointMode.FREE, 0.0
 
     def _hold_here(self) -> None:
         """Torque on, every joint held at its present position."""
@@ -397,7 +404,7 @@ class ArmDriver:
             torque, self._torque_wanted = self._torque_wanted, None
         if stop and self.state is BusState.RUNNING:
             self.state, self.reason = BusState.STOPPED, "stopped; switch torque on to go on"
-            self._driving = False
+            self._let_go()
             self._write_goals()
             self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
         if torque is None:
