@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
 import os
+import resource
+import signal
 import statistics
+import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -40,16 +45,37 @@ class Pacer:
         return late
 
 
-def run_in_real_time() -> bool:
-    """Ask the system to run the calling thread as soon as it can, before others; returns whether that was granted.
+LONGEST_SPIN_S = 0.5
+"""A thread in real time that computes for so long without a pause has gone wrong, and would starve everything else."""
 
-    Linux grants it to root and within the limit `rtprio`; without it, work on the same cores makes stamps less exact.
+
+def run_in_real_time() -> bool:
+    """Ask the system to run this process as soon as it can, before others; returns whether that was granted.
+
+    Linux grants it to root and within the limit `rtprio`; without it, work on the same cores makes stamps less exact (with three
+    busy programs on two cores a cycle in a hundred begins 5 ms late, instead of 0.1 ms). Threads made later inherit it. Called
+    in the main thread, it also has the kernel watch (RLIMIT_RTTIME): a thread that spins takes the whole process back to where
+    all others are.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     except (OSError, AttributeError):
         return False
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGXCPU, lambda *_: _run_like_others())
+        hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
+        microseconds = round(1e6 * LONGEST_SPIN_S)
+        if hard == resource.RLIM_INFINITY or hard > microseconds:
+            resource.setrlimit(resource.RLIMIT_RTTIME, (microseconds, hard))
     return True
+
+
+def _run_like_others() -> None:
+    """All threads of this process back to ordinary scheduling."""
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(OSError):  # it may just have ended
+            os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
+    logging.getLogger("proprio_ros").warning("a thread span for %g s: no longer in real time", LONGEST_SPIN_S)
 
 
 @dataclass

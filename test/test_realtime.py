@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -97,6 +99,25 @@ def test_real_time_says_whether_it_was_granted() -> None:
     thread.join()
     ((granted, policy),) = seen
     assert granted is (policy == os.SCHED_FIFO)
+
+
+SPIN = """
+import os, time
+from proprio_ros.realtime import run_in_real_time
+if not run_in_real_time():
+    raise SystemExit(77)
+started = time.monotonic()
+while os.sched_getscheduler(0) == os.SCHED_FIFO:
+    assert time.monotonic() - started < 10.0
+"""
+
+
+def test_a_thread_that_spins_does_not_starve_the_computer() -> None:
+    run = subprocess.run([sys.executable, "-c", SPIN], capture_output=True, text=True, timeout=30)
+    if run.returncode == 77:
+        pytest.skip("real-time scheduling is not granted here")
+    assert run.returncode == 0, run.stderr
+    assert "no longer in real time" in run.stderr
 
 
 # --- round trips

@@ -489,9 +489,14 @@ class DynamixelBus:
         return ServoHealth(
             float(self.read(servo_id, "present_temperature")),
             self.read(servo_id, "present_input_voltage") * model.voltage_unit_V,
-            hardware_errors(self.read(servo_id, "hardware_error_status")),
+            hardware_errors(self._twice(servo_id, "hardware_error_status")),
             self.read(servo_id, "bus_watchdog") == BUS_WATCHDOG_TRIPPED,
         )
+
+    def _twice(self, servo_id: int, register: str) -> int:
+        """Bits that are set in two readings: an answer that came too late for its own request may be taken for this one's."""
+        value = self.read(servo_id, register)
+        return value & self.read(servo_id, register) if value else 0
 
     def read_states(self) -> Reading:
         """Current, velocity and position of all servos, in one exchange (registers 126 to 135).

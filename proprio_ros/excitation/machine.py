@@ -183,7 +183,7 @@ class ExcitationMachine:
         self._phase = Phase.IDLE
         self._command = Command()
         self._message = "waiting for a sequence"
-        self._abort_reason = ""
+        self._abort_reason = self._aborted_by = ""
         self._sequence: ProbeSequence | None = None
         self._outcomes: list[RunOutcome] = []
         self._run_index = 0
@@ -259,6 +259,11 @@ class ExcitationMachine:
         return self._abort_reason
 
     @property
+    def aborted_by(self) -> str:
+        """What ended the last sequence, as in `RunOutcome.ended_by`; empty when it was not."""
+        return self._aborted_by
+
+    @property
     def outcomes(self) -> list[RunOutcome]:
         """What became of each push of the present or last sequence."""
         return list(self._outcomes)
@@ -292,7 +297,7 @@ class ExcitationMachine:
             home = self._checked_way(before, {**before, **sequence.home}, sequence, "home")
             expected_s.append((home.duration_s,))
         self._sequence = sequence
-        self._outcomes, self._abort_reason = [], ""
+        self._outcomes, self._abort_reason, self._aborted_by = [], "", ""
         self._run_index, self._attempt, self._fraction, self._lost_runs = 0, 1, 0.0, 0
         self._current_A = sequence.runs[0].current_A
         self._sample, self._now_s, self._tick_s = sample, None, 0.0
@@ -473,7 +478,7 @@ class ExcitationMachine:
         if self._phase is Phase.PROBE:
             self._note_outcome(ended_by, used=False)
         self._goals = self._pose(self._sample)
-        self._phase = Phase.ABORTED
+        self._phase, self._aborted_by = Phase.ABORTED, ended_by
         self._abort_reason = reason
         self._message = f"stopped in run {self.run_number} of {self.runs}: {reason}"
         self._command = self._commanded()

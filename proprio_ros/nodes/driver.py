@@ -102,7 +102,7 @@ class DriverNode(ManagedNode):
         self.create_subscription(Float64MultiArray, "position_command", self._on_position, COMMANDS)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(SetBool, "~/torque", self._on_torque)
-        self.create_timer(1.0, self._each_second)
+        self.every(1.0, self._each_second)
 
     def activate(self) -> None:
         self._ended.clear()

@@ -8,6 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -24,6 +25,7 @@ from proprio_ros.robot import load_robot
 
 _G = Guards()
 STATUS_PERIOD_S = 0.1
+LAST_WORDS_S = 0.3
 
 
 class ExcitationNode(ManagedNode):
@@ -70,7 +72,7 @@ class ExcitationNode(ManagedNode):
         self.create_subscription(JointState, "joint_states", self._on_joint_state, COMMANDS)
         self.create_service(Trigger, "~/run", self._on_run)
         self.create_service(Trigger, "~/abort", self._on_abort)
-        self.create_timer(0.02, self._on_timer)
+        self.every(0.02, self._on_timer)
 
     def activate(self) -> None:
         self._tell()
@@ -80,6 +82,9 @@ class ExcitationNode(ManagedNode):
             self._machine.abort("the excitation node was told to end")
             self._send(self._machine.command)
             self._tell()
+            # the process ends after this, and takes with it what was not yet sent
+            for publisher in (self._currents, self._status):
+                publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
 
     def cleanup(self) -> None:
         self.remove_on_set_parameters_callback(self._on_parameters)
@@ -130,7 +135,9 @@ class ExcitationNode(ManagedNode):
         if command.current_A or self._driving:
             self._currents.publish(messages.labelled(command.current_A))
         self._driving = bool(command.current_A)
-        if command.position:
+        # to an encoder that has slipped the last position is another place, and the arm would go there; the driver holds it
+        slipped = self._machine is not None and self._machine.aborted_by == "jump"
+        if command.position and not slipped:
             self._positions.publish(messages.labelled(command.position))
 
     # --- services -----------------------------------------------------------------------------------------------------

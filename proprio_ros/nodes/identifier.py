@@ -141,7 +141,7 @@ class IdentifierNode(ManagedNode):
         for kind_ in ("robot", "payload", "container", "softness"):
             LongService(self, f"~/calibrate_{kind_}", partial(self._begin, kind_))
         LongService(self, "~/cancel", self._cancel)
-        self.create_timer(5.0, self._save_again)
+        self.every(5.0, self._save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def activate(self) -> None:

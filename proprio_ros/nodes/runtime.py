@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -72,6 +74,10 @@ class ManagedNode(LifecycleNode):
             self.get_logger().warning(message)
         else:
             self.get_logger().info(message)
+
+    def every(self, period_s: float, do: Callable[[], None]) -> None:
+        """Call again and again, on a clock that nobody sets: a timer on the system's pauses for as long as that is set back."""
+        self.create_timer(period_s, do, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --- the lifecycle ------------------------------------------------------------------------------------------------
 

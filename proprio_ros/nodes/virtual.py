@@ -61,7 +61,7 @@ class VirtualNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._motors = self.create_publisher(JointState, "~/motors", 10)
-        self.create_timer(0.02, self._publish_motors)
+        self.every(0.02, self._publish_motors)
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
 
     def activate(self) -> None:
