@@ -227,15 +227,23 @@ class ArmDriver:
             self._command = _Command(self._clock(), dict(current_A))
         return ""
 
-    def _why_refused(self, current_A: Mapping[str, float]) -> str:
+    def _why_unfit(self, values: Mapping[str, float], what: str) -> str:
+        """Why these values cannot be commanded at all, or an empty string."""
         if self.state is not BusState.RUNNING:
             return f"the arm is {self.state.value}: {self.reason}"
-        for name, current in current_A.items():
-            joint = self._joints.get(name)
-            if joint is None:
+        for name, value in values.items():
+            if name not in self._joints:
                 return f"there is no joint {name!r}; joints: {', '.join(self._joints)}"
-            if not np.isfinite(current):
-                return f"{name}: the current is {current}; every current must be a number"
+            if not np.isfinite(value):
+                return f"{name}: the {what} is {value}; every {what} must be a number"
+        return ""
+
+    def _why_refused(self, current_A: Mapping[str, float]) -> str:
+        reason = self._why_unfit(current_A, "current")
+        if reason:
+            return reason
+        for name, current in current_A.items():
+            joint = self._joints[name]
             if abs(current) > joint.current_limit_A + 1e-9:
                 return f"{name}: {current:g} A is more than its limit of {joint.current_limit_A:g} A (currents are in A, not mA)"
             health = self.health.get(name)
@@ -253,15 +261,12 @@ class ArmDriver:
         Returns:
             Why the whole command was refused, or an empty string.
         """
-        if self.state is not BusState.RUNNING:
-            return f"the arm is {self.state.value}: {self.reason}"
+        reason = self._why_unfit(position, "position")
+        if reason:
+            return reason
         targets = {}
         for name, value in position.items():
-            joint = self._joints.get(name)
-            if joint is None:
-                return f"there is no joint {name!r}; joints: {', '.join(self._joints)}"
-            if not np.isfinite(value):
-                return f"{name}: the position is {value}; every position must be a number"
+            joint = self._joints[name]
             angle = value / joint.transmission
             # an arm that leans on its stop reads a little beyond it: that is its limit, and no mistake
             spare = self.settings.limit_margin_rad
