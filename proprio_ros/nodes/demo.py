@@ -29,6 +29,7 @@ READY_S = 40.0
 """On a new machine the identifier compiles its kernels first."""
 ROBOT_S, OBJECT_S = 240.0, 120.0
 REFERENCE_KG = 0.1
+_interrupted = threading.Event()
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def demo(
     domain = os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     link = folder / "bus"
+    _interrupted.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
@@ -123,9 +125,9 @@ def demo(
 
 def _interrupt(_number: int, _frame: Any) -> None:
     # once is enough: the nodes end in order, and a second Ctrl-C must not leave one behind
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
+    if not _interrupted.is_set():
+        _interrupted.set()
+        raise KeyboardInterrupt
 
 
 class _Client:
@@ -169,6 +171,10 @@ class _Client:
     def _spin_until(self, ready: Callable[[], bool], seconds: float) -> bool:
         deadline = time.monotonic() + seconds
         while not ready():
+            if (
+                _interrupted.is_set()
+            ):  # some libraries swallow every exception that is raised inside them, that one, too
+                raise KeyboardInterrupt
             self._graph.check()
             if time.monotonic() > deadline:
                 return False

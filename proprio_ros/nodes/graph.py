@@ -83,8 +83,11 @@ class Graph:
                 lines = self.log(node).strip().splitlines() or [f"exit code {process.returncode}"]
                 raise ConfigurationError(f"the {node} node has ended: {lines[-1]}")
 
-    def stop(self, node: str | None = None, number: int = signal.SIGINT) -> None:
-        """End one node, or all; one that does not end in time is killed."""
+    def stop(self, node: str | None = None, number: int = signal.SIGTERM) -> None:
+        """End one node, or all; one that does not end in time is killed.
+
+        SIGTERM ends even one that is still starting without a traceback.
+        """
         if node is not None:
             self._end([node], number)
             return

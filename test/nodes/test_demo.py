@@ -134,7 +134,7 @@ def test_interrupted_while_the_object_is_weighed(late: Demo) -> None:
 
 
 def test_what_it_shows(whole: Demo) -> None:
-    assert whole.process.wait(3.0 * LONGEST_S) == 0, whole.told
+    assert whole.process.wait(3.0 * LONGEST_S) == 0, whole.result + whole.told
     assert not whole.alive()
     sentence = re.search(r"payload ([\d.]+) g, 95 % interval ([\d.]+) \.\. ([\d.]+) g", whole.result)
     truth = re.search(r"the virtual hand held ([\d.]+) g.*; ([\d.]+) s in all", whole.result)
