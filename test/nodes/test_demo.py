@@ -11,17 +11,18 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from domains import free_domain
 
 LONGEST_S = 60.0
 END_S = 10.0
-_numbers = count(1)
 
 
 @dataclass
@@ -57,8 +58,7 @@ def start(folder: Path) -> Demo:
     folder.mkdir()
     mark = uuid.uuid4().hex
     # demos that run side by side must not hear each other
-    domain = 1 + (int(os.environ["ROS_DOMAIN_ID"]) + next(_numbers)) % 101
-    environment = {**os.environ, "PROPRIO_TEST_MARK": mark, "ROS_DOMAIN_ID": str(domain)}
+    environment = {**os.environ, "PROPRIO_TEST_MARK": mark, "ROS_DOMAIN_ID": free_domain()}
     words = [sys.executable, "-m", "proprio_ros.cli", "demo", "--output", str(folder / "demo")]
     with (folder / "stdout").open("wb") as stdout, (folder / "stderr").open("wb") as stderr:
         process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, env=environment)

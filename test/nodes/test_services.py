@@ -19,6 +19,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
+from domains import free_domain
 from live import Client, running, wait_for
 
 from proprio_ros.bags import read_recording
@@ -41,11 +42,14 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("arm")
+    domain = pytest.MonkeyPatch()
+    domain.setenv("ROS_DOMAIN_ID", free_domain())
     # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: empty hands tell torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     with running(folder, identifier={"reference_mass": 0.1, "reference_wait": 0.5}) as (graph, client):
         answer = client.call("/identifier/calibrate_robot", 240.0)
         yield Calibrated(graph, client, folder / "data", answer)
+    domain.undo()
 
 
 def test_the_robot_weighs_itself(arm: Calibrated) -> None:
