@@ -26,6 +26,8 @@ from proprio_ros.robot import load_robot
 _G = Guards()
 STATUS_PERIOD_S = 0.1
 LAST_WORDS_S = 0.3
+UNPUSHED_S = 0.1
+"""From a current command to the driver's word that it flows: two cycles, and a late one."""
 
 
 class ExcitationNode(ManagedNode):
@@ -47,6 +49,7 @@ class ExcitationNode(ManagedNode):
         self._machine: ExcitationMachine | None = None
         self._sample: JointSample | None = None
         self._driving = False
+        self._unpushed_since_s: float | None = None
         self._count = 0
         self._told_at_s = -math.inf
         self._told: tuple[Any, ...] = ()
@@ -70,6 +73,7 @@ class ExcitationNode(ManagedNode):
         self._positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self.create_subscription(JointState, "joint_states", self._on_joint_state, COMMANDS)
+        self.create_subscription(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_service(Trigger, "~/run", self._on_run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.every(0.02, self._on_timer)
@@ -109,6 +113,21 @@ class ExcitationNode(ManagedNode):
         velocity = dict(zip(message.name, message.velocity, strict=False)) or dict.fromkeys(position, 0.0)
         self._sample = JointSample(now, position, velocity)
         self._tick(now)
+
+    def _on_applied_effort(self, message: JointState) -> None:
+        """The driver may refuse to push, or end a push: a limit, a hot motor, a fault. Nobody else would notice here."""
+        machine = self._machine
+        if machine is None or machine.phase is not Phase.PROBE or any(message.effort):
+            self._unpushed_since_s = None
+            return
+        now = time.monotonic()
+        if self._unpushed_since_s is None:
+            self._unpushed_since_s = now
+        elif now - self._unpushed_since_s > UNPUSHED_S:
+            machine.abort("the driver does not push the joint, or has ended it: its log and /diagnostics say why")
+            self._send(machine.command)
+            self.say("error", f"aborted: {machine.abort_reason}")
+            self._tell()
 
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming."""
