@@ -117,14 +117,15 @@ class ExcitationNode(ManagedNode):
     def _on_applied_effort(self, message: JointState) -> None:
         """The driver may refuse to push, or end a push: a limit, a hot motor, a fault. Nobody else would notice here."""
         machine = self._machine
-        if machine is None or machine.phase is not Phase.PROBE or any(message.effort):
+        if machine is None or machine.sequence is None or machine.phase is not Phase.PROBE or any(message.effort):
             self._unpushed_since_s = None
             return
         now = time.monotonic()
         if self._unpushed_since_s is None:
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
-            machine.abort("the driver does not push the joint, or has ended it: its log and /diagnostics say why")
+            joint = machine.sequence.runs[machine.run_number - 1].joint
+            machine.abort(f"the driver does not push {joint}, or has ended it: its log and /diagnostics say why")
             self._send(machine.command)
             self.say("error", f"aborted: {machine.abort_reason}")
             self._tell()
