@@ -98,7 +98,7 @@ class Guards:
     limit_margin_rad: float = 0.05
     max_velocity_rad_s: float = 6.0
     stale_after_s: float = 0.1
-    patience_s: float = 0.5
+    patience_s: float = 1.0
     follow_error_rad: float = 0.15
     follow_time_s: float = 0.5
     lookahead_s: float = 0.08
