@@ -52,7 +52,7 @@ setup(
             'ros-jazzy-common-interfaces; platform_machine == "x86_64"',
         ],
         "sim": ["mujoco>=3.2"],
-        "test": ["pytest>=7", "hypothesis", "ruff", "mypy"],
+        "test": ["pytest>=7", "pytest-rerunfailures", "hypothesis", "ruff", "mypy"],
     },
     entry_points={
         "console_scripts": [

@@ -162,8 +162,8 @@ def at_rest(client: Client) -> bool:
 def assert_held(client: Client) -> None:
     """At rest, by motors that work against gravity, and nobody drives."""
     assert wait_for(lambda: at_rest(client), 5.0), client.motors[-1]
-    assert wait_for(lambda: not without_current(client.motors[-1]), 1.0), client.motors[-1]
-    assert wait_for(lambda: not any(client.applied[-1].effort), 1.0)
+    assert wait_for(lambda: not without_current(client.motors[-1]), 5.0), client.motors[-1]
+    assert wait_for(lambda: not any(client.applied[-1].effort), 5.0), client.applied[-1]
     assert wait_for(lambda: len(since(client.states, time.time() - 0.5)) > 0.25 * RATE_HZ, 5.0), driver_status(client)
 
 
