@@ -78,16 +78,7 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
     settings = Settings(options.settings)
     texts = [Path(path) for path in paths if is_text_recording(path)]
     robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else None)
-    overrides = settings.take_prefix("robot.")
-    robot = robot_of(robot_name, options.calibration)
-    if overrides:
-        robot = robot.with_overrides(overrides)
-    frame = settings.take("payload.frame", None)
-    if frame is not None:
-        links = [link.name for link in robot.model.links]
-        if frame not in links:
-            raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
-        robot = replace(robot, payload_frame=str(frame))
+    robot = configured_robot(robot_name, options.calibration, settings)
     held = held_positions(robot, settings)
     probe = probe_file(options.probe)
     facts = payload_facts(settings, probe["payload"])
@@ -142,6 +133,25 @@ def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
     return robot
 
 
+def configured_robot(name: str | None, calibration: str | Path | None, settings: Settings) -> Robot:
+    """The robot as the user's ``robot.`` settings and ``payload.frame`` have it.
+
+    Raises:
+        ConfigurationError, RobotError: a setting does not fit it, or as for `robot_of`.
+    """
+    overrides = settings.take_prefix("robot.")
+    robot = robot_of(name, calibration)
+    if overrides:
+        robot = robot.with_overrides(overrides)
+    frame = settings.take("payload.frame", None)
+    if frame is not None:
+        links = [link.name for link in robot.model.links]
+        if frame not in links:
+            raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
+        robot = replace(robot, payload_frame=str(frame))
+    return robot
+
+
 def held_positions(robot: Robot, settings: Settings) -> dict[str, float]:
     """The user's ``held.JOINT`` settings."""
     held = {name: _number(f"held.{name}", value) for name, value in settings.take_prefix("held.").items()}
@@ -158,10 +168,7 @@ def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str
         state_topic=options.state_topic,
         command_topic=options.command_topic,
         effort_unit=options.effort_unit,
-        # at the joint: N m per A, and N per A where the motor pushes a slide
-        nominal_torque_constants={
-            name: drive.nominal_torque_constant / drive.transmission for name, drive in robot.drive_trains.items()
-        },
+        nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=joints,
     )
     # a bag's folder is often called after its storage, so the folder above tells which one it is

@@ -728,6 +728,11 @@ class DriveTrain:
     stribeck: Quantity = field(default_factory=lambda: Quantity(0.0))
     stribeck_velocity: Quantity = field(default_factory=lambda: Quantity(0.1))
 
+    @property
+    def nominal_effort_per_current(self) -> float:
+        """What published efforts are over the motor's current, at the joint: N m per A, N per A where it pushes a slide."""
+        return self.nominal_torque_constant / self.transmission
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:

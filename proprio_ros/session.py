@@ -10,7 +10,7 @@ import json
 import shlex
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -19,13 +19,11 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.bags import RawMessage, write_messages
-from proprio_ros.calibrate import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.weighing import WeighingOptions, weigh
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, Settings, held_positions, payload_facts, probe_file, robot_of
+from proprio_ros.replay import ReplayOptions, Settings, configured_robot, held_positions, payload_facts, probe_file
 from proprio_ros.resources import write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
@@ -121,18 +119,6 @@ def replay_command(bag: Path, options: ReplayOptions) -> str:
     return shlex.join(words)
 
 
-def calibrate_bags(
-    empty: Sequence[Path],
-    references: Mapping[str | Path, float],
-    options: ReplayOptions,
-    output: Path,
-    progress: Callable[[str], None],
-) -> CalibrationEstimate:
-    """What empty-hand bags (and bags with a weighed reference) say about the robot; the calibration is written to ``output``."""
-    output.parent.mkdir(parents=True, exist_ok=True)
-    return calibrate_from_bags(list(empty), references, options, output, progress)
-
-
 class LiveWeighing:
     """An estimate from what has come so far; its interval shrinks as the probe goes on.
 
@@ -147,12 +133,9 @@ class LiveWeighing:
 
     def __init__(self, options: ReplayOptions) -> None:
         settings = Settings(options.settings)
-        overrides = settings.take_prefix("robot.")
-        robot = robot_of(options.robot, options.calibration)
-        self.robot: Robot = robot.with_overrides(overrides) if overrides else robot
+        self.robot: Robot = configured_robot(options.robot, options.calibration, settings)
         held_positions(self.robot, settings)
         settings.take_prefix("solver.")
-        settings.take("payload.frame", None)
         self.facts: PayloadFacts = payload_facts(settings, probe_file(options.probe)["payload"])
         settings.refuse_rest()
         self._weighing = replace(WeighingOptions(), starts_kg=LIVE_STARTS_KG)
@@ -199,9 +182,7 @@ class LiveWeighing:
                 np.array([row[1] for row in states]).reshape(-1, len(names)),
             )
             drives = self.robot.drive_trains
-            constants = np.array(
-                [drives[n].nominal_torque_constant / drives[n].transmission if n in drives else 1.0 for n in names]
-            )
+            constants = np.array([drives[n].nominal_effort_per_current if n in drives else 1.0 for n in names])
             current = np.array([row[1] for row in inputs]).reshape(-1, len(names)) / constants
             source = InputRecord(np.array([row[0] for row in inputs]), names, current, "/applied_effort")
             runs = cut_runs(Recording("live", record, source), joints=list(drives))

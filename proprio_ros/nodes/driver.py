@@ -89,10 +89,7 @@ class DriverNode(ManagedNode):
             reconnect_s=values["reconnect_period"],
         )
         self._driver = ArmDriver(robot, bus, settings, self.say)
-        # effort at the joint: N m per A, and N per A where the motor pushes a slide
-        self._torque_constant = {
-            name: drive.nominal_torque_constant / drive.transmission for name, drive in robot.drive_trains.items()
-        }
+        self._effort_per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
         self._hardware_id = f"{robot.name} on {values['port']}"
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
         self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
@@ -141,8 +138,8 @@ class DriverNode(ManagedNode):
             self._stamps.look(self.get_clock().now().nanoseconds, time.monotonic())
         stamp = self._stamps.stamp_ns(sample.sampled_at_s)
         names = driver.joints
-        measured = [sample.current_A[name] * self._torque_constant[name] for name in names]
-        applied = [sample.commanded_A[name] * self._torque_constant[name] for name in names]
+        measured = [sample.current_A[name] * self._effort_per_current[name] for name in names]
+        applied = [sample.commanded_A[name] * self._effort_per_current[name] for name in names]
         position, velocity = [sample.position[n] for n in names], [sample.velocity[n] for n in names]
         # what drives the joints from this instant on goes first: a listener then has it when the state comes
         self._effort.publish(messages.joint_state(stamp, names, effort=applied))

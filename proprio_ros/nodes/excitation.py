@@ -83,9 +83,7 @@ class ExcitationNode(ManagedNode):
 
     def deactivate(self) -> None:
         if self._machine is not None and self._machine.busy:
-            self._machine.abort("the excitation node was told to end")
-            self._send(self._machine.command)
-            self._tell()
+            self._abort(self._machine, "the excitation node was told to end")
             # the process ends after this, and takes with it what was not yet sent
             for publisher in (self._currents, self._status):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
@@ -125,10 +123,8 @@ class ExcitationNode(ManagedNode):
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
             joint = machine.sequence.runs[machine.run_number - 1].joint
-            machine.abort(f"the driver does not push {joint}, or has ended it: its log and /diagnostics say why")
-            self._send(machine.command)
+            self._abort(machine, f"the driver does not push {joint}, or has ended it: its log and /diagnostics say why")
             self.say("error", f"aborted: {machine.abort_reason}")
-            self._tell()
 
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming."""
@@ -149,6 +145,11 @@ class ExcitationNode(ManagedNode):
         elif machine.phase is Phase.DONE:
             self.say("info", machine.message)
         self._tell_when_due(now)
+
+    def _abort(self, machine: ExcitationMachine, reason: str) -> None:
+        machine.abort(reason)
+        self._send(machine.command)
+        self._tell()
 
     def _send(self, command: Command) -> None:
         """Currents first: an empty one ends the push at once, and what is not driven is held."""
@@ -194,9 +195,7 @@ class ExcitationNode(ManagedNode):
         if machine is None or not machine.busy:
             response.message = "nothing was under way"
             return response
-        machine.abort("by ~/abort")
-        self._send(machine.command)
-        self._tell()
+        self._abort(machine, "by ~/abort")
         response.message = "aborted; the arm is held"
         return response
 

@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros import __version__
+from proprio_ros.calibrate import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Z95, Estimate, Verdict
@@ -41,7 +42,6 @@ from proprio_ros.session import (
     LiveWeighing,
     Session,
     as_diagnostics,
-    calibrate_bags,
     inertia_tensor,
     keep_result,
     live_interval,
@@ -106,7 +106,6 @@ class IdentifierNode(ManagedNode):
         self._driven = False
         self._state_at_s = -1e9
         self._excitation: dict[str, str] = {}
-        self._excitation_message = ""
         self._excitation_at_s = -1e9
 
     # --- lifecycle ----------------------------------------------------------------------------------------------------
@@ -211,7 +210,6 @@ class IdentifierNode(ManagedNode):
 
     def _on_excitation(self, message: DiagnosticStatus) -> None:
         self._excitation = messages.values_of(message)
-        self._excitation_message = message.message
         self._excitation_at_s = time.monotonic()
         job = self._job
         if job is not None and self._excitation.get("busy") == "true":
@@ -319,7 +317,7 @@ class IdentifierNode(ManagedNode):
         output = bag.parent / "calibration.yaml"
         facts = parse_settings(value_of(self, "reference_settings"))
         options = ReplayOptions(robot=self.values["robot"], settings=facts)
-        estimate = calibrate_bags([bag], references, options, output, lambda text: self._tell(job.kind, text))
+        estimate = calibrate_from_bags([bag], references, options, output, lambda text: self._tell(job.kind, text))
         self._publish_calibration(estimate)
         sources = [str(path) for path in (bag, *references)]
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
