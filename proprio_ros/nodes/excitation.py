@@ -205,19 +205,24 @@ class ExcitationNode(ManagedNode):
         machine = self._machine
         if machine is None or not self.active:
             return
-        state = (machine.phase, machine.run_number, machine.attempt, self._count)
+        state = self._state(machine)
         if state != self._told or (machine.busy and now - self._told_at_s >= STATUS_PERIOD_S):
             self._tell()
+
+    def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
+        """What is told as soon as it changes."""
+        return machine.phase, machine.run_number, machine.attempt, self._count, self._sample is not None
 
     def _tell(self) -> None:
         machine = self._machine
         assert machine is not None
-        self._told = (machine.phase, machine.run_number, machine.attempt, self._count)
+        self._told = self._state(machine)
         self._told_at_s = time.monotonic()
         sequence = machine.sequence
         values = {
             "sequence": self._count,
             "phase": machine.phase.value,
+            "joint_states": self._sample is not None,
             "busy": machine.busy,
             "probe": sequence.name if sequence else "",
             "hand": sequence.hand if sequence else "any",

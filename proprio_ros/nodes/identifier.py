@@ -278,6 +278,8 @@ class IdentifierNode(ManagedNode):
                 missing = "no joint states are coming; start the driver and check its bus"
             elif not self._run.service_is_ready() or not self._set_probe.service_is_ready():
                 missing = f"there is no {self.values['excitation_node']} node; start it"
+            elif self._excitation.get("joint_states") != "true":
+                missing = f"no joint states reach {self.values['excitation_node']}; are the topics named alike?"
             else:
                 return
             if time.monotonic() > deadline:
