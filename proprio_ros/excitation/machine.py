@@ -1,7 +1,8 @@
 """The state machine that makes a probe sequence: it takes samples and the time, and gives commands. No clock, no bus, no ROS.
 
-Each run is: move to its start, rest, push with a constant current, hold. What the joints do is watched at every tick, and
-whatever goes wrong while the current is on ends it at that very tick: the command then holds all joints where they are.
+Each run is: move to its start, rest, push with a constant current or a square wave, hold. What the joints do is watched at
+every tick, and whatever goes wrong while the current is on ends it at that very tick: the command then holds all joints where
+they are.
 
 Limits of motion that are given in rad count at the motor's shaft; for a joint that slides they are scaled by its transmission.
 """
@@ -30,7 +31,6 @@ LONGEST_UNREST_S = 2.0
 """A joint that still moves so long after its time to settle will not come to rest."""
 MOST_LOST_RUNS = 3
 """So many runs of a sequence may be lost to pauses of driver or computer and are repeated; one more ends it."""
-LEAST_CURRENT_A = 0.01  # easing a current further would change nothing: four counts of an XM430
 LONGEST_STEP_S = 0.05  # goals move on by no more than this from sample to sample
 PATH_STEP_RAD = 0.03  # of the joint that moves most, between two poses whose height is looked at
 PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are not exact
@@ -114,7 +114,7 @@ class RunOutcome:
         run_number: From 1.
         attempt: From 1; further ones are repetitions with another current.
         joint: The joint pushed.
-        current_A: Its current.
+        current_A: Its current; of a square wave the mean.
         travel: Largest distance from where it was when the current came on, either way [rad or m].
         duration_s: For how long the current was on.
         ended_by: "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint",
@@ -497,10 +497,11 @@ class ExcitationMachine:
         if phase is Phase.SETTLE:
             self._recent.clear()
         run = f"run {self.run_number} of {self.runs}" + f", attempt {self._attempt}" * (self._attempt > 1)
+        shake = f" +-{abs(self._run.shake_A):.3g}" * (self._run.shake_A != 0.0)
         self._message = {
             Phase.APPROACH: f"{run}: moving to the start pose",
             Phase.SETTLE: f"{run}: waiting until {self._run.joint} is at rest",
-            Phase.PROBE: f"{run}: {self._run.joint} is pushed with {self._current_A:+.3g} A",
+            Phase.PROBE: f"{run}: {self._run.joint} is pushed with {self._current_A:+.3g}{shake} A",
             Phase.BRAKE: f"{run}: {self._run.joint} moved {self._travel:.3g} {self._unit} and is held",
             Phase.RETURN: "moving home",
             Phase.DONE: self._summary(),
@@ -575,7 +576,7 @@ class ExcitationMachine:
         """Once more with another current, or the next run, or home, or the end."""
         assert self._sequence is not None
         last = self._outcomes[-1]
-        again_A = None if last.used else _other_current(self._run, self._current_A)
+        again_A = None if last.used else self._run.other_current(self._current_A)
         if last.ended_by == "stale":
             again_A = self._current_A  # nothing was wrong with the push
         phase = Phase.APPROACH
@@ -605,7 +606,12 @@ class ExcitationMachine:
         if self._phase is not Phase.PROBE:
             return Command(dict(self._goals))
         joint = self._run.joint
-        return Command({name: goal for name, goal in self._goals.items() if name != joint}, {joint: self._current_A})
+        assert self._now_s is not None and self._phase_start_s is not None
+        elapsed_s = self._now_s - self._phase_start_s
+        # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it
+        nearest_s = elapsed_s + 0.5 * min(self._tick_s, elapsed_s)
+        current_A = self._run.current_at(nearest_s, self._current_A)
+        return Command({name: goal for name, goal in self._goals.items() if name != joint}, {joint: current_A})
 
     # ----------------------------------------------------------------------------------------------------------- words
 
@@ -689,14 +695,3 @@ class ExcitationMachine:
     def _duration_s(self, before: Mapping[str, float], after: Mapping[str, float], velocity_rad_s: float) -> float:
         widest = max(abs(after[name] - before[name]) / self._per_rad[name] for name in self.joints)
         return max(MIN_APPROACH_S, PEAK_OVER_MEAN * widest / velocity_rad_s)
-
-
-def _other_current(run: ProbeRun, current_A: float) -> float | None:
-    """With which current to repeat a run that moved too little; None: not at all."""
-    size = abs(current_A)
-    if run.raise_by < 1.0:
-        eased = current_A * run.raise_by
-        return eased if abs(eased) >= LEAST_CURRENT_A else None
-    if run.max_current_A is None or size == 0.0 or size >= run.max_current_A:
-        return None
-    return math.copysign(min(size * run.raise_by, run.max_current_A), current_A)

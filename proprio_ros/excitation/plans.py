@@ -27,6 +27,9 @@ START_MARGIN_RAD = 0.08
 """A start pose stays this far from a joint's limits, so that noise at rest cannot look like running into one."""
 LARGEST_CURRENT_A = 10.0  # no servo of this kind takes more: such a number was meant in mA
 LARGEST_POSITION_RAD = 7.0  # beyond a full turn: such a number was meant in degrees
+LEAST_CURRENT_A = 0.01  # four counts of an XM430: less is as good as none
+SHORTEST_SHAKE_S = 0.08  # three samples at 40 a second
+LEAST_SHAKES = 2  # fewer periods are no shaking
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,9 @@ class ProbeRun:
         raise_by: Factor on the current of each repetition. Below 1 the current is eased instead: for a run in which
             gravity pulls and the current only supports.
         max_current_A: Largest magnitude that raising may reach; None: the current is not raised. Easing needs none.
+        shake_A: The current is a square wave about `current_A`: this is added to it in the first half of each period and
+            taken from it in the second. It stays as it is when `current_A` is raised or eased. 0: a constant current.
+        shake_period_s: Of that wave.
     """
 
     joint: str
@@ -53,6 +59,28 @@ class ProbeRun:
     min_travel: float = 0.0
     raise_by: float = 1.25
     max_current_A: float | None = None
+    shake_A: float = 0.0
+    shake_period_s: float = 0.2
+
+    def current_at(self, elapsed_s: float, mean_A: float) -> float:
+        """The current of an attempt [A].
+
+        Args:
+            elapsed_s: Since the current came on.
+            mean_A: What became of `current_A` in this attempt.
+        """
+        second_half = elapsed_s % self.shake_period_s >= 0.5 * self.shake_period_s
+        return mean_A - self.shake_A if second_half else mean_A + self.shake_A
+
+    def other_current(self, current_A: float) -> float | None:
+        """With which current to repeat a run that moved too little; None: not at all."""
+        size = abs(current_A)
+        if self.raise_by < 1.0:
+            eased = current_A * self.raise_by
+            return eased if abs(eased) >= LEAST_CURRENT_A else None
+        if self.max_current_A is None or size == 0.0 or size >= self.max_current_A:
+            return None
+        return math.copysign(min(size * self.raise_by, self.max_current_A), current_A)
 
 
 @dataclass(frozen=True)
@@ -145,13 +173,14 @@ def margin(robot: Robot, joint: str, margin_rad: float) -> float:
 def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
     if run.joint not in robot.drive_trains:
         raise ConfigurationError(f"{where}: no such driven joint; {robot.name} drives {', '.join(robot.drive_trains)}")
-    largest = max(abs(run.current_A), run.max_current_A or 0.0)
-    if not math.isfinite(run.current_A) or largest > LARGEST_CURRENT_A:
+    largest = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
+    if not math.isfinite(run.current_A + run.shake_A) or largest > LARGEST_CURRENT_A:
         raise ConfigurationError(f"{where}: {largest:g} A is too much for a servo: currents are in A, not mA")
     limit = robot.motors[run.joint].current_limit_A
     if largest > limit:
         raise ConfigurationError(
-            f"{where}: {largest:g} A is above the motor's limit of {limit:g} A; lower it, or current_limit_A in the robot file"
+            f"{where}: {largest:g} A{' with shake_A' * (run.shake_A != 0.0)} is above the motor's limit of {limit:g} A; "
+            "lower it, or current_limit_A in the robot file"
         )
     if run.max_current_A is not None and not abs(run.current_A) <= run.max_current_A:
         raise ConfigurationError(
@@ -167,6 +196,28 @@ def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
         raise ConfigurationError(
             f"{where}: raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
         )
+    if run.shake_A != 0.0:
+        _check_shake(run, where)
+
+
+def _check_shake(run: ProbeRun, where: str) -> None:
+    """The wave's period, and its two currents in every attempt that raising or easing can lead to."""
+    longest_s = run.duration_s / LEAST_SHAKES
+    if not SHORTEST_SHAKE_S <= run.shake_period_s <= longest_s:
+        raise ConfigurationError(
+            f"{where}: shake_period_s={run.shake_period_s:g} must be from {SHORTEST_SHAKE_S:g} s to {longest_s:g} s, so that "
+            f"{LEAST_SHAKES} periods fit into duration_s={run.duration_s:g}; it is in s, not ms"
+        )
+    mean_A: float | None = run.current_A
+    while mean_A is not None:
+        least_A = min(abs(mean_A + run.shake_A), abs(mean_A - run.shake_A))
+        if least_A < LEAST_CURRENT_A:
+            raise ConfigurationError(
+                f"{where}: with shake_A={run.shake_A:g} about {mean_A:g} A the current is {least_A:.3g} A for half of each period, "
+                f"and a recording would be cut there; keep both halves at {LEAST_CURRENT_A:g} A or more: change shake_A, "
+                "current_A, raise_by or max_current_A"
+            )
+        mean_A = run.other_current(mean_A)
 
 
 def _check_pose(

@@ -6,12 +6,15 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from proprio_ros.bags import read_recording, write_recording
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.machine import (
     MOST_LOST_RUNS,
@@ -23,7 +26,9 @@ from proprio_ros.excitation.machine import (
 )
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
 from proprio_ros.kinematics import clearance
+from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.runs import cut_runs
 
 ROBOT = load_robot("open_manipulator_x")
 JOINTS = tuple(ROBOT.drive_trains)
@@ -109,7 +114,8 @@ def check_command(machine: ExcitationMachine, command: Command, phase: Phase) ->
     for joint, current in command.current_A.items():
         run = machine.sequence.runs[machine.run_number - 1]
         assert joint == run.joint
-        assert abs(current) <= max(abs(run.current_A), run.max_current_A or 0.0) <= ROBOT.motors[joint].current_limit_A
+        most_A = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
+        assert abs(current) <= most_A <= ROBOT.motors[joint].current_limit_A
 
 
 def drive(
@@ -243,6 +249,107 @@ def test_a_lowering_run_is_eased() -> None:
     tried = [outcome.current_A for outcome in machine.outcomes]
     assert len(tried) >= 2 and tried == pytest.approx([-0.08 * 0.5**n for n in range(len(tried))])
     assert machine.outcomes[-1].used
+
+
+SHAKE = ProbeRun("joint4", -0.08, 0.6, {}, 0.9, 0.0, 0.5, None, 0.12, 0.2)
+
+
+def waves(ticks: list[Tick]) -> list[list[float]]:
+    """The currents of joint4, attempt by attempt."""
+    stretches = itertools.groupby(ticks, key=lambda tick: tick.phase is Phase.PROBE)
+    return [[tick.command.current_A["joint4"] for tick in group] for pushing, group in stretches if pushing]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_shaken_joint_gets_a_square_wave_that_begins_with_its_first_half(sign: float) -> None:
+    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine.start(replace(QUICK, runs=(replace(SHAKE, shake_A=sign * 0.12),)), arm.sample())
+    ticks = drive(machine, arm, 40.0)
+    high, low = [-0.08 + sign * 0.12] * 4, [-0.08 - sign * 0.12] * 4
+    assert waves(ticks) == [pytest.approx((high + low) * 3)]
+    assert [(outcome.current_A, outcome.used) for outcome in machine.outcomes] == [(-0.08, True)]
+    shaking = bench(Phase.PROBE, machine.sequence).machine
+    assert shaking.message == "run 1 of 1: joint4 is pushed with -0.08 +-0.12 A"
+
+
+def test_halves_of_a_wave_are_equal_although_ticks_are_not() -> None:
+    """Ticks come up to 3 ms early or late."""
+    ready = bench(Phase.PROBE, replace(QUICK, runs=(SHAKE,)))
+    currents = [ready.machine.command.current_A["joint4"]]
+    ticks_s = itertools.cycle([0.027, 0.022, 0.025, 0.028, 0.023])
+    while ready.machine.phase is Phase.PROBE:
+        currents.append(ready.tick(next(ticks_s)).current_A.get("joint4", 0.0))
+    assert currents == pytest.approx(([0.04] * 4 + [-0.2] * 4) * 3 + [0.0])
+
+
+def test_a_pause_before_the_onset_is_no_part_of_the_wave() -> None:
+    ready = bench(Phase.SETTLE, replace(QUICK, runs=(replace(SHAKE, shake_period_s=0.08),), settle_s=1.0))
+    for _ in range(95):
+        ready.tick()
+    assert ready.machine.phase is Phase.SETTLE
+    command = ready.tick(0.12)
+    assert ready.machine.phase is Phase.PROBE and command.current_A == pytest.approx({"joint4": 0.04})
+
+
+def test_another_attempt_changes_the_mean_of_a_wave_and_not_its_size() -> None:
+    stuck = replace(SHAKE, duration_s=0.4, min_travel=0.3, raise_by=1.5, max_current_A=0.15, shake_A=0.2)
+    machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.8)
+    machine.start(replace(QUICK, runs=(stuck,)), arm.sample())
+    ticks = drive(machine, arm, 100.0)
+    assert [outcome.current_A for outcome in machine.outcomes] == pytest.approx([-0.08, -0.12, -0.15])
+    assert [(wave[0], wave[10]) for wave in waves(ticks)] == [
+        pytest.approx((mean_A + 0.2, mean_A - 0.2)) for mean_A in (-0.08, -0.12, -0.15)
+    ]
+
+
+def test_a_shaken_joint_is_guarded_like_a_pushed_one() -> None:
+    sequence = replace(QUICK, runs=(replace(SHAKE, joint="joint3"),))
+    for change, ended_by, words in MISHAPS.values():
+        ready = bench(Phase.PROBE, sequence)
+        ready.tick()
+        assert_stopped(ready, ready.tick(**change), ended_by, words)
+    ready = bench(Phase.PROBE, replace(QUICK, runs=(replace(SHAKE, max_travel=0.1),)))
+    assert ready.tick(joint4=HOME["joint4"] + 0.09).current_A
+    assert not ready.tick(joint4=HOME["joint4"] + 0.11).current_A
+    assert ready.machine.outcomes[-1].ended_by == "travel" and ready.machine.outcomes[-1].used
+
+
+def recorded(ticks: list[Tick], topic: str) -> Recording:
+    """What a recorder gets: joint states, and commands while there is a current, or the driver's echo at every sample."""
+    stamps = np.array([round(1e9 * tick.sample.time_s) for tick in ticks])
+    positions = [[tick.sample.position[name] for name in JOINTS] for tick in ticks]
+    current = np.array([[tick.command.current_A.get(name, 0.0) for name in JOINTS] for tick in ticks])
+    rows = np.ones(len(ticks), dtype=bool)
+    if topic == "/current_command":
+        driven = current.any(axis=1)
+        rows = driven | np.roll(driven, 1)  # the command that ends the current is the last one
+    else:
+        current = 0.00269 * np.rint(current / 0.00269)  # as the servo was told
+    inputs = InputRecord(stamps[rows], JOINTS, current[rows], topic)
+    return Recording("shaken", JointRecord(stamps, JOINTS, np.array(positions)), inputs)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 40.0])
+@pytest.mark.parametrize("topic", ["/current_command", "/applied_effort"])
+def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
+    topic: str, rate_hz: float, tmp_path: Path
+) -> None:
+    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    second = replace(SHAKE, current_A=-0.06, shake_A=-0.14, shake_period_s=0.3)
+    machine.start(replace(QUICK, runs=(SHAKE, second)), arm.sample())
+    recording = recorded(drive(machine, arm, rate_hz), topic)
+    if topic == "/current_command":
+        write_recording(tmp_path / "shaken", recording)
+        recording = read_recording(tmp_path / "shaken", nominal_torque_constants={}, joint_order=JOINTS)
+    cut = cut_runs(recording, joints=JOINTS)
+    assert [(run.joint, run.source) for run in cut] == [("joint4", topic)] * 2
+    for run, means, times_s in zip(
+        cut, ((0.04, -0.2), (-0.2, 0.08)), ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0.0, 0.15, 0.3, 0.45]), strict=True
+    ):
+        assert run.duration_s == pytest.approx(0.6)
+        assert run.input_times_s == pytest.approx(times_s, abs=1e-6)
+        assert run.input_current_A == pytest.approx(means * (len(times_s) // 2), abs=0.0014)
+        assert len(run.times_s) == round(0.6 * rate_hz) + 1
 
 
 def test_the_gripper_counts_in_metres() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.excitation.plans import (
+    LEAST_CURRENT_A,
     START_MARGIN_RAD,
     ProbeRun,
     ProbeSequence,
@@ -42,12 +43,14 @@ def test_the_packages_own_sequences(robot: Robot) -> None:
     assert list(sequence_names()) == sorted(sequence_names())
     hands = {name: load_sequence(name, robot).hand for name in sequence_names()}
     assert hands.items() >= {
-        "empty_hand": "empty", "paper_elbow": "payload", "paper_gripper": "block", "paper_wrist": "container",
-        "payload": "payload",
+        "container": "container", "container_shake": "container", "empty_hand": "empty", "paper_elbow": "payload",
+        "paper_gripper": "block", "paper_wrist": "container", "payload": "payload",
     }.items()  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["empty_hand", "payload", "paper_elbow", "paper_wrist"])
+@pytest.mark.parametrize(
+    "name", ["container", "container_shake", "empty_hand", "payload", "paper_elbow", "paper_wrist"]
+)
 def test_starts_are_high_and_inside_the_limits(robot: Robot, name: str) -> None:
     for run in load_sequence(name, robot).runs:
         assert set(run.start) == {"joint2", "joint3", "joint4"}
@@ -64,6 +67,44 @@ def test_a_calibration_moves_each_joint_both_ways(robot: Robot) -> None:
         own = [run for run in runs if run.joint == joint]
         assert len(own) == 4 and min(run.current_A for run in own) < 0.0 < max(run.current_A for run in own)
         assert all(run.min_travel == 0.3 for run in own)
+
+
+def test_a_container_is_tilted_up_and_left_alone_before_each_run(robot: Robot) -> None:
+    """The rear end of the hand is its lowest, and the sphere has time to get there."""
+    for name in ("container", "container_shake"):
+        sequence = load_sequence(name, robot)
+        assert sequence.settle_s >= 1.5
+        for run in sequence.runs:
+            pose = {"joint1": 0.0, "gripper_left_joint": 0.0, **run.start}
+            forward = robot.model.frame_transform(robot.payload_frame, pose)[:3, 0]
+            assert forward[2] > 0.05  # 3 degrees
+
+
+def test_the_container_runs_told_in_the_hardware_notes(robot: Robot) -> None:
+    told = [(run.joint, run.current_A, *run.start.values()) for run in load_sequence("container", robot).runs]
+    assert told == [
+        ("joint4", -0.10, -0.6, -1.0, 0.6),
+        ("joint4", -0.03, -0.6, -0.6, 0.4),
+        ("joint3", -0.10, -0.6, -0.4, 0.0),
+    ]
+
+
+def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: Robot) -> None:
+    for run in load_sequence("container_shake", robot).runs:
+        mean_A: float | None = run.current_A
+        attempts = 0
+        while mean_A is not None:
+            first = [run.current_at(part * run.shake_period_s, mean_A) for part in (0.0, 0.49, 1.01, 2.49)]
+            second = [run.current_at(part * run.shake_period_s, mean_A) for part in (0.51, 0.99, 1.51, 2.99)]
+            assert first == pytest.approx([mean_A + run.shake_A] * 4) and second == pytest.approx(
+                [mean_A - run.shake_A] * 4
+            )
+            assert min(map(abs, first + second)) >= LEAST_CURRENT_A
+            mean_A = run.other_current(mean_A)
+            attempts += 1
+        assert attempts > 3
+    constant = ProbeRun("joint4", -0.1, 0.6)
+    assert {constant.current_at(0.01 * n, -0.115) for n in range(60)} == {-0.115}
 
 
 def test_the_papers_numbers(robot: Robot) -> None:
@@ -121,6 +162,21 @@ def test_a_finger_has_a_travel_of_its_own(robot: Robot, tmp_path: Path) -> None:
         (("duration_s: 0.6", "duration_s: 0.6, max_current_A: 3"), "limit of 1 A"),
         (("duration_s: 0.6", "duration_s: 0.6, raise_by: 1.0"), "1.05 or more"),
         (("duration_s: 0.6", "duration_s: 0.6, duration_s: 0.6"), "not readable as YAML"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 200"), "in A, not mA"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.8"), "1.1 A with shake_A is above the motor's limit of 1 A"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, max_current_A: 0.9"), "1.1 A with shake_A"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: .nan"), "expected a number"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 200"), "0.3 s, .* in s, not ms"),
+        (
+            ("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.31"),
+            "2 periods fit into duration_s=0.6",
+        ),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.2, shake_period_s: 0.07"), "from 0.08 s"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.3"), "the current is 0 A for half of each period"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: -0.3"), "the current is 0 A for half of each period"),
+        # not at first, but in the second attempt, and in the third
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.36, raise_by: 1.2, max_current_A: 0.5"), "about -0.36 A"),
+        (("duration_s: 0.6", "duration_s: 0.6, shake_A: 0.08, raise_by: 0.5"), "about -0.075 A"),
     ],
 )
 def test_mistakes_in_a_run_get_one_line(robot: Robot, tmp_path: Path, change: tuple[str, str], message: str) -> None:
@@ -133,7 +189,7 @@ def test_mistakes_in_a_run_get_one_line(robot: Robot, tmp_path: Path, change: tu
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("payload: {}\n", "no section 'excitation'; probe files with one: empty_hand"),
+        ("payload: {}\n", "no section 'excitation'; probe files with one: container, container_shake, empty_hand"),
         ("- 1\n", "starts with 'excitation:'"),
         ("excitation: 1\n", "expected keys and values"),
         ("excitation: {hand: payload}\n", "lacks runs"),
@@ -154,7 +210,7 @@ def test_mistakes_in_a_file_get_one_line(robot: Robot, tmp_path: Path, text: str
 
 
 def test_names_and_paths_that_are_not_there(robot: Robot, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="there are: empty_hand"):
+    with pytest.raises(ConfigurationError, match="there are: container, container_shake, empty_hand"):
         load_sequence("full_hand", robot)
     with pytest.raises(ConfigurationError, match="No such file"):
         load_sequence(tmp_path / "none.yaml", robot)
@@ -174,6 +230,8 @@ def test_sequences_made_in_code_are_checked_too(robot: Robot) -> None:
         replace(good, settle_s=float("nan")),
         replace(good, runs=(replace(good.runs[0], current_A=float("inf")),)),
         replace(good, runs=(replace(good.runs[0], max_current_A=float("nan")),)),
+        replace(good, runs=(replace(good.runs[0], shake_A=float("nan")),)),
+        replace(good, runs=(replace(good.runs[0], shake_A=0.1, shake_period_s=float("nan")),)),
         replace(good, runs=(replace(good.runs[0], start={"joint3": float("nan")}),)),
     ):
         with pytest.raises(ConfigurationError):
