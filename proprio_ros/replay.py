@@ -13,17 +13,21 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording
-from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.errors import ConfigurationError, RobotError, SimulationError
+from proprio_ros.identification.container import ContainerOptions, find_sphere
+from proprio_ros.identification.container_problem import ContainerFacts
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.paper import FRAME_S, PaperOptions, weigh_as_paper
 from proprio_ros.identification.weighing import WeighingOptions, weigh
+from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.resources import resource
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import Robot, load_robot, rotation_from_rpy
 from proprio_ros.runs import cut_runs
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+from proprio_ros.sim.sphere import LAWS, Enclosure
 
-PROBES = ("payload",)
+PROBES = ("payload", "container")
 PROFILES = ("default", "paper")
 DEFAULT_ROBOT = "open_manipulator_x"
 TEXT_ROBOT = "open_manipulator_x_as_published"
@@ -32,7 +36,11 @@ TEXT_ROBOT = "open_manipulator_x_as_published"
 PAPER_PROBE_FRAMES = 36
 """The paper's elbow probe lasts 0.6 s: 36 frames. Its recording goes on for longer, without saying what the motor did then."""
 
-_Options = TypeVar("_Options", WeighingOptions, PaperOptions)
+_Options = TypeVar("_Options", WeighingOptions, PaperOptions, ContainerOptions)
+_SECTIONS = {
+    "payload": {"payload", "solver", "paper"},
+    "container": {"container", "sphere", "contact", "solver"},
+}
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,8 @@ class ReplayOptions:
     Attributes:
         settings: dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values.
         calibration: what ``proprio calibrate`` wrote.
-        baseline: recordings of the same robot with nothing in the hand, made with the others.
+        baseline: recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
+            empty container.
     """
 
     probe: str = "payload"
@@ -80,31 +89,57 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
     robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else None)
     robot = configured_robot(robot_name, options.calibration, settings)
     held = held_positions(robot, settings)
-    probe = probe_file(options.probe)
-    facts = payload_facts(settings, probe["payload"])
-    weighing = replace(_options(WeighingOptions, settings, "solver.", probe["solver"]), solver=options.solver)
-    paper = _options(PaperOptions, settings, "paper.", probe["paper"])
+    identify = _container(options, settings) if options.probe == "container" else _payload(options, settings)
 
     loaded = time.perf_counter()
     runs: list[Run] = []
     baseline = [run for path in options.baseline for run in bag_runs(Path(path), robot, options, held)]
+    text: TextRecording | None = None
     for path in paths:
         if Path(path) in texts:
             text = read_text_recording(path)
             robot = _text_robot(robot, text)
             runs.append(_text_run(robot, text, held))
-            paper = _text_paper(paper, text, settings)
         else:
             runs.extend(bag_runs(Path(path), robot, options, held))
     settings.refuse_rest()
     read = time.perf_counter()
-    if options.profile == "paper":
-        estimate = weigh_as_paper(robot, runs, facts, paper)
-    else:
-        estimate = weigh(robot, runs, facts, weighing, baseline)
+    estimate = identify(robot, runs, baseline, text)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
     return replace(estimate, timing_s=timing)
+
+
+_Identify = Callable[[Robot, Sequence[Run], Sequence[Run], "TextRecording | None"], Estimate]
+
+
+def _payload(options: ReplayOptions, settings: Settings) -> _Identify:
+    probe = probe_file("payload")
+    facts = payload_facts(settings, probe["payload"])
+    weighing = replace(_options(WeighingOptions, settings, "solver.", probe["solver"]), solver=options.solver)
+    paper = _options(PaperOptions, settings, "paper.", probe["paper"])
+
+    def identify(robot: Robot, runs: Sequence[Run], baseline: Sequence[Run], text: TextRecording | None) -> Estimate:
+        if options.profile == "paper":
+            stated = paper if text is None else _text_paper(paper, text, settings)
+            return weigh_as_paper(robot, runs, facts, stated)
+        return weigh(robot, runs, facts, weighing, baseline)
+
+    return identify
+
+
+def _container(options: ReplayOptions, settings: Settings) -> _Identify:
+    for given, default, flag in ((options.solver, "lm", "--solver"), (options.profile, "default", "--profile")):
+        if given != default:
+            raise ConfigurationError(f"{flag} {given} is only there for --probe payload; leave it out")
+    probe = probe_file("container")
+    facts = container_facts(settings, probe)
+    solving = _options(ContainerOptions, settings, "solver.", probe["solver"])
+
+    def identify(robot: Robot, runs: Sequence[Run], baseline: Sequence[Run], text: TextRecording | None) -> Estimate:
+        return find_sphere(robot, runs, facts, solving, baseline)
+
+    return identify
 
 
 def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
@@ -324,14 +359,93 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0)
 
 
+def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContainerFacts:
+    """Size and place of the container and the sphere, the user's words before the probe file's.
+
+    Args:
+        defaults: the sections ``container``, ``sphere`` and ``contact`` of the probe file.
+
+    Raises:
+        ConfigurationError: a value of the wrong form or unit, or a sphere that does not fit.
+    """
+
+    def take(key: str) -> Any:
+        section, name = key.split(".")
+        return settings.take(key, defaults[section].get(name))
+
+    shape = take("container.shape")
+    size = take("container.inner_size")
+    if shape == "cylinder" and isinstance(size, list) and len(size) == 2:
+        size = [size[0], size[0], size[1]]
+    elif shape == "sphere" and isinstance(size, (int, float)):
+        size = [size, size, size]
+    inner_size = _vector("container.inner_size", size)
+    radius = _number("sphere.radius", take("sphere.radius"))
+    if np.any(inner_size <= 0.0) or radius <= 0.0:
+        raise ConfigurationError("container.inner_size and sphere.radius must be positive lengths in m")
+    if np.any(inner_size > 1.0):
+        raise ConfigurationError(
+            f"container.inner_size={inner_size.tolist()} is over 1 m: lengths are in m, so 60 mm is 0.06"
+        )
+    centre = _vector("container.centre", take("container.centre"))
+    if np.any(np.abs(centre) > 1.0):
+        raise ConfigurationError(f"container.centre={centre.tolist()} is over 1 m away from the hand: lengths are in m")
+    mass = take("container.mass")
+    mass_std = _not_negative("container.mass_std", take("container.mass_std"))
+    if mass is not None and _not_negative("container.mass", mass) > 10.0:
+        raise ConfigurationError(f"container.mass={mass:g} is too heavy for a hand: masses are in kg")
+    start = take("sphere.start")
+    settled, hollow = (_yes_or_no(key, take(key)) for key in ("sphere.settled", "sphere.hollow"))
+    start_std = _not_negative("sphere.start_std", take("sphere.start_std"))
+    contact = {
+        key: take(f"contact.{key}") for key in ("damping_ratio", "damping_ratio_std", "friction", "friction_std")
+    }
+    spread = {key: _not_negative(f"contact.{key}", value) for key, value in contact.items()}
+    frequency = _number("contact.frequency", take("contact.frequency"))
+    traction = _number("contact.traction", take("contact.traction"))
+    if not 50.0 <= frequency <= 5000.0 or not 10.0 <= traction <= 5000.0:
+        raise ConfigurationError(
+            f"contact.frequency={frequency:g} rad/s and contact.traction={traction:g} 1/s must lie between 50 and 5000, 10 and 5000"
+        )
+    law = take("contact.law")
+    if law not in LAWS:
+        raise ConfigurationError(f"contact.law={law!r} is unknown: choose one of {', '.join(LAWS)}")
+    try:
+        enclosure = Enclosure(str(shape), inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
+    except SimulationError as error:
+        raise ConfigurationError(f"{error}: check container.inner_size and sphere.radius") from error
+    place = None if start is None else _vector("sphere.start", start)
+    if place is not None and np.any(np.abs(place) > enclosure.room + 1e-3):
+        raise ConfigurationError(
+            f"sphere.start={place.tolist()} is outside the container: the sphere's centre can only go "
+            f"{(1e3 * enclosure.room).tolist()} mm from the middle"
+        )
+    return ContainerFacts(
+        enclosure,
+        centre,
+        rotation_from_rpy(_vector("container.rpy", take("container.rpy"))),
+        0.03 if mass is None else float(mass),
+        np.inf if mass is None else mass_std,
+        settled,
+        place,
+        start_std,
+        frequency,
+        Quantity(spread["damping_ratio"], spread["damping_ratio_std"]),
+        Quantity(spread["friction"], spread["friction_std"]),
+        traction,
+        law,
+    )
+
+
 def probe_file(probe: str) -> dict[str, Any]:
     path = resource("probes", probe)
     try:
         content = YAML(typ="safe", pure=True).load(path)
     except (OSError, YAMLError) as error:
         raise ConfigurationError(f"{path}: not readable as YAML ({str(error).splitlines()[0]})") from error
-    if not isinstance(content, dict) or not {"payload", "solver", "paper"} <= set(content):
-        raise ConfigurationError(f"{path}: needs the sections payload, solver and paper")
+    needed = _SECTIONS[probe]
+    if not isinstance(content, dict) or not all(isinstance(content.get(section), dict) for section in needed):
+        raise ConfigurationError(f"{path}: needs the sections {', '.join(sorted(needed))}")
     return content
 
 
@@ -359,6 +473,19 @@ def _number(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
         raise ConfigurationError(f"{key}={value!r} must be a number")
     return float(value)
+
+
+def _not_negative(key: str, value: Any) -> float:
+    number = _number(key, value)
+    if number < 0.0:
+        raise ConfigurationError(f"{key}={value!r} must not be negative")
+    return number
+
+
+def _yes_or_no(key: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ConfigurationError(f"{key}={value!r} must be true or false")
+    return value
 
 
 def _numbers(key: str, value: Any) -> list[float]:

@@ -24,7 +24,7 @@ ROOMS: dict[str, set[str]] = {
     "runs": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
     "identification": {"errors", "records", "quantity", "robot", "calibration", "kinematics", "sim"},
-    "replay": {"errors", "records", "resources", "robot", "bags", "runs", "sim", "identification"},
+    "replay": {"errors", "records", "resources", "quantity", "robot", "bags", "runs", "sim", "identification"},
     "calibrate": {"errors", "resources", "robot", "calibration", "identification", "replay"},
     "report": {"errors", "resources", "calibration", "identification"},
     # a live recording: raw messages to a bag, and the bag to a result

@@ -154,6 +154,36 @@ class Scan:
 
 
 @dataclass(frozen=True)
+class SpherePath:
+    """Where the sphere is believed to have been during a run.
+
+    Attributes:
+        run: name of the run.
+        shape, inner_size, radius: of the container's inside and the sphere [m].
+        times_s: shape (K,).
+        position: of the sphere's centre in the container's frame [m], shape (K, 3).
+        std: of its position [m], shape (K, 3).
+        world_from_container: shape (K, 3, 3).
+        across: the joint's axis in the container's frame; one looks along it, shape (3,).
+    """
+
+    run: str
+    shape: str
+    inner_size: np.ndarray
+    radius: float
+    times_s: np.ndarray
+    position: np.ndarray
+    std: np.ndarray
+    world_from_container: np.ndarray
+    across: np.ndarray
+
+    @property
+    def moved(self) -> float:
+        """Farthest from where it started [m]."""
+        return float(np.linalg.norm(self.position - self.position[0], axis=1).max())
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The result of one identification, the same object live and offline."""
 
@@ -169,6 +199,7 @@ class Estimate:
     unknowns: tuple[UnknownRow, ...] = ()
     budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the mass [kg])
     scan: Scan | None = None
+    paths: tuple[SpherePath, ...] = ()
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)

@@ -23,6 +23,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.identification.weighing import WeighingOptions, scan_masses, weigh
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.payload import PayloadFacts
 
 FRAME_S = 1.0 / 60.0
@@ -167,6 +168,7 @@ class _LastFrame:
         """Loss (S,) and gradient (S, 1) at masses (S, 1)."""
         problem = self._problem
         p, dp = problem.parameters(problem.all_values(mass), self._mass)
+        assert isinstance(problem.simulator, JointSimulator)
         tape = problem.simulator.tape(np.zeros(len(mass), dtype=np.int32), p[:, 0])
         error = tape.q[:, :1] - self._target
         by_parameters = tape.gradient(2.0 * error)

@@ -22,7 +22,7 @@ from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT, Run
 from proprio_ros.robot import DriveTrain, ReducedModel, Robot
-from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
+from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.payload import (
     PayloadFacts,
     joint_coefficients,
@@ -30,6 +30,7 @@ from proprio_ros.sim.payload import (
     payload_parameters_by_com,
     pseudo_inertia_basis,
 )
+from proprio_ros.sim.sphere import MixedSimulator
 
 DRIVE_TERMS = {
     "torque_constant": "N m/A",
@@ -136,15 +137,15 @@ class PreparedRun:
         return float(excursion[np.argmax(np.abs(excursion))])
 
 
-def _reduced(robot: Robot, run: Run, shift: Mapping[str, float]) -> ReducedModel:
+def reduced_model(robot: Robot, run: Run, shift: Mapping[str, float]) -> ReducedModel:
     held = {name: position + shift.get(name, 0.0) for name, position in run.held.items()}
     return robot.model.lock([run.joint], held, robot.gravity)
 
 
 def _coefficients(robot: Robot, run: Run, shift: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    model = _reduced(robot, run, shift)
+    model = reduced_model(robot, run, shift)
     body, body_from_payload = model.frames[robot.payload_frame]
-    axis, gravity = _axis_and_gravity(model)
+    axis, gravity = axis_and_gravity(model)
     arm = joint_coefficients(model.pseudo_inertia[0], model.kinds[0], axis, gravity)
     if body != 0:  # the joint does not carry the hand
         return arm, np.zeros((4, 10))
@@ -152,14 +153,14 @@ def _coefficients(robot: Robot, run: Run, shift: Mapping[str, float]) -> tuple[n
     return arm, joint_coefficients(moved, model.kinds[0], axis, gravity).T
 
 
-def _axis_and_gravity(model: ReducedModel) -> tuple[np.ndarray, np.ndarray]:
+def axis_and_gravity(model: ReducedModel) -> tuple[np.ndarray, np.ndarray]:
     return model.axes[0], model.placement[0][:3, :3].T @ model.gravity
 
 
 def _link_coefficients(robot: Robot, run: Run) -> tuple[tuple[str, ...], np.ndarray]:
     """What each link's deviations from the URDF add to the moving part (see ``LINK_TERMS``), where that is noticeable."""
-    model = _reduced(robot, run, {})
-    axis, gravity = _axis_and_gravity(model)
+    model = reduced_model(robot, run, {})
+    axis, gravity = axis_and_gravity(model)
     stds = _link_stds(robot)
     names: list[str] = []
     rows: list[np.ndarray] = []
@@ -484,7 +485,7 @@ class PayloadProblem:
             None if calibration is None else (calibration.names, calibration.covariance),
         )
         self.base = np.array([u.value for u in unknowns])
-        self.simulator = JointSimulator([self._joint_run(run, step_s) for run in runs], integrator)
+        self.simulator = self._simulator([self._joint_run(run, step_s) for run in runs], integrator)
         width = int(self.simulator.sample_counts.max())
         self.measured = np.zeros((len(runs), width))
         self.weight = np.zeros((len(runs), width))
@@ -506,6 +507,9 @@ class PayloadProblem:
         self._world_runs: dict[int, np.ndarray] = {}
         self._identities: dict[int, np.ndarray] = {}
         self._touching = [np.flatnonzero([self._touches(name, row) for name in free_names]) for row in range(len(runs))]
+
+    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator:
+        return JointSimulator(runs, integrator)
 
     def _touches(self, name: str, row: int) -> bool:
         """Whether an unknown can change anything in a run: its joints, its links, its own start, and what all share."""
@@ -566,9 +570,14 @@ class PayloadProblem:
         Returns:
             p (S, R, P) and dp (S, R, P, F).
         """
-        guesses = len(values)
-        p = np.zeros((guesses, len(self.runs), len(PARAMETERS)))
-        dp = np.zeros((guesses, len(self.runs), len(PARAMETERS), len(self.unknowns)))
+        p, dp = self._all_parameters(values)
+        return p, dp[..., columns]
+
+    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As ``parameters``, by every unknown."""
+        guesses, width = len(values), len(self.simulator.parameters)
+        p = np.zeros((guesses, len(self.runs), width))
+        dp = np.zeros((guesses, len(self.runs), width, len(self.unknowns)))
         at = self.index
         payload = self._payload(values) if "payload_mass" in at else None
         arm_scale = values[:, at["arm_scale"]]
@@ -630,7 +639,7 @@ class PayloadProblem:
             else:
                 p[:, row, INDEX["carried"]] = run.load.mass
             self._start_reading(row, p, dp, values)
-        return p, dp[..., columns]
+        return p, dp
 
     def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""
@@ -733,7 +742,7 @@ class PayloadProblem:
     def _identity(self, worlds: int) -> np.ndarray:
         """Tangent directions along the simulator's own parameters, shape (W, P, P)."""
         if worlds not in self._identities:
-            self._identities[worlds] = _read_only(np.tile(np.eye(len(PARAMETERS)), (worlds, 1, 1)))
+            self._identities[worlds] = _read_only(np.tile(np.eye(len(self.simulator.parameters)), (worlds, 1, 1)))
         return self._identities[worlds]
 
     def linearise(
@@ -763,7 +772,8 @@ class PayloadProblem:
         gradient = pull.copy()
         matrix = np.tile(coordinates.prior_precision, (guesses, 1, 1))
         with np.errstate(over="ignore", invalid="ignore"):
-            if size <= len(PARAMETERS):
+            direct = size <= len(self.simulator.parameters)
+            if direct:
                 q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, dp, counts)
             else:
                 q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, self._identity(len(p)), counts)
@@ -773,7 +783,7 @@ class PayloadProblem:
             for row in range(runs):
                 columns, count = self._touching[row], int(counts[row])
                 shown, slopes = q[:, row, :count], dq[:, row, :count]
-                slopes = slopes[:, :, columns] if size <= len(PARAMETERS) else slopes @ dp[:, row][:, :, columns]
+                slopes = slopes[:, :, columns] if direct else slopes @ dp[:, row][:, :, columns]
                 if self._ripples:
                     shown, slopes = self._observe(row, values, shown.copy(), slopes, self.free[columns])
                 weight = self.weight[row, :count]
@@ -805,7 +815,7 @@ class PayloadProblem:
         guesses, runs = len(values), len(self.runs)
         worlds, p, dp = self._worlds(guesses), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
         with np.errstate(over="ignore", invalid="ignore"):
-            if len(columns) <= len(PARAMETERS):
+            if len(columns) <= len(self.simulator.parameters):
                 q, v, dq = self.simulator.jacobian(worlds, p, dp)
                 dq = dq.copy()
             else:

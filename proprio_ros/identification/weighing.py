@@ -84,12 +84,30 @@ class WeighingOptions:
 
 
 @dataclass(frozen=True)
-class _FitResult:
+class FitResult:
+    """Where a search ended.
+
+    Attributes:
+        values: all unknowns at the best start, shape (N,).
+        chi2: of the samples and the priors together; dof: samples less unknowns without a prior.
+    """
+
     problem: PayloadProblem
     solution: solvers.Solution
-    values: np.ndarray  # all unknowns at the best start, shape (N,)
+    values: np.ndarray
     chi2: float
     dof: int
+
+    @classmethod
+    def of(cls, problem: PayloadProblem, solution: solvers.Solution) -> FitResult:
+        """The best of a solution's starts."""
+        best = solution.internal[solution.best]
+        values = problem.all_values(problem.coordinates.physical(best[None]))[0]
+        samples = int(sum(run.used for run in problem.runs))
+        without_prior = sum(1 for row in problem.free if not np.isfinite(problem.unknowns[row].std))
+        return cls(
+            problem, solution, values, 2.0 * float(solution.cost[solution.best]), max(samples - without_prior, 1)
+        )
 
     @property
     def reduced_chi2(self) -> float:
@@ -138,10 +156,10 @@ def weigh(
         return _no_answer(robot, len(runs), Verdict.NOT_IDENTIFIABLE, found)
     drift = _drift(robot, usable[weighing:], facts, options)
 
-    nominal = _solve(robot, usable, facts, options, Role.FROZEN, rough=is_calibrated(robot, usable))
-    opened = _solve(robot, usable, facts, options, Role.FREE, start=nominal)
+    nominal = solve_payload(robot, usable, facts, options, Role.FROZEN, rough=is_calibrated(robot, usable))
+    opened = solve_payload(robot, usable, facts, options, Role.FREE, start=nominal)
     if not (opened if is_calibrated(robot, usable) else nominal).explains:
-        again = _solve(robot, usable, facts, options, Role.FREE)
+        again = solve_payload(robot, usable, facts, options, Role.FREE)
         opened = again if again.chi2 < opened.chi2 else opened
         if opened.chi2 < 0.5 * nominal.chi2 and not robot.calibrated and not _known_exactly(robot, usable):
             found.notes.append(
@@ -156,8 +174,8 @@ def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, o
     if not baseline:
         return ""
     runs = [replace(run, load=None) for run in baseline]
-    nominal = _solve(robot, runs, facts, options, Role.FROZEN)
-    fit = _solve(robot, runs, facts, options, Role.FREE, start=nominal)
+    nominal = solve_payload(robot, runs, facts, options, Role.FROZEN)
+    fit = solve_payload(robot, runs, facts, options, Role.FREE, start=nominal)
     row = fit.problem.index["payload_mass"]
     mass = float(fit.values[row])
     std = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[row, row]))
@@ -175,7 +193,7 @@ def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, o
     return ""
 
 
-def on_bound(fit: _FitResult) -> bool:
+def on_bound(fit: FitResult) -> bool:
     """Whether the mass went as far as the search allows."""
     row = fit.problem.index["payload_mass"]
     unknown, mass = fit.problem.unknowns[row], float(fit.values[row])
@@ -191,8 +209,8 @@ def _contradiction_reason(
     masses = []
     for group in ([runs[odd]], [run for row, run in enumerate(runs) if row != odd]):
         if any(run.load is None for run in group):
-            nominal = _solve(robot, group, facts, options, Role.FROZEN)
-            fit = _solve(robot, group, facts, options, Role.FREE, start=nominal)
+            nominal = solve_payload(robot, group, facts, options, Role.FROZEN)
+            fit = solve_payload(robot, group, facts, options, Role.FREE, start=nominal)
             masses.append(f"{1e3 * float(fit.values[fit.problem.index['payload_mass']]):.1f} g")
     if len(masses) < 2:
         return f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
@@ -212,16 +230,16 @@ def _known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
 
 
-def _solve(
+def solve_payload(
     robot: Robot,
     runs: Sequence[PreparedRun],
     facts: PayloadFacts,
     options: WeighingOptions,
     role: Role,
-    start: _FitResult | None = None,
+    start: FitResult | None = None,
     start_velocity_std: float | None = None,
     rough: bool = False,
-) -> _FitResult:
+) -> FitResult:
     """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
     unknowns = payload_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
     if start_velocity_std is not None:
@@ -242,13 +260,7 @@ def _solve(
         solution = solvers.adam(problem, starts)
     else:
         solution = solvers.cma(problem, starts)
-    best = solution.internal[solution.best]
-    values = problem.all_values(coordinates.physical(best[None]))[0]
-    samples = int(sum(run.used for run in runs))
-    without_prior = sum(1 for row in problem.free if not np.isfinite(unknowns[row].std))
-    return _FitResult(
-        problem, solution, values, 2.0 * float(solution.cost[solution.best]), max(samples - without_prior, 1)
-    )
+    return FitResult.of(problem, solution)
 
 
 def _conclude(
@@ -256,8 +268,8 @@ def _conclude(
     runs: Sequence[PreparedRun],
     facts: PayloadFacts,
     options: WeighingOptions,
-    nominal: _FitResult,
-    opened: _FitResult,
+    nominal: FitResult,
+    opened: FitResult,
     found: Findings,
     run_count: int,
     drift: str,
@@ -270,7 +282,7 @@ def _conclude(
     inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
     posterior = Posterior(opened.problem, opened.values, inflation)
     covariance, condition = posterior.whole_covariance(), posterior.condition
-    budget = _budget(opened, covariance)
+    budget = error_budget(opened, covariance)
     mass = float(fit.values[row])
     if not known:
         # the nominal mass may sit anywhere inside the open fit's interval: count how far
@@ -300,7 +312,7 @@ def _conclude(
     elif fit.reduced_chi2 > MISFIT_LIMIT or moving:
         verdict = Verdict.REJECTED
         withheld = "the model does not explain the recording"
-        found.reasons[:0] = [_misfit_reason(rms, expected, mass, fit.reduced_chi2), *(moving or _other_suspects(robot))]
+        found.reasons[:0] = [misfit_reason(rms, expected, mass, fit.reduced_chi2), *(moving or other_suspects(robot))]
     elif mass + Z95 * std < 0.0:
         verdict, withheld = Verdict.REJECTED, "the hand seems lighter than empty"
         found.reasons.insert(
@@ -339,7 +351,7 @@ def _conclude(
                 f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "
                 "the interval was widened by that factor"
             )
-        _say_if_uncalibrated(robot, runs, budget, found)
+        say_if_uncalibrated(robot, runs, budget, found)
         if not known:
             found.reasons.extend([] if _known_exactly(robot, runs) else never_reversed(runs))
     return Estimate(
@@ -352,7 +364,7 @@ def _conclude(
         solver=_summary(nominal if nominal.explains or len(opened.solution.cost) == 1 else opened, options, std),
         runs=run_count,
         run_fits=fits,
-        unknowns=_unknown_rows(opened, covariance),
+        unknowns=unknown_rows(opened, covariance),
         budget=tuple(budget),
         scan=_scan(fit),
         assumptions=_assumptions(robot, facts, options, fit is nominal),
@@ -360,7 +372,7 @@ def _conclude(
     )
 
 
-def _values(fit: _FitResult, covariance: np.ndarray, withheld: str) -> tuple[Value, ...]:
+def _values(fit: FitResult, covariance: np.ndarray, withheld: str) -> tuple[Value, ...]:
     at = fit.problem.index
     row = at["payload_mass"]
     if withheld:
@@ -376,7 +388,7 @@ def _values(fit: _FitResult, covariance: np.ndarray, withheld: str) -> tuple[Val
     return tuple(values)
 
 
-def _centre_of_mass(fit: _FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
+def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
     """Each coordinate on its own: what the probe did not excite stays at its prior, and is not called an estimate."""
     numbers: list[float | None] = []
     stds: list[float | None] = []
@@ -398,7 +410,7 @@ def _centre_of_mass(fit: _FitResult, covariance: np.ndarray, rows: list[int], wi
     return Value("payload_com", "m", numbers, stds, intervals, reason)
 
 
-def _say_if_uncalibrated(
+def say_if_uncalibrated(
     robot: Robot, runs: Sequence[PreparedRun], budget: list[tuple[str, float]], found: Findings
 ) -> None:
     if robot.calibration is not None:
@@ -429,14 +441,14 @@ def _static_std(problem: PayloadProblem, runs: Sequence[PreparedRun]) -> float:
     )
 
 
-def _budget(fit: _FitResult, covariance: np.ndarray) -> list[tuple[str, float]]:
-    """Which source puts how much standard deviation on the mass [kg], largest first.
+def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_mass") -> list[tuple[str, float]]:
+    """Which source puts how much standard deviation on the mass called ``name`` [kg], largest first.
 
     With normal matrix ``J^T J + P`` and its inverse C, the variance of the mass is ``C J^T J C + C P C``: the first part is the
     samples', and the second falls into the priors that are independent of each other. What a calibration left correlated is one.
     """
     problem = fit.problem
-    at = problem.index["payload_mass"]
+    at = problem.index[name]
     calibration = problem.robot.calibration
     correlated = set() if calibration is None else set(calibration.names)
     row = covariance[at, problem.free]
@@ -451,7 +463,7 @@ def _budget(fit: _FitResult, covariance: np.ndarray) -> list[tuple[str, float]]:
     return sorted((entry for entry in budget if entry[1] > 1e-7), key=lambda entry: -entry[1])
 
 
-def _rivals(fit: _FitResult, mass: float, std: float) -> list[float]:
+def _rivals(fit: FitResult, mass: float, std: float) -> list[float]:
     """Masses of other starts that explain the recording as well but lie elsewhere."""
     solution = fit.solution
     ends = fit.problem.coordinates.physical(solution.internal)[:, 0]
@@ -464,7 +476,7 @@ def _rivals(fit: _FitResult, mass: float, std: float) -> list[float]:
     return rivals
 
 
-def _misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float) -> str:
+def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float) -> str:
     if rms <= expected:
         return (
             f"misfit: the simulation ({1e3 * mass:.1f} g) only follows the recording with a robot or a start further from what is "
@@ -476,7 +488,7 @@ def _misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float
     )
 
 
-def _other_suspects(robot: Robot) -> list[str]:
+def other_suspects(robot: Robot) -> list[str]:
     if robot.calibrated:
         return []
     return [
@@ -485,11 +497,11 @@ def _other_suspects(robot: Robot) -> list[str]:
 
 
 def _moving_starts(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, fit: _FitResult
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, fit: FitResult
 ) -> list[str]:
     """A sentence for each run that fits far better if it did not start from rest."""
     # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
-    moving = _solve(robot, runs, facts, replace(options, solver="lm"), Role.FROZEN, start_velocity_std=10.0)
+    moving = solve_payload(robot, runs, facts, replace(options, solver="lm"), Role.FROZEN, start_velocity_std=10.0)
     if not moving.chi2 < 0.5 * fit.chi2:
         return []
     mass = float(moving.values[moving.problem.index["payload_mass"]])
@@ -505,7 +517,7 @@ def _moving_starts(
     return reasons
 
 
-def _summary(fit: _FitResult, options: WeighingOptions, std: float) -> SolverSummary:
+def _summary(fit: FitResult, options: WeighingOptions, std: float) -> SolverSummary:
     """What every start did. Starts agree when they explain the recording alike, at masses that the interval cannot tell apart."""
     solution = fit.solution
     physical = fit.problem.coordinates.physical
@@ -532,7 +544,7 @@ def _summary(fit: _FitResult, options: WeighingOptions, std: float) -> SolverSum
     )
 
 
-def _unknown_rows(fit: _FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
+def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
     return tuple(
         UnknownRow(
             u.name, u.unit, u.role.value, u.value, u.std, float(fit.values[row]), float(np.sqrt(covariance[row, row]))
@@ -546,7 +558,7 @@ def scan_masses(mass: float) -> np.ndarray:
     return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
 
 
-def _scan(fit: _FitResult) -> Scan:
+def _scan(fit: FitResult) -> Scan:
     """The data's misfit over mass."""
     problem = fit.problem
     grid = scan_masses(float(fit.values[problem.index["payload_mass"]]))

@@ -174,14 +174,13 @@ def _semi_implicit(
 
 
 @cache
-def _tangent_kernel(directions: int, integrator: str, stribeck: bool) -> Any:
-    """Rollout with ``directions`` exact forward sensitivities in the same thread (thread = world).
+def linearised_law(directions: int, stribeck: bool) -> Any:
+    """The joint's acceleration and its exact change along ``directions`` tangents, as a Warp function.
 
     Without ``stribeck`` its terms are left out at compile time: a robot whose friction does not rise towards standstill does not
     pay for the exponential.
     """
     vec = wp.types.vector(length=directions, dtype=FLOAT)
-    rk4 = integrator == "rk4"
 
     @wp.func
     def linearised(
@@ -249,6 +248,16 @@ def _tangent_kernel(directions: int, integrator: str, stribeck: bool) -> Any:
             total = total - side * d_fc - v * d_fv - (load * side) * d_fl
         total = total - c * d_ga - s * d_gb - d_gc - a * d_inertia
         return a, inverse * total
+
+    return linearised
+
+
+@cache
+def _tangent_kernel(directions: int, integrator: str, stribeck: bool) -> Any:
+    """Rollout with ``directions`` exact forward sensitivities in the same thread (thread = world)."""
+    vec = wp.types.vector(length=directions, dtype=FLOAT)
+    linearised = linearised_law(directions, stribeck)
+    rk4 = integrator == "rk4"
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
@@ -557,6 +566,41 @@ def _taped_kernels(integrator: str) -> tuple[Any, Any]:
     return roll, observe
 
 
+@dataclass(frozen=True)
+class Schedule:
+    """Every step of some rollouts, on the device: what the adjoint follows.
+
+    Attributes:
+        step, step_by_delay: length of each step and its change with the delay, shape (W, N).
+        command, load: during each step, shape (W, N).
+        steps: how many of each world, shape (W,); sample_step: after which each sample is taken, -1 before all, shape (W, T).
+    """
+
+    step: wp.array
+    step_by_delay: wp.array
+    command: wp.array
+    load: wp.array
+    steps: wp.array
+    sample_step: wp.array
+
+    @classmethod
+    def empty(cls, worlds: int, capacity: int, samples: int, device: str) -> "Schedule":
+        """Arrays to be filled by a kernel."""
+        step, by_delay, command = (wp.zeros((worlds, capacity), dtype=FLOAT, device=device) for _ in range(3))
+        return cls(
+            step,
+            by_delay,
+            command,
+            wp.zeros((worlds, capacity), dtype=_VEC2, device=device),
+            wp.zeros(worlds, dtype=wp.int32, device=device),
+            wp.zeros((worlds, samples), dtype=wp.int32, device=device),
+        )
+
+    def inputs(self) -> list[wp.array]:
+        """What a taped kernel reads, in its order."""
+        return [self.step, self.step_by_delay, self.command, self.load, self.steps]
+
+
 class JointSimulator:
     """Rolls out many worlds (guesses) of one or more runs of single joints in one launch.
 
@@ -568,6 +612,10 @@ class JointSimulator:
     Raises:
         SimulationError: unknown integrator, no runs, or a run without samples.
     """
+
+    parameters: tuple[str, ...] = PARAMETERS
+    harmless: np.ndarray = _HARMLESS
+    tangent_sizes: tuple[int, ...] = _TANGENT_SIZES
 
     def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4", device: str = "cpu") -> None:
         if integrator not in INTEGRATORS:
@@ -631,19 +679,64 @@ class JointSimulator:
             q (W, T), v (W, T), dq (W, T, D). Columns past a run's count hold stale numbers. The arrays are views of
             buffers that the next call of the same shape overwrites.
         """
+        directions = dp.shape[2]
+        q, v, dq, *_ = self._launch(world_run, p, dp, counts)
+        return q, v, dq[:, :, :directions]
+
+    def _launch(
+        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+    ) -> tuple[np.ndarray, ...]:
+        """All outputs of the tangent kernel; its directions are padded to one of ``tangent_sizes``."""
         worlds, _, directions = dp.shape
-        size = next((s for s in _TANGENT_SIZES if s >= directions), directions)
+        size = next((s for s in self.tangent_sizes if s >= directions), directions)
         stribeck = bool(p[:, INDEX["stribeck"]].any() or dp[:, INDEX["stribeck"]].any())
         launch = self._launches.get((worlds, size, stribeck))
         if launch is None:
             launch = self._launches[worlds, size, stribeck] = _Launch(self, worlds, size, stribeck)
         lost = ~np.isfinite(p).all(axis=1)
         if lost.any():  # a rollout of what is no number would not end
-            p = np.where(lost[:, None], _HARMLESS, p)
-        q, v, dq = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
+            p = np.where(lost[:, None], self.harmless, p)
+        results = launch(world_run, p, dp, self.sample_counts if counts is None else counts)
         if lost.any():
-            q[lost] = v[lost] = np.nan
-        return q, v, dq[:, :, :directions]
+            results[0][lost] = results[1][lost] = np.nan
+        return results
+
+    def _kernel(self, size: int, stribeck: bool) -> Any:
+        return _tangent_kernel(size, self.integrator, stribeck)
+
+    def _run_data(self, counts: wp.array) -> list[wp.array]:
+        """What every kernel is told about the runs, in its order."""
+        return [
+            self._samples, counts, self._switch_times, self._switch_current, self._switch_load, self._input_counts,
+            self._constants,
+        ]  # fmt: skip
+
+    def _outputs(self, worlds: int, size: int) -> list[wp.array]:
+        vec = wp.types.vector(length=size, dtype=FLOAT)
+        return [wp.zeros((worlds, self._width), dtype=kind, device=self.device) for kind in (FLOAT, FLOAT, vec)]
+
+    def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
+        plan = Schedule.empty(len(p), capacity, self._width, self.device)
+        wp.launch(
+            _schedule_kernel(self.integrator),
+            dim=len(p),
+            inputs=[*self._run_data(self._full_counts), runs, p, capacity],
+            outputs=[*plan.inputs(), plan.sample_step],
+            device=self.device,
+        )
+        return plan
+
+    def _roll(self, runs: wp.array, p: wp.array, delay_at: wp.array, plan: Schedule, capacity: int) -> wp.array:
+        """Launch the taped rollout; every position, shape (W, N + 1)."""
+        q, v = (wp.zeros((len(p), capacity + 1), dtype=FLOAT, device=self.device, requires_grad=True) for _ in range(2))
+        wp.launch(
+            _taped_kernels(self.integrator)[0],
+            dim=len(p),
+            inputs=[self._constants, runs, p, delay_at, *plan.inputs()],
+            outputs=[q, v],
+            device=self.device,
+        )
+        return q
 
     def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants, shapes (W, T); arguments as in ``jacobian``."""
@@ -669,29 +762,22 @@ class _Launch:
     """Buffers and recorded launch for one batch shape: a recorded launch costs a fifth of a fresh one."""
 
     def __init__(self, owner: JointSimulator, worlds: int, size: int, stribeck: bool) -> None:
-        kernel = _tangent_kernel(size, owner.integrator, stribeck)
         vec = wp.types.vector(length=size, dtype=FLOAT)
         device = owner.device
         self._given: dict[str, np.ndarray | None] = {}
         self._world_run = wp.zeros(worlds, dtype=wp.int32, device=device)
         self._counts = wp.clone(owner._full_counts)
-        self._p = wp.zeros((worlds, len(PARAMETERS)), dtype=FLOAT, device=device)
-        self._dp = wp.zeros((worlds, len(PARAMETERS)), dtype=vec, device=device)
-        self._q = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device)
-        self._v = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device)
-        self._dq = wp.zeros((worlds, owner._width), dtype=vec, device=device)
+        self._p = wp.zeros((worlds, len(owner.parameters)), dtype=FLOAT, device=device)
+        self._dp = wp.zeros((worlds, len(owner.parameters)), dtype=vec, device=device)
+        self._outputs = owner._outputs(worlds, size)
         self._command = wp.launch(
-            kernel,
+            owner._kernel(size, stribeck),
             dim=worlds,
-            inputs=[
-                owner._samples, self._counts, owner._switch_times, owner._switch_current, owner._switch_load,
-                owner._input_counts,
-                owner._constants, self._world_run, self._p, self._dp,
-            ],
-            outputs=[self._q, self._v, self._dq],
+            inputs=[*owner._run_data(self._counts), self._world_run, self._p, self._dp],
+            outputs=self._outputs,
             device=device,
             record_cmd=True,
-        )  # fmt: skip
+        )
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
         inputs = {"world_run": self._world_run, "counts": self._counts, "p": self._p, "dp": self._dp}
         self._views = {name: array.numpy() for name, array in inputs.items()} if self._p.device.is_cpu else {}
@@ -699,7 +785,7 @@ class _Launch:
 
     def __call__(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, ...]:
         self._put("world_run", self._world_run, world_run)
         self._put("counts", self._counts, counts)
         self._put("p", self._p, p)
@@ -707,8 +793,8 @@ class _Launch:
         self._command.launch()
         return self._results or self._read()
 
-    def _read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self._q.numpy(), self._v.numpy(), self._dq.numpy()
+    def _read(self) -> tuple[np.ndarray, ...]:
+        return tuple(output.numpy() for output in self._outputs)
 
     def _put(self, what: str, array: wp.array, values: np.ndarray) -> None:
         """Hand an input over; a read-only array that was already given has not changed."""
@@ -751,41 +837,16 @@ class TapedRollout:
         self._samples = owner._width
         runs = wp.array(world_run, dtype=wp.int32, device=device)
         self._p = wp.array(p, dtype=FLOAT, device=device, requires_grad=True)
-        step = wp.zeros((worlds, capacity), dtype=FLOAT, device=device)
-        step_by_delay = wp.zeros((worlds, capacity), dtype=FLOAT, device=device)
-        command = wp.zeros((worlds, capacity), dtype=FLOAT, device=device)
-        load = wp.zeros((worlds, capacity), dtype=_VEC2, device=device)
-        steps = wp.zeros(worlds, dtype=wp.int32, device=device)
-        sample_step = wp.zeros((worlds, owner._width), dtype=wp.int32, device=device)
-        wp.launch(
-            _schedule_kernel(owner.integrator),
-            dim=worlds,
-            inputs=[
-                owner._samples, owner._full_counts, owner._switch_times, owner._switch_current, owner._switch_load,
-                owner._input_counts,
-                owner._constants, runs, self._p, capacity,
-            ],
-            outputs=[step, step_by_delay, command, load, steps, sample_step],
-            device=device,
-        )  # fmt: skip
-        roll, observe = _taped_kernels(owner.integrator)
-        q = wp.zeros((worlds, capacity + 1), dtype=FLOAT, device=device, requires_grad=True)
-        v = wp.zeros((worlds, capacity + 1), dtype=FLOAT, device=device, requires_grad=True)
+        plan = owner._schedule(runs, self._p, capacity)
         self._sampled = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device, requires_grad=True)
         delay_at = wp.array(p[:, 8].copy(), dtype=FLOAT, device=device)
         self._tape = wp.Tape()
         with self._tape:
+            q = owner._roll(runs, self._p, delay_at, plan, capacity)
             wp.launch(
-                roll,
-                dim=worlds,
-                inputs=[owner._constants, runs, self._p, delay_at, step, step_by_delay, command, load, steps],
-                outputs=[q, v],
-                device=device,
-            )
-            wp.launch(
-                observe,
+                _taped_kernels(owner.integrator)[1],
                 dim=(worlds, owner._width),
-                inputs=[owner._samples, runs, self._p, sample_step, q],
+                inputs=[owner._samples, runs, self._p, plan.sample_step, q],
                 outputs=[self._sampled],
                 device=device,
             )

@@ -78,6 +78,34 @@ class PayloadShape:
         return cls(np.diag(spread), f"a solid {shape}, {text} mm")
 
     @classmethod
+    def hollow(cls, shape: str, inner_size: np.ndarray) -> PayloadShape:
+        """A closed container with thin walls of the same thickness everywhere.
+
+        Args:
+            shape: ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``.
+            inner_size: along the axes of the container [m], shape (3,).
+        """
+        side = np.asarray(inner_size, dtype=np.float64)
+        if shape == "sphere":
+            spread = side**2 / 12.0
+        elif shape == "cylinder":
+            radius, length = side[0] / 2.0, side[2]
+            mantle, lids = 2.0 * radius * length, 2.0 * radius**2  # areas over pi
+            across = (mantle * radius**2 / 2.0 + lids * radius**2 / 4.0) / (mantle + lids)
+            along = (mantle * length**2 / 12.0 + lids * length**2 / 4.0) / (mantle + lids)
+            spread = np.array([across, across, along])
+        else:
+            areas = np.prod(side) / side  # of a wall across each axis
+            # along an axis the two walls across it lie at its ends, the other four are spread over it
+            spread = side**2 * (areas / 4.0 + (areas.sum() - areas) / 12.0) / areas.sum()
+        text = " x ".join(f"{1e3 * n:g}" for n in side)
+        return cls(np.diag(spread), f"a closed {shape}, {text} mm inside")
+
+    def turned(self, rotation: np.ndarray) -> PayloadShape:
+        """The same body after a rotation, shape (3, 3)."""
+        return PayloadShape(rotation @ self.second_moment_per_mass @ rotation.T, self.description)
+
+    @classmethod
     def from_inertia_per_mass(cls, values: Sequence[float]) -> PayloadShape:
         """From a measured or drawn inertia divided by the mass.
 

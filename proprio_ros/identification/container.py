@@ -1,0 +1,544 @@
+"""From runs with a container to the mass of the sphere that rolls in it, with an interval and a verdict.
+
+Runs with the empty container (the baseline) are fitted together with the others: whatever is wrong with the shell's mass or with
+the drive train is wrong in both, and falls out. Where there is no baseline the shell's mass must be told.
+
+The mass is searched for from several guesses of it and of where the sphere lay, on windows that grow with time, first with the
+robot as its file or calibration states it. Then everything that is open moves under its prior, from every end that the first search
+found. A bounce can make the last part of a run depend on its beginning so strongly that nothing can be told from it; it is left out
+as soon as the fit's own covariance no longer knows where the sphere is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification import solvers
+from proprio_ros.identification.container_problem import (
+    ContainerFacts,
+    ContainerProblem,
+    container_unknowns,
+    sphere_run,
+    start_prior,
+)
+from proprio_ros.identification.estimate import (
+    Z95,
+    Estimate,
+    Fit,
+    Scan,
+    SolverSummary,
+    SpherePath,
+    StartPath,
+    Value,
+    Verdict,
+)
+from proprio_ros.identification.gates import (
+    MIN_USED,
+    MISFIT_LIMIT,
+    Findings,
+    chi2_limit,
+    contradicting,
+    look_at_run,
+    unusable,
+)
+from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.problem import PreparedRun, prepare_run, reduced_model
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.identification.weighing import (
+    FitResult,
+    WeighingOptions,
+    error_budget,
+    is_calibrated,
+    misfit_reason,
+    other_suspects,
+    say_if_uncalibrated,
+    solve_payload,
+    unknown_rows,
+)
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot, motion
+from proprio_ros.sim.joint import JointRun
+
+STILL_M = 1e-3
+"""A sphere that moves less was weighed like any load that does not move."""
+LOST_SHARE = 0.25
+"""Where the sphere is, is no longer known when its standard deviation passes this share of the room it has."""
+EMPTY_SIGMAS = 3.0
+"""How far from what was told about it a baseline may be before it is not believed."""
+DISTINCT = 0.03
+"""Ends of the first search whose masses differ by less than this share, or by 0.1 g, are one."""
+MOST_ENDS = 5
+STIFFER = 2.0
+"""The contact's frequency is told by nobody: the fit is looked at with so many times as much."""
+
+
+@dataclass(frozen=True)
+class ContainerOptions:
+    """How to solve, and when to refuse.
+
+    Attributes:
+        integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
+        starts_kg: first guesses of the sphere's mass.
+        widest_interval_kg: half width of the 95 % interval beyond which no number is given.
+    """
+
+    integrator: str = "rk4"
+    step_s: float = 1.0 / 240.0
+    starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
+    widest_interval_kg: float = 0.02
+
+
+def find_sphere(
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: ContainerFacts,
+    options: ContainerOptions | None = None,
+    baseline: Sequence[Run] = (),
+) -> Estimate:
+    """Identify the mass of the sphere that all ``runs`` share.
+
+    Args:
+        robot: model, drive trains and their uncertainty.
+        runs: at least one, with the container and the sphere.
+        facts: what is told about both.
+        options: solver and limits.
+        baseline: runs with the empty container.
+
+    Raises:
+        ConfigurationError: neither a baseline nor the shell's mass.
+        RecordingError: a run cannot be related to the robot at all.
+    """
+    options = options or ContainerOptions()
+    if not baseline and not np.isfinite(facts.mass_std):
+        raise ConfigurationError(
+            "a sphere cannot be told from the container that holds it: give recordings of the empty container with --baseline, "
+            "or its mass with --set container.mass=KG"
+        )
+    found = Findings()
+    usable: list[PreparedRun] = []
+    rolling: list[bool] = []
+    for run, rolls in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
+        prepared = prepare_run(robot, run, None, facts.shell)
+        problem = unusable(prepared)
+        if problem:
+            found.reasons.append(f"{run.name}: {problem}")
+        else:
+            usable.append(prepared)
+            rolling.append(rolls)
+        look_at_run(robot, prepared, found)
+    if not any(rolling):
+        return _no_answer(robot, len(runs), found)
+    doubt = ""
+    if not all(rolling):
+        empty, doubt = _look_at_baseline(robot, usable, rolling, facts, options)
+        facts = replace(facts, mass=empty)
+
+    nominal = _solve(robot, usable, rolling, facts, options, Role.FROZEN)
+    opened = _solve(robot, usable, rolling, facts, options, Role.FREE, nominal)
+    cut = _lost_at(opened)
+    if cut:
+        for row, used in cut.items():
+            later = usable[row].used - used
+            found.reasons.append(
+                f"{usable[row].run.name}: after {usable[row].times_s[used]:.2f} s the sphere's bounces make its place "
+                f"unpredictable; {later} later samples were left out"
+            )
+            usable[row] = _shortened(usable[row], used, "the sphere's bounces made its place unpredictable")
+        lost = [row for row in cut if usable[row].used < MIN_USED]
+        usable = [run for row, run in enumerate(usable) if row not in lost]
+        rolling = [rolls for row, rolls in enumerate(rolling) if row not in lost]
+        if not any(rolling):
+            found.reasons.insert(
+                0, "the sphere bounces too chaotically to tell its mass: tilt instead of shaking, or use less current"
+            )
+            return _no_answer(robot, len(runs), found)
+        nominal = _solve(robot, usable, rolling, facts, options, Role.FROZEN)
+        opened = _solve(robot, usable, rolling, facts, options, Role.FREE, nominal)
+    return _conclude(robot, usable, rolling, facts, options, nominal, opened, found, len(runs), doubt)
+
+
+def _problem(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    rolling: Sequence[bool],
+    facts: ContainerFacts,
+    options: ContainerOptions,
+    role: Role,
+) -> tuple[ContainerProblem, list[np.ndarray]]:
+    """The problem, and the guesses of where the sphere lies in each run that has one."""
+    priors = []
+    for run, rolls in zip(runs, rolling, strict=True):
+        if rolls:
+            nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
+            priors.append(start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value))
+    unknowns = container_unknowns(robot, runs, rolling, facts, priors, role)
+    problem = ContainerProblem(robot, runs, facts, rolling, unknowns, options.integrator, options.step_s)
+    return problem, [prior.guesses for prior in priors]
+
+
+def _solve(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    rolling: Sequence[bool],
+    facts: ContainerFacts,
+    options: ContainerOptions,
+    role: Role,
+    start: FitResult | None = None,
+) -> FitResult:
+    """Fit the runs from every guess, or from every end of another fit."""
+    problem, guesses = _problem(robot, runs, rolling, facts, options, role)
+    free = list(problem.free)
+    if start is not None:
+        ends = start.problem.all_values(start.problem.coordinates.physical(start.solution.internal))
+        starts = ends[_distinct(start)][:, free]
+        solution = solvers.levenberg_marquardt(
+            problem, problem.coordinates.internal(starts), None, iterations=30, tolerance=1e-3
+        )
+        return FitResult.of(problem, solution)
+    # every guess of the place goes with every guess of the mass; runs take their n-th guess together
+    places = max(len(guess) for guess in guesses)
+    starts = np.tile(problem.base, (places * len(options.starts_kg), 1))
+    starts[:, problem.index["sphere_mass"]] = np.tile(options.starts_kg, places)
+    for row, guess in zip(np.flatnonzero(rolling), guesses, strict=True):
+        columns = [problem.index[f"sphere_{axis}[{row}]"] for axis in "xyz"]
+        starts[:, columns] = np.repeat(guess[np.arange(places) % len(guess)], len(options.starts_kg), axis=0)
+    internal = problem.coordinates.internal(starts[:, free])
+    solution = solvers.levenberg_marquardt(
+        problem, internal, problem.simulator.windows, window_iterations=3, iterations=12, tolerance=0.03
+    )
+    return FitResult.of(problem, solution)
+
+
+def _distinct(fit: FitResult) -> list[int]:
+    """The best ends of a search, each mass once."""
+    column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
+    masses = fit.problem.coordinates.physical(fit.solution.internal)[:, column]
+    kept: list[int] = []
+    for end in np.argsort(fit.solution.cost):
+        if not np.isfinite(fit.solution.cost[end]) or len(kept) == MOST_ENDS:
+            break
+        if all(abs(masses[end] - masses[other]) > max(DISTINCT * abs(masses[other]), 1e-4) for other in kept):
+            kept.append(int(end))
+    return kept or [fit.solution.best]
+
+
+def _look_at_baseline(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    rolling: Sequence[bool],
+    facts: ContainerFacts,
+    options: ContainerOptions,
+) -> tuple[float, str]:
+    """What the empty container weighs, and why it may not have been empty (an empty string where all is well)."""
+    empty = [run for run, rolls in zip(runs, rolling, strict=True) if not rolls]
+    weighing = WeighingOptions(integrator=options.integrator, step_s=options.step_s)
+    nominal = solve_payload(robot, empty, facts.shell, weighing, Role.FROZEN)
+    still = solve_payload(robot, empty, facts.shell, weighing, Role.FREE, start=nominal)
+    row = still.problem.index["payload_mass"]
+    mass = float(still.values[row])
+    std = float(np.sqrt(Posterior(still.problem, still.values).whole_covariance()[row, row]))
+    names = ", ".join(run.run.name for run in empty)
+    if not still.explains:
+        untold = replace(facts, mass=mass, mass_std=np.inf)
+        moving = _solve(robot, empty, [True] * len(empty), untold, options, Role.FROZEN)
+        moving = _solve(robot, empty, [True] * len(empty), untold, options, Role.FREE, moving)
+        if moving.explains:
+            inside = float(moving.values[moving.problem.index["sphere_mass"]])
+            return mass, (
+                f"the baseline was not empty: {names} is explained with {1e3 * inside:.1f} g rolling in the container, and not "
+                "without; take it out and record the baseline again"
+            )
+        return mass, (
+            f"the baseline is not explained by an empty container (reduced chi-square {still.reduced_chi2:.1f}): was it empty, "
+            "held as it is now, and has the robot changed since its calibration?"
+        )
+    if np.isfinite(facts.mass_std) and abs(mass - facts.mass) > EMPTY_SIGMAS * np.hypot(std, facts.mass_std):
+        return mass, (
+            f"the baseline was not empty, or container.mass is wrong: {names} says that the empty container weighs "
+            f"{1e3 * mass:.1f} g, container.mass {1e3 * facts.mass:.1f} g"
+        )
+    return mass, ""
+
+
+def _lost_at(fit: FitResult) -> dict[int, int]:
+    """Runs in which the sphere's place gets lost, and how many samples come before that."""
+    problem = fit.problem
+    assert isinstance(problem, ContainerProblem)
+    covariance = Posterior(problem, fit.values).covariance
+    cut: dict[int, int] = {}
+    for row, (_, dx), run in zip(
+        np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free), problem.simulator.rolling.sphere_runs,
+        strict=True,
+    ):  # fmt: skip
+        # along the joint's axis the sphere may be anywhere, and it makes no difference
+        seen = np.eye(3) - (np.outer(run.axis, run.axis) if run.kind == "revolute" else 0.0)
+        off = np.einsum("ij,kjf->kif", seen, dx)
+        std = np.sqrt(np.einsum("kif,fg,kig->ki", off, covariance, off).max(axis=1))
+        lost = np.flatnonzero(~(std < LOST_SHARE * 2.0 * problem.container.enclosure.room.min()))
+        if len(lost):
+            cut[int(row)] = int(lost[0])
+    return cut
+
+
+def _shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
+    return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason, hit_limit=False)
+
+
+def _stiffness_shift(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    rolling: Sequence[bool],
+    facts: ContainerFacts,
+    options: ContainerOptions,
+    fit: FitResult,
+    posterior: Posterior,
+) -> float:
+    """By how much the mass would follow if a touch were ``STIFFER`` times as quick [kg]."""
+    harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency)
+    other, _ = _problem(robot, runs, rolling, harder, options, Role.FREE)
+    values = fit.values.copy()
+    for row in np.flatnonzero(rolling):  # rest is less deep in a harder wall
+        for axis in "xyz":
+            unknown = other.unknowns[other.index[f"sphere_{axis}[{row}]"]]
+            values[other.index[unknown.name]] = np.clip(values[other.index[unknown.name]], unknown.lower, unknown.upper)
+    soft, _, _ = fit.problem.simulate(fit.values[None], fit.problem.free[:1])
+    hard, _, _ = other.simulate(values[None], other.free[:1])
+    seen = fit.problem.weight > 0.0
+    off = ((soft - hard)[0] * fit.problem.weight)[seen]
+    column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
+    return float((posterior.covariance @ posterior.sensitivity.T @ off)[column])
+
+
+def _conclude(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    rolling: Sequence[bool],
+    facts: ContainerFacts,
+    options: ContainerOptions,
+    nominal: FitResult,
+    fit: FitResult,
+    found: Findings,
+    run_count: int,
+    doubt: str,
+) -> Estimate:
+    known = is_calibrated(robot, runs)
+    at = fit.problem.index
+    row, shell = at["sphere_mass"], at["payload_mass"]
+    fits, rms, expected = run_fits(fit.problem, fit.values, runs)
+    inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
+    posterior = Posterior(fit.problem, fit.values, inflation)
+    covariance = posterior.whole_covariance()
+    mass = float(fit.values[row])
+    budget = error_budget(fit, covariance, "sphere_mass")
+    shift = _stiffness_shift(robot, runs, rolling, facts, options, fit, posterior)
+    covariance[row, row] += shift**2
+    budget = sorted([*budget, ("contact stiffness", abs(shift))], key=lambda entry: -entry[1])
+    std = float(np.sqrt(covariance[row, row]))
+    paths = _paths(robot, fit, covariance)
+    verdict, withheld = Verdict.ACCEPTED, ""
+    if not np.isfinite(fit.chi2):
+        verdict, withheld = Verdict.REJECTED, "no guess of the mass could be simulated"
+        found.reasons.insert(0, withheld + ": check container.inner_size, sphere.radius and the robot file's inertias")
+    elif doubt:
+        verdict, withheld = Verdict.REJECTED, "the baseline contradicts what was told"
+        found.reasons.insert(0, doubt)
+    elif len(runs) > 1 and (odd := contradicting(posterior)) is not None and fit.chi2 > chi2_limit(fit.dof):
+        verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
+        found.reasons.insert(
+            0,
+            f"{runs[odd].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
+            "was the same sphere in the same container, held in the same place?",
+        )
+    elif fit.reduced_chi2 > MISFIT_LIMIT:
+        verdict, withheld = Verdict.REJECTED, "the model does not explain the recording"
+        found.reasons[:0] = [misfit_reason(rms, expected, mass, fit.reduced_chi2), *other_suspects(robot)]
+    elif mass + Z95 * std < 0.0:
+        verdict, withheld = Verdict.REJECTED, "the container seems lighter than empty"
+        found.reasons.insert(
+            0,
+            f"the container seems {-1e3 * mass:.1f} g lighter than it was empty: was the baseline empty, and held in the same "
+            "place?",
+        )
+    elif Z95 * std > options.widest_interval_kg:
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the interval is too wide to tell a mass"
+        found.reasons.insert(
+            0,
+            f"the sphere's mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
+            + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
+        )
+    elif rivals := _rivals(fit, mass, std):
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "more than one mass explains the recording"
+        found.reasons.insert(
+            0,
+            "more than one mass explains the recording: "
+            + ", ".join(f"{1e3 * m:.1f} g" for m in sorted((mass, *rivals)))
+            + "; record a run with another tilt, or state sphere.start",
+        )
+    if verdict is Verdict.ACCEPTED:
+        if inflation > 1.0 and not fit.explains:
+            found.reasons.append(
+                f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "
+                "the interval was widened by that factor"
+            )
+        if mass - Z95 * std <= 0.0:
+            found.reasons.append(
+                f"the container may as well be empty: a sphere of up to {1e3 * max(mass + Z95 * std, 0.0):.1f} g would not show"
+            )
+        elif all(path.moved < STILL_M for path in paths):
+            found.reasons.append(
+                f"the sphere did not move by more than {1e3 * max(path.moved for path in paths):.1f} mm in any run, so it was "
+                "weighed like a fixed load: that it rolls is not confirmed; tilt further to see it roll"
+            )
+        say_if_uncalibrated(robot, runs, budget, found)
+    shown = {"payload_mass": "container_mass"}
+    return Estimate(
+        probe="container",
+        robot=robot.name,
+        verdict=verdict,
+        reasons=tuple(found.reasons),
+        values=(
+            _value("sphere_mass", mass, std, withheld),
+            _value("container_mass", float(fit.values[shell]), float(np.sqrt(covariance[shell, shell])), withheld),
+        ),
+        fit=Fit(rms, expected, fit.reduced_chi2, condition=posterior.condition),
+        solver=_summary(nominal, fit, options, std),
+        runs=run_count,
+        run_fits=fits,
+        unknowns=tuple(replace(u, name=shown.get(u.name, u.name)) for u in unknown_rows(fit, covariance)),
+        budget=tuple((shown.get(name, name), share) for name, share in budget),
+        scan=_scan(fit, mass),
+        paths=paths,
+        assumptions=_assumptions(robot, facts, options, fit, any(not rolls for rolls in rolling)),
+        notes=tuple(found.notes),
+    )
+
+
+def _value(name: str, mass: float, std: float, withheld: str) -> Value:
+    if withheld:
+        return Value(name, "kg", None, reason=withheld)
+    # a mass is not negative: an empty container reads 0 with an interval that starts there
+    interval = [max(mass - Z95 * std, 0.0), max(mass + Z95 * std, 0.0)]
+    return Value(name, "kg", max(mass, 0.0), std, interval)
+
+
+def _rivals(fit: FitResult, mass: float, std: float) -> list[float]:
+    """Masses of other ends that explain the recording as well but lie elsewhere."""
+    ends, cost = _ends(fit), fit.solution.cost
+    near = cost < cost[fit.solution.best] + 2.0
+    apart = np.abs(ends - mass) > max(3.0 * std, DISTINCT * abs(mass), 5e-4)
+    rivals: list[float] = []
+    for end in ends[near & apart]:
+        if all(abs(end - other) > DISTINCT * abs(other) for other in rivals):
+            rivals.append(float(end))
+    return rivals
+
+
+def _ends(fit: FitResult, internal: np.ndarray | None = None) -> np.ndarray:
+    column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
+    return fit.problem.coordinates.physical(fit.solution.internal if internal is None else internal)[..., column]
+
+
+def _summary(nominal: FitResult, fit: FitResult, options: ContainerOptions, std: float) -> SolverSummary:
+    """What the starts of the first search did, and whether they found the same sphere."""
+    solution = nominal.solution
+    ends, history = _ends(nominal), _ends(nominal, solution.path)
+    best = float(ends[solution.best])
+    paths = []
+    for s, end in enumerate(ends):
+        agrees = bool(abs(end - best) <= max(1e-4, DISTINCT * abs(best), std))
+        start = options.starts_kg[s % len(options.starts_kg)]
+        paths.append(
+            StartPath(start, float(end), float(solution.cost[s]), agrees, history[:, s], solution.path_cost[:, s])
+        )
+    problem = fit.problem
+    assert isinstance(problem, ContainerProblem)
+    iterations = solution.iterations + fit.solution.iterations
+    return SolverSummary("lm", "default", iterations, tuple(paths), options.integrator, problem.contact_step_s)
+
+
+def _scan(fit: FitResult, mass: float) -> Scan:
+    """The data's misfit over the sphere's mass."""
+    problem = fit.problem
+    grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.1, 30), max(mass, 1e-3) * np.linspace(0.5, 1.5, 21)]))
+    values = np.tile(fit.values, (len(grid), 1))
+    values[:, problem.index["sphere_mass"]] = grid
+    q, _, _ = problem.simulate(values, problem.free[:1])
+    residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = np.einsum("srt,srt->s", residual, residual)
+    good = np.isfinite(cost)
+    return Scan(grid[good], cost[good] / fit.dof)
+
+
+def _paths(robot: Robot, fit: FitResult, covariance: np.ndarray) -> tuple[SpherePath, ...]:
+    problem = fit.problem
+    assert isinstance(problem, ContainerProblem)
+    free = problem.free
+    own = covariance[np.ix_(free, free)]
+    rows = np.flatnonzero(problem.rolling)
+    enclosure = problem.container.enclosure
+    shown, _, _ = problem.simulate(fit.values[None], free[:1])
+    paths = []
+    for row, (x, dx), run in zip(
+        rows, problem.path(fit.values, free), problem.simulator.rolling.sphere_runs, strict=True
+    ):
+        prepared = problem.runs[row]
+        model = reduced_model(robot, prepared.run, {})
+        body_from_container = model.frames[robot.payload_frame][1][:3, :3] @ problem.container.rotation
+        turns = [
+            model.placement[0][:3, :3] @ motion(model.kinds[0], model.axes[0], float(q))[:3, :3] @ body_from_container
+            for q in shown[0, row, : prepared.used]
+        ]
+        paths.append(
+            SpherePath(
+                prepared.run.name,
+                enclosure.shape,
+                enclosure.inner_size,
+                enclosure.radius,
+                prepared.times_s,
+                x,
+                np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx)),
+                np.array(turns),
+                run.axis,
+            )
+        )
+    return tuple(paths)
+
+
+def _assumptions(
+    robot: Robot, facts: ContainerFacts, options: ContainerOptions, fit: FitResult, baseline: bool
+) -> tuple[str, ...]:
+    place = ", ".join(f"{1e3 * c:g}" for c in facts.centre)
+    problem = fit.problem
+    assert isinstance(problem, ContainerProblem)
+    where = "lay still in the lowest place" if facts.settled else "may have been anywhere in it"
+    if facts.start is not None:
+        where = f"lay at [{', '.join(f'{1e3 * c:g}' for c in facts.start)}] +- {1e3 * facts.start_std:g} mm"
+    return (
+        f"the container is {facts.shell.shape.description}, its centre at [{place}] mm in {robot.payload_frame}; its mass was "
+        + ("taken from the empty-container runs" if baseline else "told"),
+        f"a {'solid' if facts.enclosure.inertia_factor == 0.4 else 'hollow'} sphere of radius {1e3 * facts.enclosure.radius:g} mm "
+        f"that {where} when the current came on",
+        f"law of contact {facts.law}: {facts.contact_frequency:g} rad/s, damping ratio {facts.damping_ratio.value:g} +- "
+        f"{facts.damping_ratio.std:g}, friction {facts.friction.value:g} +- {facts.friction.std:g}",
+        f"integrator {options.integrator}, steps of at most {1e3 * problem.contact_step_s:.3g} ms, as the contact needs them",
+        f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
+    )
+
+
+def _no_answer(robot: Robot, run_count: int, found: Findings) -> Estimate:
+    return Estimate(
+        probe="container",
+        robot=robot.name,
+        verdict=Verdict.NOT_IDENTIFIABLE,
+        reasons=tuple(found.reasons),
+        values=(Value("sphere_mass", "kg", None, reason="no run of this recording can tell"),),
+        fit=None,
+        solver=None,
+        runs=run_count,
+        notes=tuple(found.notes),
+    )

@@ -1,0 +1,300 @@
+"""A container with a sphere in it as a least-squares problem: what ``problem.py`` has, and a sphere in some of the runs.
+
+The container's shell is the payload of that problem: rigid, at its place in the hand, of unknown or told mass, in every run. A
+run with a sphere adds the sphere's mass, which all of them share, where it lay when the current came on, and two constants of the
+contact that nobody knows: how much of a bounce is lost, and how slippery the walls are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from proprio_ros.identification.problem import (
+    PayloadProblem,
+    PreparedRun,
+    axis_and_gravity,
+    payload_unknowns,
+    reduced_model,
+)
+from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.quantity import Quantity
+from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, MixedSimulator, SphereRun
+
+LEVEL = 0.1
+"""A wall that takes less than this share of the sphere's weight does not tell where along it the sphere rests."""
+RESTING_STD_M = 3e-4
+"""How far a sphere at rest may be from where the walls that carry it put it: dust, a dent, a wall that is not flat."""
+
+
+@dataclass(frozen=True)
+class ContainerFacts:
+    """What is told about the container and the sphere (``config/probes/container.yaml`` and ``--set``).
+
+    Attributes:
+        enclosure: its inside, and the sphere's size.
+        centre: of the container in the payload frame [m], shape (3,).
+        rotation: payload_R_container, shape (3, 3).
+        mass, mass_std: of the shell [kg]; an infinite standard deviation is not told.
+        settled: whether the sphere lay still in the lowest place before the current came on.
+        start: where its centre was instead, in the container's frame [m], shape (3,); None is not told.
+        start_std: of that [m].
+        contact_frequency: of the sphere on a wall [rad/s]: hard enough that a touch is short beside the motion.
+        damping_ratio: of a touch [1]; 0 bounces for ever, 1 not at all.
+        friction: coefficient of friction between sphere and walls [1].
+        traction: how fast slip is lost while the sphere rolls [1/s].
+        law: of contact, see ``sim/sphere.py``.
+    """
+
+    enclosure: Enclosure
+    centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    mass: float = 0.03
+    mass_std: float = np.inf
+    settled: bool = True
+    start: np.ndarray | None = None
+    start_std: float = 1e-3
+    contact_frequency: float = 400.0
+    damping_ratio: Quantity = field(default_factory=lambda: Quantity(0.4, 0.2))
+    friction: Quantity = field(default_factory=lambda: Quantity(0.35, 0.15))
+    traction: float = 300.0
+    law: str = "ramped"
+
+    @property
+    def shell(self) -> PayloadFacts:
+        """The empty container as a payload."""
+        walls = PayloadShape.hollow(self.enclosure.shape, self.enclosure.inner_size)
+        return PayloadFacts(self.centre, np.zeros(3), walls.turned(self.rotation), 0.1)
+
+    @property
+    def contact(self) -> Contact:
+        """Constants of a touch at the values that are expected."""
+        return Contact.of(self.contact_frequency, self.damping_ratio.value, self.friction.value, self.traction)
+
+
+@dataclass(frozen=True)
+class StartPrior:
+    """Where the sphere may be when the current comes on, in the container's frame.
+
+    Attributes:
+        mean, std, lower, upper: [m], shape (3,).
+        guesses: places that a search should start from [m], shape (G, 3).
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    guesses: np.ndarray
+
+
+def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> StartPrior:
+    """What is known about the sphere's start before the run.
+
+    Args:
+        position: of the driven joint at the start [rad or m].
+    """
+    room = facts.enclosure.room
+    gravity = run.gravity_at(position)
+    weight = float(np.linalg.norm(gravity))
+    mean, std = np.zeros(3), room / np.sqrt(3.0)
+    lower, upper = -room, room.copy()
+    # along the joint's axis the sphere may be anywhere: it makes no difference
+    matters = np.abs(run.axis) < 0.9 if run.kind == "revolute" else np.ones(3, dtype=bool)
+    if facts.start is not None:
+        mean, std = np.asarray(facts.start, dtype=np.float64), np.full(3, facts.start_std)
+        # where walls carry the sphere it is a little inside them
+        outside = 9.81 / facts.contact_frequency**2
+        return StartPrior(mean, std, np.minimum(-room - outside, mean), np.maximum(room + outside, mean), mean[None])
+    free = np.ones(3, dtype=bool)
+    if facts.settled and facts.enclosure.shape == "box":
+        free = np.abs(gravity) < LEVEL * weight
+        mean = np.where(free, 0.0, np.sign(gravity) * (room + np.abs(gravity) / facts.contact_frequency**2))
+        std = np.where(free, std, RESTING_STD_M)
+        lower, upper = np.minimum(lower, mean), np.maximum(upper, mean)
+    elif facts.settled:
+        # what pulls it towards a curved wall, and how far that wall is: the rim of a cylinder, or the whole sphere
+        round_axes = [0, 1] if facts.enclosure.shape == "cylinder" else [0, 1, 2]
+        pull = float(np.linalg.norm(gravity[round_axes]))
+        if pull > LEVEL * weight:
+            reach = room[0] + pull / facts.contact_frequency**2
+            mean[round_axes], std[round_axes] = reach * gravity[round_axes] / pull, RESTING_STD_M
+            lower[round_axes], upper[round_axes] = -reach, reach
+            free[round_axes] = False
+        if facts.enclosure.shape == "cylinder" and abs(gravity[2]) > LEVEL * weight:
+            mean[2] = np.sign(gravity[2]) * (room[2] + abs(gravity[2]) / facts.contact_frequency**2)
+            std[2], free[2] = RESTING_STD_M, False
+            lower[2], upper[2] = min(lower[2], mean[2]), max(upper[2], mean[2])
+    guesses = [mean]
+    for axis in np.flatnonzero(free & matters):
+        guesses = [
+            np.where(np.arange(3) == axis, share * room, guess) for guess in guesses for share in (0.0, -0.6, 0.6)
+        ]
+    return StartPrior(mean, std, lower, upper, np.array(guesses))
+
+
+def sphere_run(robot: Robot, run: PreparedRun, facts: ContainerFacts, joint: JointRun) -> SphereRun:
+    """The geometry of a run: joint axis and gravity as the container sees them."""
+    model = reduced_model(robot, run.run, {})
+    _, body_from_payload = model.frames[robot.payload_frame]
+    axis, gravity = axis_and_gravity(model)
+    turned = body_from_payload[:3, :3] @ facts.rotation
+    centre = body_from_payload[:3, :3] @ facts.centre + body_from_payload[:3, 3]
+    return SphereRun(joint, model.kinds[0], turned.T @ axis, -turned.T @ centre, turned.T @ gravity)
+
+
+def container_unknowns(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    rolling: Sequence[bool],
+    facts: ContainerFacts,
+    priors: Sequence[StartPrior],
+    drive_role: Role,
+) -> list[Unknown]:
+    """All unknowns: those of a weighing with the shell as its payload, and the sphere's.
+
+    Args:
+        rolling: which runs have a sphere.
+        priors: one for each of those.
+        drive_role: what the recording may move of the robot and of the contact.
+    """
+    unknowns = payload_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
+    unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
+    unknowns.append(Unknown("sphere_mass", "kg", 0.01, np.inf, -0.2, 5.0, asinh_scale=0.002))
+    damping, friction = facts.damping_ratio, facts.friction
+    unknowns.append(
+        Unknown("contact_damping", "1", damping.value, damping.std, min(0.02, damping.value), 2.0).at_role(drive_role)
+    )
+    unknowns.append(
+        Unknown("contact_friction", "1", friction.value, friction.std, min(0.02, friction.value), 2.0).at_role(
+            drive_role
+        )
+    )
+    where = iter(priors)
+    for row in np.flatnonzero(rolling):
+        prior = next(where)
+        for axis, name in enumerate("xyz"):
+            unknowns.append(
+                Unknown(
+                    f"sphere_{name}[{row}]", "m", float(prior.mean[axis]), float(prior.std[axis]),
+                    float(prior.lower[axis]), float(prior.upper[axis]),
+                ).at_role(Role.FREE)
+            )  # fmt: skip
+    return unknowns
+
+
+class ContainerProblem(PayloadProblem):
+    """Whitened residuals of runs with and without a sphere in the container.
+
+    Args:
+        robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``container_unknowns``.
+        facts: what is told about container and sphere.
+        rolling: which runs have a sphere, length R; at least one.
+    """
+
+    simulator: MixedSimulator
+
+    def __init__(
+        self,
+        robot: Robot,
+        runs: Sequence[PreparedRun],
+        facts: ContainerFacts,
+        rolling: Sequence[bool],
+        unknowns: Sequence[Unknown],
+        integrator: str = "rk4",
+        step_s: float = 1.0 / 240.0,
+    ) -> None:
+        self.container = facts
+        self.rolling = np.asarray(rolling, dtype=bool)
+        self._rolling_runs = tuple(runs)
+        self._turns = [_turning_with(robot, run) for run in runs]
+        super().__init__(robot, runs, facts.shell, unknowns, integrator, step_s)
+
+    @property
+    def contact_step_s(self) -> float:
+        """The longest step of a run with a sphere [s]."""
+        return min(run.step_s for run, rolls in zip(self.simulator.runs, self.rolling, strict=True) if rolls)
+
+    def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator:
+        step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor)
+        mixed: list[JointRun | SphereRun] = list(runs)
+        for row in np.flatnonzero(self.rolling):
+            joint = replace(
+                runs[row], step_s=min(runs[row].step_s, step_s), fine_step_s=min(runs[row].fine_step_s, step_s)
+            )
+            mixed[row] = sphere_run(self.robot, self._rolling_runs[row], self.container, joint)
+        return MixedSimulator(mixed, self.container.enclosure, self.container.law, integrator)
+
+    def _touches(self, name: str, row: int) -> bool:
+        if name == "sphere_mass" or name.startswith("contact_"):
+            return bool(self.rolling[row])
+        return super()._touches(name, row)
+
+    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p, dp = super()._all_parameters(values)
+        at, to = self.index, SPHERE_INDEX
+        frequency = self.container.contact_frequency
+        for row in np.flatnonzero(self.rolling):
+            direct = [
+                ("sphere_mass", "sphere_mass", 1.0),
+                ("sphere_mass", "carried", 1.0),
+                ("contact_damping", "damping", 2.0 * frequency),
+                ("contact_friction", "friction", 1.0),
+                *((f"sphere_{axis}[{row}]", f"start_{axis}", 1.0) for axis in "xyz"),
+            ]
+            joint = self.runs[row].run.joint
+            if f"zero[{joint}]" in at:
+                direct.append((f"zero[{joint}]", "tilt", 1.0))
+            for name, parameter, factor in direct:
+                p[:, row, to[parameter]] += factor * values[:, at[name]]
+                dp[:, row, to[parameter], at[name]] += factor
+            for name, share in self._turns[row]:
+                shift, by_unknown = self._shift(name, self.runs[row].run.held[name], values)
+                p[:, row, to["tilt"]] += share * shift
+                for column, factor in by_unknown:
+                    dp[:, row, to["tilt"], column] += share * factor
+            p[:, row, to["stiffness"]] = frequency**2
+            p[:, row, to["traction"]] = self.container.traction
+        return p, dp
+
+    def path(self, values: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns.
+
+        Args:
+            values: of all unknowns, shape (N,).
+            columns: shape (F,).
+
+        Returns:
+            x (K, 3) [m] and dx (K, 3, F) at the used samples of each rolling run.
+        """
+        p, dp = self.parameters(values[None], columns)
+        rows = np.flatnonzero(self.rolling)
+        width = len(self.simulator.parameters)
+        identity = np.tile(np.eye(width), (len(rows), 1, 1))
+        x, by_parameter = self.simulator.rolling.path(np.arange(len(rows)), p[0, rows], identity)
+        dx = np.einsum("rtkp,rpf->rtkf", by_parameter, dp[0, rows])
+        return [(x[n, : self.runs[row].used], dx[n, : self.runs[row].used]) for n, row in enumerate(rows)]
+
+
+def _turning_with(robot: Robot, run: PreparedRun) -> list[tuple[str, float]]:
+    """Held joints whose zero turns the container as the driven joint's does, and by which share."""
+    positions = {**run.run.held, run.run.joint: float(run.position[0])}
+
+    def axis(name: str) -> np.ndarray:
+        joint = robot.model.joint(name)
+        return robot.model.frame_transform(joint.child, positions)[:3, :3] @ joint.axis
+
+    if robot.model.joint(run.run.joint).kind == "prismatic":
+        return []
+    driven = axis(run.run.joint)
+    shares = [
+        (name, float(axis(name) @ driven))
+        for name in run.coefficients.pose
+        if robot.model.joint(name).kind != "prismatic"
+    ]
+    return [(name, share) for name, share in shares if abs(share) > 1e-3]
