@@ -33,6 +33,7 @@ from proprio_ros.records import (
     FloatArray,
     InputRecord,
     JointRecord,
+    PointTrack,
     Recording,
     TimeArray,
 )
@@ -61,6 +62,8 @@ _DEFINITIONS = {
     "std_msgs/msg/MultiArrayLayout": "MultiArrayDimension[] dim\nuint32 data_offset",
     "std_msgs/msg/Float64MultiArray": "MultiArrayLayout layout\nfloat64[] data",
     "std_msgs/msg/Float32MultiArray": "MultiArrayLayout layout\nfloat32[] data",
+    "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/msg/PointStamped": "std_msgs/Header header\nPoint point",
     "sensor_msgs/msg/JointState": "std_msgs/Header header\nstring[] name\n"
     "float64[] position\nfloat64[] velocity\nfloat64[] effort",
 }
@@ -622,6 +625,62 @@ def read_recording(
     return Recording(path.resolve().name, record, inputs, tuple(notes))
 
 
+def read_points(path: str | Path, topic: str) -> PointTrack:
+    """Read where something was seen from a topic of geometry_msgs/PointStamped.
+
+    Args:
+        path: The bag.
+        topic: Name of the topic; its stamps are on the clock of the joint states'.
+
+    Raises:
+        RecordingError: The bag cannot be read, holds no such topic, or a point is not finite or not stamped.
+    """
+    with _open(Path(path)) as bag:
+        chosen = _chosen(bag, topic, ["geometry_msgs/msg/PointStamped"], "sphere.camera")
+        messages = [message for _, message in bag.messages(chosen)]
+    stamps = np.array([10**9 * int(m.header.stamp.sec) + int(m.header.stamp.nanosec) for m in messages], dtype=np.int64)
+    if not stamps.all():
+        raise RecordingError(
+            f"{path}: {topic} holds points without a stamp: they cannot be laid beside the joint states"
+        )
+    points = np.array([[m.point.x, m.point.y, m.point.z] for m in messages])
+    return _track(stamps, points)
+
+
+def read_point_file(path: str | Path) -> PointTrack:
+    """Read where something was seen from a CSV file with the header ``stamp_ns,x,y,z``: clock of the joint states [ns], and m.
+
+    Raises:
+        RecordingError: The file is missing or malformed.
+    """
+    header, table = _csv_table(Path(path), "stamp_ns,x,y,z")
+    if header != ["stamp_ns", "x", "y", "z"]:
+        raise RecordingError(f"{path}: the header must be stamp_ns,x,y,z, got {','.join(header)}")
+    try:
+        stamps = np.array([int(row[0]) for row in table], dtype=np.int64)
+        points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(-1, 3)
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(f"{path}: needs rows of a whole number of ns and three numbers in m ({error})") from error
+    return _track(stamps, points)
+
+
+def _track(stamps: TimeArray, points: FloatArray) -> PointTrack:
+    order = np.argsort(stamps, kind="stable")
+    stamps, points = stamps[order], points[order]
+    first = np.diff(stamps, prepend=stamps[:1] - 1) > 0  # seen twice at one instant is seen once
+    return PointTrack(stamps[first], points[first])
+
+
+def _csv_table(file: Path, form: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a CSV file, all cells as text."""
+    try:
+        with file.open(newline="", encoding="utf-8") as stream:
+            header, *rows = [row for row in csv.reader(stream) if row]
+    except (OSError, ValueError, csv.Error) as error:
+        raise RecordingError(f"{file}: not a table of numbers under the header {form} ({error})") from error
+    return [cell.strip() for cell in header], rows
+
+
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -779,15 +838,14 @@ def read_text_recording(path: str | Path) -> TextRecording:
     joint = setting["moving_joint"]
     file = path / "trajectory.csv"
     expected = ["time_s", f"{joint}_relative_rad"]
+    header, rows = _csv_table(file, ",".join(expected))
     try:
-        with file.open(newline="", encoding="utf-8") as stream:
-            header, *rows = [row for row in csv.reader(stream) if row]
-            table = np.array([[float(cell) for cell in row] for row in rows])
-    except (OSError, ValueError, csv.Error) as error:
+        table = np.array([[float(cell) for cell in row] for row in rows])
+    except ValueError as error:
         raise RecordingError(
             f"{file}: not a table of numbers under the header {','.join(expected)} ({error})"
         ) from error
-    if [cell.strip() for cell in header] != expected:
+    if header != expected:
         raise RecordingError(f"{file}: the header must be {','.join(expected)}, got {','.join(header)}")
     if table.ndim != 2 or table.shape[1] != 2 or len(table) < MIN_SAMPLES or not np.isfinite(table).all():
         raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")

@@ -180,6 +180,34 @@ class Recording:
 
 
 @dataclass(frozen=True)
+class PointTrack:
+    """Where something was seen over time, as by a camera.
+
+    Attributes:
+        stamp_ns: When, on the clock of the joint states [ns], strictly increasing, shape (N,).
+        position: Where [m], shape (N, 3).
+
+    Raises:
+        RecordingError: A shape, an order or a value is wrong.
+    """
+
+    stamp_ns: TimeArray
+    position: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stamp_ns", _frozen(self.stamp_ns, np.int64, "stamps of points", (-1,)))
+        object.__setattr__(self, "position", _frozen(self.position, np.float64, "points", (len(self.stamp_ns), 3)))
+        _increasing(self.stamp_ns, "stamps of points")
+        _finite(self.position, "points")
+
+    def of_run(self, run: Run) -> tuple[FloatArray, FloatArray]:
+        """Times since a run's onset [s], shape (C,), and points, shape (C, 3), of those within the run."""
+        times_s = 1e-9 * (self.stamp_ns - run.onset_ns).astype(np.float64)
+        within = (times_s >= 0.0) & (times_s <= run.duration_s)
+        return times_s[within], self.position[within]
+
+
+@dataclass(frozen=True)
 class Run:
     """One probe: a joint starts at rest, a current drives it alone, the others are held. Times count from its onset.
 

@@ -12,10 +12,17 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording
+from proprio_ros.bags import (
+    TextRecording,
+    is_text_recording,
+    read_point_file,
+    read_points,
+    read_recording,
+    read_text_recording,
+)
 from proprio_ros.errors import ConfigurationError, RobotError, SimulationError
 from proprio_ros.identification.container import ContainerOptions, find_sphere
-from proprio_ros.identification.container_problem import ContainerFacts
+from proprio_ros.identification.container_problem import ContainerFacts, SphereTrack
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.paper import FRAME_S, PaperOptions, weigh_as_paper
 from proprio_ros.identification.weighing import WeighingOptions, weigh
@@ -93,6 +100,7 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
 
     loaded = time.perf_counter()
     runs: list[Run] = []
+    sources: list[Path] = []  # of each run
     baseline = [run for path in options.baseline for run in bag_runs(Path(path), robot, options, held)]
     text: TextRecording | None = None
     for path in paths:
@@ -102,15 +110,17 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
             runs.append(_text_run(robot, text, held))
         else:
             runs.extend(bag_runs(Path(path), robot, options, held))
+        sources.extend([Path(path)] * (len(runs) - len(sources)))
     settings.refuse_rest()
     read = time.perf_counter()
-    estimate = identify(robot, runs, baseline, text)
+    estimate = identify(robot, runs, baseline, text, sources)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
     return replace(estimate, timing_s=timing)
 
 
-_Identify = Callable[[Robot, Sequence[Run], Sequence[Run], "TextRecording | None"], Estimate]
+_Identify = Callable[[Robot, Sequence[Run], Sequence[Run], "TextRecording | None", Sequence[Path]], Estimate]
+"""Robot, runs, baseline, the text recording among them, and where each run comes from."""
 
 
 def _payload(options: ReplayOptions, settings: Settings) -> _Identify:
@@ -119,7 +129,13 @@ def _payload(options: ReplayOptions, settings: Settings) -> _Identify:
     weighing = replace(_options(WeighingOptions, settings, "solver.", probe["solver"]), solver=options.solver)
     paper = _options(PaperOptions, settings, "paper.", probe["paper"])
 
-    def identify(robot: Robot, runs: Sequence[Run], baseline: Sequence[Run], text: TextRecording | None) -> Estimate:
+    def identify(
+        robot: Robot,
+        runs: Sequence[Run],
+        baseline: Sequence[Run],
+        text: TextRecording | None,
+        sources: Sequence[Path],
+    ) -> Estimate:
         if options.profile == "paper":
             stated = paper if text is None else _text_paper(paper, text, settings)
             return weigh_as_paper(robot, runs, facts, stated)
@@ -135,11 +151,41 @@ def _container(options: ReplayOptions, settings: Settings) -> _Identify:
     probe = probe_file("container")
     facts = container_facts(settings, probe)
     solving = _options(ContainerOptions, settings, "solver.", probe["solver"])
+    camera = settings.take("sphere.camera", probe["sphere"].get("camera"))
+    if camera is not None and not isinstance(camera, str):
+        raise ConfigurationError(f"sphere.camera={camera!r} must be a topic (with a slash in front) or a CSV file")
+    camera_std = _not_negative(
+        "sphere.camera_std", settings.take("sphere.camera_std", probe["sphere"].get("camera_std"))
+    )
+    if camera_std == 0.0:
+        raise ConfigurationError("sphere.camera_std must be above 0 m")
 
-    def identify(robot: Robot, runs: Sequence[Run], baseline: Sequence[Run], text: TextRecording | None) -> Estimate:
-        return find_sphere(robot, runs, facts, solving, baseline)
+    def identify(
+        robot: Robot,
+        runs: Sequence[Run],
+        baseline: Sequence[Run],
+        text: TextRecording | None,
+        sources: Sequence[Path],
+    ) -> Estimate:
+        tracks = [_track(run, source, camera, camera_std) for run, source in zip(runs, sources, strict=True)]
+        return find_sphere(robot, runs, facts, solving, baseline, tracks)
 
     return identify
+
+
+def _track(run: Run, source: Path, camera: str | None, std: float) -> SphereTrack | None:
+    """What the camera saw during a run; a name that starts with a slash is a topic, unless there is such a file."""
+    if camera is None:
+        return None
+    topic = camera.startswith("/") and not Path(camera).is_file()
+    track = read_points(source, camera) if topic else read_point_file(camera)
+    times_s, position = track.of_run(run)
+    if not len(times_s):
+        raise ConfigurationError(
+            f"sphere.camera={camera}: saw nothing while {run.name} was recorded: its stamps must be on the clock of the joint "
+            "states"
+        )
+    return SphereTrack(times_s, position, std)
 
 
 def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
@@ -459,7 +505,7 @@ def _options(kind: Callable[..., _Options], settings: Settings, prefix: str, def
             value = tuple(_numbers(prefix + entry.name, value))
             if not value or min(value) <= 0.0:
                 raise ConfigurationError(f"{prefix}{entry.name} needs at least one positive mass in kg")
-        elif entry.name != "integrator" and value is not None:
+        elif entry.name not in ("integrator", "signals") and value is not None:
             value = _number(prefix + entry.name, value)
             if isinstance(entry.default, int) or "int" in str(entry.type):
                 if value != int(value):

@@ -19,8 +19,10 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.container_problem import (
+    SIGNALS,
     ContainerFacts,
     ContainerProblem,
+    SphereTrack,
     container_unknowns,
     sphere_run,
     start_prior,
@@ -84,12 +86,41 @@ class ContainerOptions:
         integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
         starts_kg: first guesses of the sphere's mass.
         widest_interval_kg: half width of the 95 % interval beyond which no number is given.
+        signals: what runs that a camera saw are fitted to: ``"both"``, ``"joint"`` or ``"camera"``.
     """
 
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
     starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
     widest_interval_kg: float = 0.02
+    signals: str = "both"
+
+    def __post_init__(self) -> None:
+        if self.signals not in SIGNALS:
+            raise ConfigurationError(f"solver.signals={self.signals!r}: choose one of {', '.join(SIGNALS)}")
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """The runs of a fit.
+
+    Attributes:
+        runs: all of them, the baseline's last.
+        rolling: which have a sphere; tracks: what a camera saw of it, or None.
+    """
+
+    runs: tuple[PreparedRun, ...]
+    rolling: tuple[bool, ...]
+    tracks: tuple[SphereTrack | None, ...]
+
+    def without(self, rows: Sequence[int]) -> _Recorded:
+        """All but some."""
+        kept = [row for row in range(len(self.runs)) if row not in rows]
+        return _Recorded(
+            tuple(self.runs[row] for row in kept),
+            tuple(self.rolling[row] for row in kept),
+            tuple(self.tracks[row] for row in kept),
+        )
 
 
 def find_sphere(
@@ -98,6 +129,7 @@ def find_sphere(
     facts: ContainerFacts,
     options: ContainerOptions | None = None,
     baseline: Sequence[Run] = (),
+    tracks: Sequence[SphereTrack | None] = (),
 ) -> Estimate:
     """Identify the mass of the sphere that all ``runs`` share.
 
@@ -107,6 +139,7 @@ def find_sphere(
         facts: what is told about both.
         options: solver and limits.
         baseline: runs with the empty container.
+        tracks: what a camera saw in each of ``runs``, or nothing at all.
 
     Raises:
         ConfigurationError: neither a baseline nor the shell's mass.
@@ -119,78 +152,93 @@ def find_sphere(
             "or its mass with --set container.mass=KG"
         )
     found = Findings()
-    usable: list[PreparedRun] = []
-    rolling: list[bool] = []
-    for run, rolls in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
+    usable: list[tuple[PreparedRun, bool, SphereTrack | None]] = []
+    seen = [*tracks, *[None] * (len(runs) - len(tracks))]
+    recorded = [*((run, True, track) for run, track in zip(runs, seen, strict=True))]
+    for run, rolls, track in [*recorded, *((run, False, None) for run in baseline)]:
         prepared = prepare_run(robot, run, None, facts.shell)
         problem = unusable(prepared)
         if problem:
             found.reasons.append(f"{run.name}: {problem}")
         else:
-            usable.append(prepared)
-            rolling.append(rolls)
+            usable.append((prepared, rolls, track))
         look_at_run(robot, prepared, found)
-    if not any(rolling):
+    data = _Recorded(
+        tuple(run for run, _, _ in usable),
+        tuple(rolls for _, rolls, _ in usable),
+        tuple(track for _, _, track in usable),
+    )
+    if not any(data.rolling):
         return _no_answer(robot, len(runs), found)
+    if options.signals == "camera" and not any(data.tracks):
+        raise ConfigurationError("solver.signals=camera needs what a camera saw: state sphere.camera")
     doubt = ""
-    if not all(rolling):
-        empty, doubt = _look_at_baseline(robot, usable, rolling, facts, options)
+    if not all(data.rolling):
+        empty, doubt = _look_at_baseline(robot, data, facts, options)
         facts = replace(facts, mass=empty)
 
-    nominal = _solve(robot, usable, rolling, facts, options, Role.FROZEN)
-    opened = _solve(robot, usable, rolling, facts, options, Role.FREE, nominal)
+    nominal = _solve(robot, data, facts, options, Role.FROZEN)
+    opened = _solve(robot, data, facts, options, Role.FREE, nominal)
     cut = _lost_at(opened)
     if cut:
+        cut_runs = list(data.runs)
         for row, used in cut.items():
-            later = usable[row].used - used
+            whole = cut_runs[row]
             found.reasons.append(
-                f"{usable[row].run.name}: after {usable[row].times_s[used]:.2f} s the sphere's bounces make its place "
-                f"unpredictable; {later} later samples were left out"
+                f"{whole.run.name}: after {whole.times_s[used]:.2f} s the sphere's bounces make its place unpredictable; "
+                f"{whole.used - used} later samples were left out"
             )
-            usable[row] = _shortened(usable[row], used, "the sphere's bounces made its place unpredictable")
-        lost = [row for row in cut if usable[row].used < MIN_USED]
-        usable = [run for row, run in enumerate(usable) if row not in lost]
-        rolling = [rolls for row, rolls in enumerate(rolling) if row not in lost]
-        if not any(rolling):
+            cut_runs[row] = _shortened(whole, used, "the sphere's bounces made its place unpredictable")
+        lost = [row for row in cut if cut_runs[row].used < MIN_USED]
+        data = replace(data, runs=tuple(cut_runs)).without(lost)
+        if not any(data.rolling):
             found.reasons.insert(
                 0, "the sphere bounces too chaotically to tell its mass: tilt instead of shaking, or use less current"
             )
             return _no_answer(robot, len(runs), found)
-        nominal = _solve(robot, usable, rolling, facts, options, Role.FROZEN)
-        opened = _solve(robot, usable, rolling, facts, options, Role.FREE, nominal)
-    return _conclude(robot, usable, rolling, facts, options, nominal, opened, found, len(runs), doubt)
+        nominal = _solve(robot, data, facts, options, Role.FROZEN)
+        opened = _solve(robot, data, facts, options, Role.FREE, nominal)
+    return _conclude(robot, data, facts, options, nominal, opened, found, len(runs), doubt)
 
 
 def _problem(
     robot: Robot,
-    runs: Sequence[PreparedRun],
-    rolling: Sequence[bool],
+    data: _Recorded,
     facts: ContainerFacts,
     options: ContainerOptions,
     role: Role,
 ) -> tuple[ContainerProblem, list[np.ndarray]]:
     """The problem, and the guesses of where the sphere lies in each run that has one."""
     priors = []
-    for run, rolls in zip(runs, rolling, strict=True):
+    for run, rolls in zip(data.runs, data.rolling, strict=True):
         if rolls:
             nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
             priors.append(start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value))
-    unknowns = container_unknowns(robot, runs, rolling, facts, priors, role)
-    problem = ContainerProblem(robot, runs, facts, rolling, unknowns, options.integrator, options.step_s)
+    unknowns = container_unknowns(robot, data.runs, data.rolling, facts, priors, role)
+    problem = ContainerProblem(
+        robot,
+        data.runs,
+        facts,
+        data.rolling,
+        unknowns,
+        options.integrator,
+        options.step_s,
+        data.tracks,
+        options.signals,
+    )
     return problem, [prior.guesses for prior in priors]
 
 
 def _solve(
     robot: Robot,
-    runs: Sequence[PreparedRun],
-    rolling: Sequence[bool],
+    data: _Recorded,
     facts: ContainerFacts,
     options: ContainerOptions,
     role: Role,
     start: FitResult | None = None,
 ) -> FitResult:
     """Fit the runs from every guess, or from every end of another fit."""
-    problem, guesses = _problem(robot, runs, rolling, facts, options, role)
+    problem, guesses = _problem(robot, data, facts, options, role)
     free = list(problem.free)
     if start is not None:
         ends = start.problem.all_values(start.problem.coordinates.physical(start.solution.internal))
@@ -203,7 +251,7 @@ def _solve(
     places = max(len(guess) for guess in guesses)
     starts = np.tile(problem.base, (places * len(options.starts_kg), 1))
     starts[:, problem.index["sphere_mass"]] = np.tile(options.starts_kg, places)
-    for row, guess in zip(np.flatnonzero(rolling), guesses, strict=True):
+    for row, guess in zip(np.flatnonzero(data.rolling), guesses, strict=True):
         columns = [problem.index[f"sphere_{axis}[{row}]"] for axis in "xyz"]
         starts[:, columns] = np.repeat(guess[np.arange(places) % len(guess)], len(options.starts_kg), axis=0)
     internal = problem.coordinates.internal(starts[:, free])
@@ -228,13 +276,13 @@ def _distinct(fit: FitResult) -> list[int]:
 
 def _look_at_baseline(
     robot: Robot,
-    runs: Sequence[PreparedRun],
-    rolling: Sequence[bool],
+    data: _Recorded,
     facts: ContainerFacts,
     options: ContainerOptions,
 ) -> tuple[float, str]:
     """What the empty container weighs, and why it may not have been empty (an empty string where all is well)."""
-    empty = [run for run, rolls in zip(runs, rolling, strict=True) if not rolls]
+    baseline = data.without(np.flatnonzero(data.rolling).tolist())
+    empty = baseline.runs
     weighing = WeighingOptions(integrator=options.integrator, step_s=options.step_s)
     nominal = solve_payload(robot, empty, facts.shell, weighing, Role.FROZEN)
     still = solve_payload(robot, empty, facts.shell, weighing, Role.FREE, start=nominal)
@@ -244,8 +292,9 @@ def _look_at_baseline(
     names = ", ".join(run.run.name for run in empty)
     if not still.explains:
         untold = replace(facts, mass=mass, mass_std=np.inf)
-        moving = _solve(robot, empty, [True] * len(empty), untold, options, Role.FROZEN)
-        moving = _solve(robot, empty, [True] * len(empty), untold, options, Role.FREE, moving)
+        rolled = replace(baseline, rolling=(True,) * len(empty))
+        moving = _solve(robot, rolled, untold, options, Role.FROZEN)
+        moving = _solve(robot, rolled, untold, options, Role.FREE, moving)
         if moving.explains:
             inside = float(moving.values[moving.problem.index["sphere_mass"]])
             return mass, (
@@ -290,8 +339,7 @@ def _shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
 
 def _stiffness_shift(
     robot: Robot,
-    runs: Sequence[PreparedRun],
-    rolling: Sequence[bool],
+    data: _Recorded,
     facts: ContainerFacts,
     options: ContainerOptions,
     fit: FitResult,
@@ -299,9 +347,9 @@ def _stiffness_shift(
 ) -> float:
     """By how much the mass would follow if a touch were ``STIFFER`` times as quick [kg]."""
     harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency)
-    other, _ = _problem(robot, runs, rolling, harder, options, Role.FREE)
+    other, _ = _problem(robot, data, harder, options, Role.FREE)
     values = fit.values.copy()
-    for row in np.flatnonzero(rolling):  # rest is less deep in a harder wall
+    for row in np.flatnonzero(data.rolling):  # rest is less deep in a harder wall
         for axis in "xyz":
             unknown = other.unknowns[other.index[f"sphere_{axis}[{row}]"]]
             values[other.index[unknown.name]] = np.clip(values[other.index[unknown.name]], unknown.lower, unknown.upper)
@@ -315,8 +363,7 @@ def _stiffness_shift(
 
 def _conclude(
     robot: Robot,
-    runs: Sequence[PreparedRun],
-    rolling: Sequence[bool],
+    data: _Recorded,
     facts: ContainerFacts,
     options: ContainerOptions,
     nominal: FitResult,
@@ -325,6 +372,7 @@ def _conclude(
     run_count: int,
     doubt: str,
 ) -> Estimate:
+    runs = data.runs
     known = is_calibrated(robot, runs)
     at = fit.problem.index
     row, shell = at["sphere_mass"], at["payload_mass"]
@@ -334,7 +382,7 @@ def _conclude(
     covariance = posterior.whole_covariance()
     mass = float(fit.values[row])
     budget = error_budget(fit, covariance, "sphere_mass")
-    shift = _stiffness_shift(robot, runs, rolling, facts, options, fit, posterior)
+    shift = _stiffness_shift(robot, data, facts, options, fit, posterior)
     covariance[row, row] += shift**2
     budget = sorted([*budget, ("contact stiffness", abs(shift))], key=lambda entry: -entry[1])
     std = float(np.sqrt(covariance[row, row]))
@@ -378,6 +426,12 @@ def _conclude(
             + ", ".join(f"{1e3 * m:.1f} g" for m in sorted((mass, *rivals)))
             + "; record a run with another tilt, or state sphere.start",
         )
+    assert isinstance(fit.problem, ContainerProblem)
+    if np.isfinite(seen := fit.problem.camera_rms(fit.values)):
+        found.notes.append(
+            f"the simulated sphere is {1e3 * seen:.1f} mm rms from where the camera saw it"
+            + (", which alone was fitted" if options.signals == "camera" else "")
+        )
     if verdict is Verdict.ACCEPTED:
         if inflation > 1.0 and not fit.explains:
             found.reasons.append(
@@ -412,7 +466,7 @@ def _conclude(
         budget=tuple((shown.get(name, name), share) for name, share in budget),
         scan=_scan(fit, mass),
         paths=paths,
-        assumptions=_assumptions(robot, facts, options, fit, any(not rolls for rolls in rolling)),
+        assumptions=_assumptions(robot, facts, options, fit, not all(data.rolling)),
         notes=tuple(found.notes),
     )
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from proprio_ros.identification.problem import (
     PayloadProblem,
@@ -91,6 +92,29 @@ class StartPrior:
     lower: np.ndarray
     upper: np.ndarray
     guesses: np.ndarray
+
+
+SIGNALS = ("both", "joint", "camera")
+
+
+@dataclass(frozen=True)
+class SphereTrack:
+    """Where a camera saw the sphere during a run: a second signal beside the joint's encoder.
+
+    Attributes:
+        times_s: since the run's onset [s], increasing, shape (C,).
+        position: of the sphere's centre in the container's frame [m], shape (C, 3).
+        std: of each coordinate [m].
+    """
+
+    times_s: np.ndarray
+    position: np.ndarray
+    std: float
+
+    def within(self, first_s: float, last_s: float) -> SphereTrack:
+        """The part between two instants."""
+        inside = (self.times_s >= first_s) & (self.times_s <= last_s)
+        return replace(self, times_s=self.times_s[inside], position=self.position[inside])
 
 
 def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> StartPrior:
@@ -188,6 +212,21 @@ def container_unknowns(
     return unknowns
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """A track laid beside the samples of its run.
+
+    Attributes:
+        row: which run; rolling_row: which of those with a sphere.
+        between: from positions at the run's used samples to positions at the track's times, shape (C, K).
+    """
+
+    row: int
+    rolling_row: int
+    track: SphereTrack
+    between: np.ndarray
+
+
 class ContainerProblem(PayloadProblem):
     """Whitened residuals of runs with and without a sphere in the container.
 
@@ -195,6 +234,8 @@ class ContainerProblem(PayloadProblem):
         robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``container_unknowns``.
         facts: what is told about container and sphere.
         rolling: which runs have a sphere, length R; at least one.
+        tracks: what a camera saw in each run, length R; None is nothing.
+        signals: ``"both"``, or which one of ``SIGNALS`` a run that has both is fitted to.
     """
 
     simulator: MixedSimulator
@@ -208,12 +249,28 @@ class ContainerProblem(PayloadProblem):
         unknowns: Sequence[Unknown],
         integrator: str = "rk4",
         step_s: float = 1.0 / 240.0,
+        tracks: Sequence[SphereTrack | None] = (),
+        signals: str = "both",
     ) -> None:
         self.container = facts
         self.rolling = np.asarray(rolling, dtype=bool)
         self._rolling_runs = tuple(runs)
         self._turns = [_turning_with(robot, run) for run in runs]
         super().__init__(robot, runs, facts.shell, unknowns, integrator, step_s)
+        self._seen: list[_Seen] = []
+        for row, track in enumerate(tracks):
+            if track is None or not self.rolling[row] or signals == "joint":
+                continue
+            times_s = runs[row].times_s
+            inside = track.within(times_s[0], times_s[-1])
+            between = CubicSpline(times_s, np.eye(len(times_s)))(inside.times_s)
+            self._seen.append(_Seen(row, int(self.rolling[:row].sum()), inside, between))
+            if signals == "camera":
+                self.weight[row] = 0.0
+
+    @property
+    def samples(self) -> int:
+        return super().samples + sum(seen.track.position.size for seen in self._seen)
 
     @property
     def contact_step_s(self) -> float:
@@ -261,6 +318,58 @@ class ContainerProblem(PayloadProblem):
             p[:, row, to["stiffness"]] = frequency**2
             p[:, row, to["traction"]] = self.container.traction
         return p, dp
+
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        cost, gradient, matrix = super().linearise(internal, counts)
+        if not self._seen:
+            return cost, gradient, matrix
+        guesses, size = internal.shape
+        width = len(self.simulator.parameters)
+        direct = size <= width
+        x, dx = self.simulator.rolling.last_path(size if direct else width)
+        x, dx = x.reshape(guesses, -1, *x.shape[1:]), dx.reshape(guesses, -1, *dx.shape[1:])
+        slope = self.coordinates.slope(internal)
+        _, dp = self._kernel_parameters(self.coordinates.physical(internal))
+        dp = dp.reshape(guesses, len(self.runs), width, size)
+        good = np.flatnonzero(np.isfinite(cost))
+        for seen in self._seen:
+            run = self.runs[seen.row]
+            # of a window that grows only what has been passed counts
+            last = run.used if counts is None else int(counts[seen.row])
+            passed = seen.track.times_s <= run.times_s[last - 1]
+            between = seen.between[passed]
+            if last < run.used:
+                between = CubicSpline(run.times_s[:last], np.eye(last))(seen.track.times_s[passed])
+            for guess in good:
+                slopes = dx[guess, seen.rolling_row, :last]
+                if not direct:
+                    slopes = slopes @ dp[guess, seen.row]
+                off = between @ x[guess, seen.rolling_row, :last].reshape(last, 3) - seen.track.position[passed]
+                by = np.einsum("ck,kif->cif", between, slopes) * slope[guess]
+                residual, by = off.ravel() / seen.track.std, by.reshape(-1, size) / seen.track.std
+                cost[guess] += 0.5 * float(residual @ residual)
+                gradient[guess] += by.T @ residual
+                matrix[guess] += by.T @ by
+        return cost, gradient, matrix
+
+    def other_information(self, values: np.ndarray) -> np.ndarray:
+        information = super().other_information(values)
+        if self._seen:
+            paths = self.path(values, self.free)
+            for seen in self._seen:
+                by = np.einsum("ck,kif->cif", seen.between, paths[seen.rolling_row][1]).reshape(-1, len(self.free))
+                information += by.T @ by / seen.track.std**2
+        return information
+
+    def camera_rms(self, values: np.ndarray) -> float:
+        """How far the simulated sphere is from where the camera saw it, per coordinate [m]; NaN without a camera."""
+        if not self._seen:
+            return float("nan")
+        paths = self.path(values, self.free[:1])
+        off = [seen.between @ paths[seen.rolling_row][0] - seen.track.position for seen in self._seen]
+        return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
 
     def path(self, values: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns.

@@ -110,6 +110,9 @@ def contradicting(posterior: Posterior) -> int | None:
     if count < 2:
         return None
     held_out = [posterior.held_out(row) for row in range(count)]
-    ratios = [held.chi2 / max(CONTRADICTION * held.samples, chi2_limit(held.samples)) for held in held_out]
+    ratios = [
+        held.chi2 / max(CONTRADICTION * held.samples, chi2_limit(held.samples)) if held.samples else 0.0
+        for held in held_out
+    ]
     worst = int(np.argmax(ratios))
     return worst if ratios[worst] > 1.0 else None

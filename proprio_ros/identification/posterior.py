@@ -52,6 +52,7 @@ class Posterior:
         self.run = np.repeat(np.arange(len(problem.runs)), problem.weight.shape[1]).reshape(seen.shape)[seen]
         self._weight = weight
         normal = self.sensitivity.T @ self.sensitivity + problem.coordinates.prior_precision
+        normal += problem.other_information(values)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal * scale[:, None] * scale[None, :]
         values_of, vectors = np.linalg.eigh(scaled)

@@ -802,6 +802,15 @@ class PayloadProblem:
             matrix[bad] = np.eye(size)
         return cost, gradient, matrix
 
+    @property
+    def samples(self) -> int:
+        """How many numbers were measured."""
+        return int(np.count_nonzero(self.weight))
+
+    def other_information(self, values: np.ndarray) -> np.ndarray:
+        """What other signals than the encoder's tell about the free unknowns at given values, shape (F, F): none here."""
+        return np.zeros((len(self.free), len(self.free)))
+
     def simulate(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the encoder shows, velocities, and sensitivities by chosen unknowns at given values of all of them.
 

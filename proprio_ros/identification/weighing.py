@@ -103,10 +103,13 @@ class FitResult:
         """The best of a solution's starts."""
         best = solution.internal[solution.best]
         values = problem.all_values(problem.coordinates.physical(best[None]))[0]
-        samples = int(sum(run.used for run in problem.runs))
         without_prior = sum(1 for row in problem.free if not np.isfinite(problem.unknowns[row].std))
         return cls(
-            problem, solution, values, 2.0 * float(solution.cost[solution.best]), max(samples - without_prior, 1)
+            problem,
+            solution,
+            values,
+            2.0 * float(solution.cost[solution.best]),
+            max(problem.samples - without_prior, 1),
         )
 
     @property

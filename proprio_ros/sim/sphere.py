@@ -991,6 +991,11 @@ class SphereSimulator(JointSimulator):
                 ]
             )
         self._geometry = self._array(geometry)
+        self._last: tuple[np.ndarray, ...] = ()
+
+    def last_path(self, directions: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where the sphere was in the last ``jacobian``: x (W, T, 3) [m], dx (W, T, 3, D); overwritten by the next."""
+        return self._last[3], self._last[4][..., :directions]
 
     def path(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the sphere's centre is in the container at the sample instants, and how that changes.
@@ -1001,8 +1006,9 @@ class SphereSimulator(JointSimulator):
         Returns:
             x (W, T, 3) [m], dx (W, T, 3, D), copies.
         """
-        results = self._launch(np.asarray(world_run, dtype=np.int32), p, dp, None)
-        return results[3].copy(), results[4][..., : dp.shape[2]].copy()
+        self._launch(np.asarray(world_run, dtype=np.int32), p, dp, None)
+        x, dx = self.last_path(dp.shape[2])
+        return x.copy(), dx.copy()
 
     def states(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forward pass alone: q, v (W, T) and the sphere's position, velocity and spin (W, T, 3) at the sample instants."""
@@ -1020,6 +1026,12 @@ class SphereSimulator(JointSimulator):
 
     def _worlds(self, world_run: np.ndarray, p: np.ndarray) -> tuple[wp.array, wp.array]:
         return wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device=self.device), self._array(p)
+
+    def _launch(
+        self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
+    ) -> tuple[np.ndarray, ...]:
+        self._last = super()._launch(world_run, p, dp, counts)
+        return self._last
 
     def _kernel(self, size: int, stribeck: bool) -> Any:
         return _tangent_kernel(size, self.integrator, stribeck, self.enclosure.shape, self.law)

@@ -69,9 +69,9 @@ class Container:
 
     mass_kg: float = 0.03
     inner_size_m: Vector = (0.06, 0.04, 0.04)
-    centre_m: Vector = (0.0, 0.0, 0.0)
+    centre_m: Vector = (0.035, 0.0, 0.0)
     sphere_mass_kg: float = 0.012
-    sphere_radius_m: float = 0.012
+    sphere_radius_m: float = 0.01
     friction: float = 0.4
 
     def __post_init__(self) -> None:
