@@ -6,6 +6,7 @@ import argparse
 import gc
 import json
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,7 +17,7 @@ from proprio_ros import __version__
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.settings import parse_settings
 
-EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER = 0, 2, 3
+EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 
 
 def run() -> NoReturn:
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("proprio: interrupted", file=sys.stderr)
-        return 130
+        return EXIT_INTERRUPTED
     except BrokenPipeError:
         # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
         sys.stderr.close()
@@ -130,14 +131,27 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser(
         "demo",
         help="a virtual robot weighs itself and an object, live",
-        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object.",
+        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object, or the sphere in "
+        "a container.",
         epilog="Exit code: 0 accepted, 2 could not run, 3 rejected or not identifiable. Ctrl-C ends everything.",
     )
-    demo.add_argument("--mass", type=float, default=0.05, metavar="KG", help="of the object in the virtual hand (0.05)")
+    demo.add_argument(
+        "--probe", default="payload", choices=tuple(_DEMO_KG), help="payload: under a minute; container: two minutes"
+    )
+    demo.add_argument(
+        "--mass",
+        type=float,
+        metavar="KG",
+        help="of the object in the virtual hand (0.05), or of the sphere in it (0.012)",
+    )
     demo.add_argument(
         "--seed", type=int, default=1, metavar="N", help="draws the arm's hidden friction, torque constants .."
     )
-    demo.add_argument("--full", action="store_true", help="calibrate all joints, as on a real arm (a minute more)")
+    demo.add_argument(
+        "--full",
+        action="store_true",
+        help="calibrate all joints, as on a real arm (a minute more); a container needs them",
+    )
     demo.add_argument("--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs")
     _add_robot(demo)
     demo.set_defaults(command=_demo)
@@ -281,8 +295,11 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
-    if not 0.0 < options.mass <= 2.0:
-        raise ConfigurationError(f"--mass {options.mass:g}: masses are in kg, so 50 g is 0.05")
+    mass = _DEMO_KG[options.probe] if options.mass is None else options.mass
+    if not 0.0 < mass <= 2.0:
+        raise ConfigurationError(f"--mass {mass:g}: masses are in kg, so 50 g is 0.05")
+    # while libraries are loaded there is nothing to end yet, and an exception could land anywhere inside them
+    signal.signal(signal.SIGINT, _leave_at_once)
     try:
         from proprio_ros.nodes.demo import demo
     except ModuleNotFoundError as error:
@@ -290,7 +307,8 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
             f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
         ) from error
     result = demo(
-        options.mass,
+        mass,
+        probe=options.probe,
         folder=Path(options.output),
         seed=options.seed,
         robot=options.robot or "open_manipulator_x",
@@ -300,11 +318,16 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     print(result.sentence)
     if result.mass_kg is not None:
         print(
-            f"the virtual hand held {1e3 * result.true_mass_kg:.1f} g, a hidden robot; {result.elapsed_s:.0f} s in all"
+            f"{_DEMO_TRUTH[options.probe]} {1e3 * result.true_mass_kg:.1f} g, a hidden robot; {result.elapsed_s:.0f} s in all"
         )
     if result.report is not None:
         print(f"report: {result.report}")
     return EXIT_OK if result.accepted else EXIT_NO_ANSWER
+
+
+def _leave_at_once(_number: int, _frame: Any) -> NoReturn:
+    os.write(2, b"proprio: interrupted\n")
+    os._exit(EXIT_INTERRUPTED)
 
 
 def _masses(text: str) -> list[float]:
@@ -388,10 +411,13 @@ def _value_text(value: Any) -> str:
     if isinstance(value.value, list):
         numbers = ", ".join("?" if v is None else f"{v:.4f}" for v in value.value)
         return f"{value.name}: [{numbers}] {value.unit}" + (f" ({value.reason})" if value.reason else "")
+    # masses in g, as on the report's page; --json gives them in kg
+    factor, digits, unit = (1e3, 2, "g") if value.unit == "kg" else (1.0, 5, value.unit)
+    number = f"{value.name}: {factor * value.value:.{digits}f} {unit}"
     if value.ci95 is None:
-        return f"{value.name}: {value.value:.5f} {value.unit} ({value.reason})"
+        return f"{number} ({value.reason})"
     low, high = value.ci95
-    return f"{value.name}: {value.value:.5f} {value.unit}   95 % interval {low:.5f} .. {high:.5f} {value.unit}"
+    return f"{number}   95 % interval {factor * low:.{digits}f} .. {factor * high:.{digits}f} {unit}"
 
 
 if __name__ == "__main__":
