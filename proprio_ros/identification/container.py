@@ -179,6 +179,9 @@ def find_sphere(
 
     nominal = _solve(robot, data, facts, options, Role.FROZEN)
     opened = _solve(robot, data, facts, options, Role.FREE, nominal)
+    if not opened.explains and not is_calibrated(robot, data.runs):
+        again = _solve(robot, data, facts, options, Role.FREE)
+        opened = again if again.chi2 < opened.chi2 else opened
     cut = _lost_at(opened)
     if cut:
         cut_runs = list(data.runs)
@@ -290,6 +293,10 @@ def _look_at_baseline(
     mass = float(still.values[row])
     std = float(np.sqrt(Posterior(still.problem, still.values).whole_covariance()[row, row]))
     names = ", ".join(run.run.name for run in empty)
+    if not still.explains:  # far from the file's values, as a robot that was never calibrated may be
+        again = solve_payload(robot, empty, facts.shell, weighing, Role.FREE)
+        still = again if again.chi2 < still.chi2 else still
+        mass = float(still.values[row])
     if not still.explains:
         untold = replace(facts, mass=mass, mass_std=np.inf)
         rolled = replace(baseline, rolling=(True,) * len(empty))
