@@ -18,6 +18,8 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
+_DEMO_KG = {"payload": 0.05, "container": 0.012}
+_DEMO_TRUTH = {"payload": "the virtual hand held", "container": "the sphere in the virtual container weighed"}
 
 
 def run() -> NoReturn:
@@ -76,7 +78,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         metavar="BAG",
         default=[],
-        help="runs with an empty hand, fitted together with the others: they tell whether the robot changed since its calibration",
+        help="runs made with the others and fitted together with them: with an empty hand, to tell whether the robot has changed "
+        "since its calibration; for --probe container with the empty container",
     )
     _add_set(replay)
     replay.add_argument("--solver", default="lm", choices=("lm", "adam", "cma"))
@@ -131,8 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser(
         "demo",
         help="a virtual robot weighs itself and an object, live",
-        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object, or the sphere in "
-        "a container.",
+        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object or a sphere.",
         epilog="Exit code: 0 accepted, 2 could not run, 3 rejected or not identifiable. Ctrl-C ends everything.",
     )
     demo.add_argument(

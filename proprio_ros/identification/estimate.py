@@ -159,7 +159,7 @@ class SpherePath:
 
     Attributes:
         run: name of the run.
-        shape, inner_size, radius: of the container's inside and the sphere [m].
+        shape, inner_size, radius: of the inside, along the axes of the container, shape (3,), and of the sphere [m].
         times_s: shape (K,).
         position: of the sphere's centre in the container's frame [m], shape (K, 3).
         std: of its position [m], shape (K, 3).

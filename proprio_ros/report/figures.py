@@ -25,7 +25,10 @@ def drawn(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]
     style = {
         "font.size": 9.5,
         "font.family": "sans-serif",
-        "svg.fonttype": "path",
+        # found on most machines, and the widest where another one has to stand in
+        "font.sans-serif": ["DejaVu Sans"],
+        # words stay words: they can be searched and read aloud, and the page is half as large as with drawn letters
+        "svg.fonttype": "none",
         "axes.edgecolor": MUTED,
         "axes.labelcolor": INK,
         "xtick.color": INK,
@@ -51,11 +54,28 @@ def svg(figure: Any, description: str) -> str:
     # the page scales it, so the size in points goes; ids of several figures must not meet in one document
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
-    prefix = f"f{zlib.crc32(description.encode())}-"
-    text = re.sub(r'id="([^"]+)"', rf'id="{prefix}\1"', text)
-    text = re.sub(r'xlink:href="#([^"]+)"', rf'xlink:href="#{prefix}\1"', text)
-    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}\1)", text)
+    text = _leaner(text)
+    prefix = f"f{zlib.crc32(description.encode()):x}-"
+    # groups have names that nothing points to; what is pointed to is named by its place
+    used = sorted(set(re.findall(r'(?:href="#|url\(#)([^")]+)', text)))
+    names = {name: f"{prefix}{place}" for place, name in enumerate(used)}
+    text = re.sub(r' id="([^"]+)"', lambda m: f' id="{names[m[1]]}"' if m[1] in names else "", text)
+    text = re.sub(r'(href="#|url\(#)([^")]+)', lambda m: m[1] + names[m[2]], text)
     return text.replace("<svg", f'<svg role="img" aria-label="{description}"', 1)
+
+
+def _leaner(text: str) -> str:
+    """The same picture in fewer letters: matplotlib writes a millionth of a point, and a line per corner."""
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
+    # hundredths of a point, but not in words, nor in a scale, which is a small number
+    text = re.sub(
+        r">[^<]*<|scale\([^)]*\)|\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}" if m[0][0].isdigit() else m[0], text
+    )
+    text = text.replace(
+        "font-family: 'DejaVu Sans';", "font-family: 'DejaVu Sans', sans-serif;"
+    )  # powers of ten lack it
+    text = re.sub(r">\s+<", "><", text)
+    return re.sub(r"\s+", " ", text)
 
 
 def run_figure(fit: RunFit, number: int) -> str:
@@ -78,6 +98,11 @@ def run_figure(fit: RunFit, number: int) -> str:
         return svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
 
 
+def mass_in_words(estimate: Estimate) -> str:
+    """Which mass was searched for: "payload mass", "sphere mass"."""
+    return estimate.values[0].name.replace("_", " ")
+
+
 def convergence_figure(estimate: Estimate) -> str:
     """The mass of every start over the iterations, and where the paper's schedule stops."""
     solver = estimate.solver
@@ -96,8 +121,8 @@ def convergence_figure(estimate: Estimate) -> str:
             )
         axes.set_yscale("log")
         axes.set_xlabel("iteration")
-        axes.set_ylabel("mass (g)")
-        return svg(figure, f"Mass over iterations from {len(solver.paths)} starts")
+        axes.set_ylabel(f"{mass_in_words(estimate)} (g)")
+        return svg(figure, f"Iterations from {len(solver.paths)} starts: {mass_in_words(estimate)}")
 
 
 def scan_figure(estimate: Estimate) -> str:
@@ -114,9 +139,9 @@ def scan_figure(estimate: Estimate) -> str:
                 axes.axvspan(1e3 * low, 1e3 * high, color=SIMULATED, alpha=0.1, linewidth=0)
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_xlabel("mass (g); line: the value, band: its 95 % interval")
+        axes.set_xlabel(f"{mass_in_words(estimate)} (g); line: the value, band: its 95 % interval")
         axes.set_ylabel(scan.measure)
-        return svg(figure, "Misfit of the simulation over the mass")
+        return svg(figure, f"Misfit of the simulation over the {mass_in_words(estimate)}")
 
 
 def budget_figure(estimate: Estimate) -> str:
@@ -124,6 +149,6 @@ def budget_figure(estimate: Estimate) -> str:
     entries = list(estimate.budget[:8])[::-1]
     with drawn(7.4, 0.6 + 0.3 * len(entries)) as (figure, axes):
         axes.barh([source for source, _ in entries], [1e3 * std for _, std in entries], color=ACCENT, height=0.62)
-        axes.set_xlabel("standard deviation it puts on the mass (g)")
+        axes.set_xlabel(f"standard deviation it puts on the {mass_in_words(estimate)} (g)")
         axes.grid(axis="y", visible=False)
-        return svg(figure, "Contributions to the uncertainty of the mass")
+        return svg(figure, f"Contributions to the uncertainty of the {mass_in_words(estimate)}")

@@ -29,7 +29,9 @@ figure { margin: .4rem 0 1rem; } figure svg { width: 100%; height: auto; }
 code, pre { font: .86rem/1.5 ui-monospace, "DejaVu Sans Mono", Menlo, monospace; }
 pre { background: #f4f6f9; padding: .8rem 1rem; border-radius: .4rem; white-space: pre-wrap; overflow-wrap: anywhere; }
 .small { color: #5a6675; font-size: .88rem; }
-@media print { body { max-width: none; padding: 0; } figure, table { break-inside: avoid; } }
+.moving figure { max-width: 24rem; } .moving summary { cursor: pointer; }
+@media (prefers-reduced-motion: reduce) { .moving { display: none; } }
+@media print { body { max-width: none; padding: 0; } figure, table { break-inside: avoid; } .moving { display: none; } }
 """
 
 

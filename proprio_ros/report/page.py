@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.report import figures
+from proprio_ros.report import figures, sphere_figures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
 
@@ -44,8 +44,10 @@ def _page(estimate: Estimate, command: str, sources: Sequence[str]) -> str:
             about = f"{fit.joint}, {fit.current_A:+.3f} A from {fit.source}, travel {fit.travel:+.2f} rad"
             parts.append(f"<h3>{escape(fit.name)}</h3><p class=small>{escape(about)}</p>")
             parts.append(framed(figures.run_figure(fit, n)))
+    parts += _sphere(estimate)
     if estimate.scan is not None:
-        parts += ["<h2>Misfit over mass</h2>", framed(figures.scan_figure(estimate))]
+        mass = escape(figures.mass_in_words(estimate))
+        parts += [f"<h2>Misfit over {mass}</h2>", framed(figures.scan_figure(estimate))]
     if estimate.solver is not None:
         parts += _convergence(estimate)
     if estimate.budget:
@@ -69,6 +71,31 @@ def _headline(estimate: Estimate) -> list[str]:
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
     return parts
+
+
+def _sphere(estimate: Estimate) -> list[str]:
+    """Where the sphere was in every run: a picture, and the same in motion."""
+    parts = []
+    for n, path in enumerate(estimate.paths, start=1):
+        shown = sphere_figures.drawable(path)
+        if shown is None:
+            continue
+        parts += [
+            f"<h3>{escape(path.run)}</h3>",
+            framed(
+                sphere_figures.path_figure(shown, n),
+                f"The sphere, of radius {1e3 * path.radius:g} mm, moved by up to {1e3 * shown.moved:.1f} mm. Seen along the "
+                "joint's axis: dashed at the start, bold at the end. Blue, about the path of its centre: two standard deviations, "
+                "where that shows.",
+            ),
+            "<details class=moving open><summary class=small>As it moved, five times slower</summary>",
+            framed(
+                sphere_figures.moving_figure(shown, n),
+                "The container turns as it turned in the world; where the hand carried it is left out. Fold it to stop watching.",
+            ),
+            "</details>",
+        ]
+    return ["<h2>Where the sphere was</h2>", *parts] if parts else []
 
 
 def _in_words(value: Value) -> str:

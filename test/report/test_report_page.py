@@ -32,7 +32,12 @@ def test_an_accepted_result(estimate: Estimate, tmp_path: Path) -> None:
     value = estimate.value("payload_mass")
     assert f"{1e3 * value.value:.2f} g" in text and f"{1e3 * value.ci95[1]:.2f} g" in text
     assert "accepted" in text and "proprio replay BAG" in text
-    for heading in ("Measured against simulated", "Convergence of every start", "Misfit over mass", "What was assumed"):
+    for heading in (
+        "Measured against simulated",
+        "Convergence of every start",
+        "Misfit over payload mass",
+        "What was assumed",
+    ):
         assert heading in text
     for row in estimate.unknowns:
         assert row.name in text

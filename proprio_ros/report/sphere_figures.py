@@ -1,0 +1,318 @@
+"""Where the sphere was in its container, as SVG: one picture in the container's own frame, and one that moves as it moved.
+
+Both are seen along the joint's axis. Shapes are in mm inside a group that is scaled to the picture, so the numbers in the page can
+be read. The motion is SMIL, which browsers play by themselves: no script.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from proprio_ros.identification.estimate import SpherePath
+from proprio_ros.report.figures import ACCENT, INK, MUTED
+
+EARLY, LATE = (0xF2, 0x8E, 0x2B), (0x3D, 0x1A, 0x6E)
+"""Colours of the first and the last instant: also in grey print the early one is the paler."""
+INSTANTS = 5
+"""Spheres drawn in the picture, the first and the last among them."""
+MOST_SAMPLES = 120
+MOST_CLOCK_READINGS = 60
+SLOWER = 5.0
+PAUSE_S = 1.0
+"""At the end of the moving picture, before it starts again."""
+ALONG_SIGHT = 0.05
+"""Gravity whose part across the line of sight is less than this is not drawn as an arrow."""
+MM = 1e3
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def drawable(path: SpherePath) -> SpherePath | None:
+    """The path without samples that are no numbers, and not more samples than a picture shows; None if nothing is left."""
+    good = np.isfinite(path.position).all(axis=1) & np.isfinite(path.world_from_container).all(axis=(1, 2))
+    rows = np.flatnonzero(good)
+    if not len(rows):
+        return None
+    rows = rows[_evenly(len(rows), MOST_SAMPLES)]
+    return replace(
+        path,
+        times_s=path.times_s[rows],
+        position=path.position[rows],
+        std=path.std[rows],
+        world_from_container=path.world_from_container[rows],
+    )
+
+
+def path_figure(path: SpherePath, number: int) -> str:
+    """The container's inside upright in its own frame, the sphere's path, and gravity at the start and the end."""
+    plane = _plane(path.across)
+    inside, centres = MM * _outline(path, plane), MM * path.position @ plane.T
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    margin = 0.04 * (high - low).max()
+    low, high = low - margin, high + margin
+    widest, highest = 400.0, 300.0
+    scale = min(widest / (high - low)[0], highest / (high - low)[1])  # px/mm
+    size = scale * (high - low)
+    left, top = 52.0 + (widest - size[0]) / 2.0, 10.0
+    width, height = 52.0 + widest + 120.0, max(top + size[1] + 42.0, 250.0)
+    x0, y0 = left - scale * low[0], top + scale * high[1]
+
+    marks, names = [], []
+    for side in (0, 1):
+        for tick in _ticks(low[side], high[side]):
+            if side == 0:
+                at = x0 + scale * tick
+                marks.append(f"M{_n(at)} {_n(top)}V{_n(top + size[1])}")
+                names.append(_text(at, top + size[1] + 15, _signed(tick), "middle"))
+            else:
+                at = y0 - scale * tick
+                marks.append(f"M{_n(left)} {_n(at)}H{_n(left + size[0])}")
+                names.append(_text(left - 6, at + 4, _signed(tick), "end"))
+    names.append(_text(left + size[0] / 2, top + size[1] + 34, f"{_direction(plane[0], 'right')} (mm)", "middle"))
+    turned = f' transform="rotate(-90 {_n(left - 38)} {_n(top + size[1] / 2)})"'
+    names.append(_text(left - 38, top + size[1] / 2, f"{_direction(plane[1], 'up')} (mm)", "middle", turned))
+
+    colors = _colors(path.times_s)
+    shapes = [f'<polygon points="{_points(inside)}" fill="#f4f6f9" stroke="{INK}"/>']
+    shapes.append(f'<g class="band" fill="{ACCENT}" stroke="none" opacity=".25">{_band(path, plane, scale)}</g>')
+    shapes += [
+        f'<path d="M{_points(centres[k : k + 2])}" stroke="{colors[k]}" stroke-width="{_n(2.5 / scale)}"/>'
+        for k in range(len(centres) - 1)
+    ]
+    for k in _instants(path.times_s)[::-1]:  # the start on top: where nothing moved it would not be seen
+        drawn = f'cx="{_n(centres[k, 0])}" cy="{_n(centres[k, 1])}" r="{_n(MM * path.radius)}" stroke="{colors[k]}"'
+        if k == 0:
+            drawn += (
+                f' class="start" stroke-dasharray="{_n(5 / scale)} {_n(4 / scale)}" stroke-width="{_n(1.8 / scale)}"'
+            )
+        elif k == len(centres) - 1:
+            drawn += f' class="end" stroke-width="{_n(2.6 / scale)}"'
+        shapes.append(f"<circle {drawn}/>")
+
+    aside = width - 58.0
+    body = [
+        f'<path d="{"".join(marks)}" stroke="#dfe4eb" fill="none"/>',
+        f'<g transform="translate({_n(x0)} {_n(y0)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
+        f'stroke-width="{_n(1.2 / scale)}">{"".join(shapes)}</g>',
+        *names,
+        _text(aside, 20, "gravity", "middle"),
+    ]
+    for at, k, word in ((66.0, 0, "at the start"), (146.0, -1, "at the end")):
+        gravity = plane @ path.world_from_container[k].T @ DOWN
+        body += [_arrow((aside, at), gravity, 26.0, colors[k], word), _text(aside, at + 42, word, "middle")]
+    body.append(_time_scale(path, number, aside, 206.0))
+    return _svg(width, height, f"Path {number} of the sphere in the container", _in_words(path, centres), body)
+
+
+def moving_figure(path: SpherePath, number: int) -> str:
+    """The container turning as it did, gravity down, and the sphere in it, slower and again and again."""
+    plane = _plane(path.across)
+    inside, centres = MM * _outline(path, plane), MM * path.position @ plane.T
+    angles, fall = _turns(path, plane)
+    reach = np.linalg.norm(inside, axis=1).max()
+    half, side = 130.0, 300.0
+    scale = half / reach
+    duration = SLOWER * (path.times_s[-1] - path.times_s[0]) + PAUSE_S
+    keys = SLOWER * (path.times_s - path.times_s[0]) / duration
+
+    def moving(attribute: str, values: Sequence[str], extra: str = "") -> str:
+        every = ";".join([*values, values[-1]])  # it rests in the end
+        when = ";".join([*(f"{key:.4f}" for key in keys), "1"])
+        tag = "animateTransform" if extra else "animate"
+        return (
+            f'<{tag} attributeName="{attribute}"{extra} values="{every}" keyTimes="{when}" dur="{duration:.2f}s" '
+            'repeatCount="indefinite"/>'
+        )
+
+    degrees = [_n(angle) for angle in np.degrees(angles)]
+    places = [[_n(value) for value in column] for column in centres.T]
+    sphere = (
+        f'<circle cx="{places[0][0]}" cy="{places[1][0]}" r="{_n(MM * path.radius)}" fill="{ACCENT}" fill-opacity=".35" '
+        f'stroke="{ACCENT}">{moving("cx", places[0])}{moving("cy", places[1])}</circle>'
+    )
+    turn = moving("transform", degrees, ' type="rotate"')
+    body = [
+        f'<g transform="translate({_n(side / 2)} {_n(side / 2)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
+        f'stroke-width="{_n(1.6 / scale)}"><g transform="rotate({degrees[0]})">{turn}'
+        f'<polygon points="{_points(inside)}" fill="#f4f6f9" stroke="{INK}"/>'
+        f'<path d="M{_points(centres)}" stroke="{MUTED}"/>{sphere}</g></g>',
+        _arrow((side + 34, 76), np.array([0.0, -fall]), 40.0, INK, "in the world"),
+        _text(side + 34, 22, "gravity", "middle"),
+        *_clock(path.times_s, keys, duration, side + 34, side - 40),
+    ]
+    return _svg(side + 80, side, f"Path {number}: the container and the sphere as they moved", "", body)
+
+
+def _evenly(count: int, most: int) -> np.ndarray:
+    """At most so many of ``count`` rows, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
+def _instants(times_s: np.ndarray) -> list[int]:
+    """Rows of the spheres in the picture, equally far apart in time."""
+    wanted = np.linspace(times_s[0], times_s[-1], INSTANTS)
+    return sorted({int(np.abs(times_s - time).argmin()) for time in wanted})
+
+
+def _plane(across: np.ndarray) -> np.ndarray:
+    """To the right and up as one looks along ``across``, in the container's frame, shape (2, 3); up is near its z."""
+    across = across / np.linalg.norm(across)
+    nearest = np.eye(3)[2] if abs(across[2]) < 0.9 else np.eye(3)[1]
+    up = nearest - across * (across @ nearest)
+    up /= np.linalg.norm(up)
+    return np.array([np.cross(across, up), up])
+
+
+def _outline(path: SpherePath, plane: np.ndarray) -> np.ndarray:
+    """The inside's silhouette [m], shape (N, 2): in every direction of the plane the farthest point of the shape."""
+    size = path.inner_size
+    # not along an axis of a box, where a whole side is equally far
+    angle = np.radians(np.arange(1.0, 361.0, 2.0))
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ plane
+    if path.shape == "box":
+        farthest = np.sign(along.round(9)) * size / 2
+    elif path.shape == "cylinder":
+        round_part = np.linalg.norm(along[:, :2], axis=1, keepdims=True)
+        farthest = along / np.maximum(round_part, 1e-12) * size[0] / 2
+        farthest[:, 2] = np.sign(along[:, 2].round(9)) * size[2] / 2
+    else:
+        farthest = along * size[0] / 2
+    flat = farthest @ plane.T
+    new = np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=1) > 1e-9
+    return np.asarray(flat[new])
+
+
+def _turns(path: SpherePath, plane: np.ndarray) -> tuple[np.ndarray, float]:
+    """How far the container is turned in the world [rad], shape (K,), and how much of gravity one sees from there (0 to 1)."""
+    first = path.world_from_container[0]
+    along = first @ path.across / np.linalg.norm(path.across)
+    up = -DOWN - along * (along @ -DOWN)
+    fall = float(np.linalg.norm(up))
+    up = up / fall if fall > ALONG_SIGHT else first @ plane[1]
+    rightwards = path.world_from_container @ plane[0]
+    return np.unwrap(np.arctan2(rightwards @ up, rightwards @ np.cross(along, up))), fall
+
+
+def _band(path: SpherePath, plane: np.ndarray, scale: float) -> str:
+    """Ellipses of two standard deviations about the centre, where they are larger than a pixel."""
+    parts = []
+    for position, std in zip(path.position, path.std, strict=True):
+        if not np.isfinite(std).all():
+            continue
+        variance, axes = np.linalg.eigh(plane @ np.diag((MM * std) ** 2) @ plane.T)
+        across, along = 2.0 * np.sqrt(np.maximum(variance, 0.0))
+        if along * scale > 1.0:
+            across = max(across, 0.5 / scale)  # an ellipse without width is not drawn
+            x, y = MM * plane @ position
+            turn = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
+            parts.append(
+                f'<ellipse rx="{_n(along)}" ry="{_n(across)}" transform="translate({_n(x)} {_n(y)}) rotate({_n(turn)})"/>'
+            )
+    return "".join(parts)
+
+
+def _direction(axis: np.ndarray, otherwise: str) -> str:
+    """``x`` or ``-x`` where it is an axis of the container."""
+    largest = int(np.abs(axis).argmax())
+    if abs(axis[largest]) < 0.999:
+        return otherwise
+    return ("-" if axis[largest] < 0.0 else "") + "xyz"[largest]
+
+
+def _ticks(low: float, high: float) -> np.ndarray:
+    """Round numbers [mm] between the two, six or so."""
+    steps = np.outer(10.0 ** np.arange(-2, 4), [1.0, 2.0, 5.0]).ravel()
+    step = steps[np.searchsorted(steps, (high - low) / 7.0)]
+    return np.asarray(step * np.arange(np.ceil(low / step), np.floor(high / step) + 1))
+
+
+def _colors(times_s: np.ndarray) -> list[str]:
+    share = (times_s - times_s[0]) / max(times_s[-1] - times_s[0], 1e-9)
+    mixed = np.outer(1.0 - share, EARLY) + np.outer(share, LATE)
+    return ["#" + "".join(f"{int(part):02x}" for part in color.round()) for color in mixed]
+
+
+def _time_scale(path: SpherePath, number: int, x: float, y: float) -> str:
+    first, last = _colors(path.times_s[[0, -1]])
+    name = f"sphere-time-{number}"
+    return (
+        f'<linearGradient id="{name}"><stop stop-color="{first}"/><stop offset="1" stop-color="{last}"/></linearGradient>'
+        f'<rect x="{_n(x - 45)}" y="{_n(y)}" width="90" height="8" fill="url(#{name})"/>'
+        + _text(x - 45, y + 22, f"{path.times_s[0]:.2f}", "start")
+        + _text(x + 45, y + 22, f"{path.times_s[-1]:.2f} s", "end")
+    )
+
+
+def _clock(times_s: np.ndarray, keys: np.ndarray, duration: float, x: float, y: float) -> list[str]:
+    """The time, as one text per reading that is shown in its turn."""
+    rows = _evenly(len(times_s), MOST_CLOCK_READINGS)
+    parts = []
+    for place, row in enumerate(rows):
+        shown, when = (["visible"], ["0"]) if place == 0 else (["hidden", "visible"], ["0", f"{keys[row]:.4f}"])
+        if place + 1 < len(rows):
+            shown, when = [*shown, "hidden"], [*when, f"{keys[rows[place + 1]]:.4f}"]
+        parts.append(
+            f'<text x="{_n(x)}" y="{_n(y)}" text-anchor="middle" font-size="17" visibility="{shown[0]}">{times_s[row]:.2f} s'
+            f'<animate attributeName="visibility" calcMode="discrete" values="{";".join(shown)}" keyTimes="{";".join(when)}" '
+            f'dur="{duration:.2f}s" repeatCount="indefinite"/></text>'
+        )
+    return parts
+
+
+def _arrow(middle: tuple[float, float], vector: np.ndarray, length: float, color: str, name: str) -> str:
+    """An arrow about ``middle`` (px); a dot in a ring where the vector points along the line of sight."""
+    seen = float(np.linalg.norm(vector))
+    x, y = middle
+    if seen < ALONG_SIGHT:
+        return (
+            f'<g class="gravity"><title>gravity {name}: along the line of sight</title>'
+            f'<circle cx="{_n(x)}" cy="{_n(y)}" r="7" fill="none" stroke="{color}" stroke-width="2"/>'
+            f'<circle cx="{_n(x)}" cy="{_n(y)}" r="2" fill="{color}"/></g>'
+        )
+    ahead = np.array([vector[0], -vector[1]])  # the picture counts downwards
+    half, tip_length = length * ahead, 10.0 * ahead / seen
+    sideways = 0.5 * np.array([-tip_length[1], tip_length[0]])
+    tip = np.array(middle) + half
+    shaft = np.array([np.array(middle) - half, tip - 0.6 * tip_length])
+    head = np.array([tip, tip - tip_length + sideways, tip - tip_length - sideways])
+    return (
+        f'<g class="gravity"><title>gravity {name}</title>'
+        f'<path d="M{_points(shaft)}" stroke="{color}" stroke-width="2.5"/>'
+        f'<polygon points="{_points(head)}" fill="{color}"/></g>'
+    )
+
+
+def _in_words(path: SpherePath, centres: np.ndarray) -> str:
+    (x0, y0), (x1, y1) = centres[[0, -1]]
+    return (
+        f"Seen along the joint's axis, the sphere's centre goes from ({x0:.1f}, {y0:.1f}) mm at {path.times_s[0]:.2f} s to "
+        f"({x1:.1f}, {y1:.1f}) mm at {path.times_s[-1]:.2f} s, at most {MM * path.moved:.1f} mm away from its start."
+    )
+
+
+def _text(x: float, y: float, words: str, anchor: str, extra: str = "") -> str:
+    return f'<text x="{_n(x)}" y="{_n(y)}" text-anchor="{anchor}"{extra}>{words}</text>'
+
+
+def _signed(tick: float) -> str:
+    return f"{tick:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _points(points: np.ndarray) -> str:
+    return " ".join(f"{_n(x)},{_n(y)}" for x, y in points)
+
+
+def _n(value: float) -> str:
+    """Hundredths: of a millimetre or of a pixel; never a negative zero."""
+    return f"{round(float(value), 2) + 0.0:.6g}"
+
+
+def _svg(width: float, height: float, name: str, description: str, body: Sequence[str]) -> str:
+    told = f"<desc>{description}</desc>" if description else ""
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{name}" viewBox="0 0 {_n(width)} {_n(height)}" '
+        f'font-size="11" fill="{INK}">{told}{"".join(body)}</svg>'
+    )
