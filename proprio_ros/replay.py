@@ -426,6 +426,10 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     elif shape == "sphere" and isinstance(size, (int, float)):
         size = [size, size, size]
     inner_size = _vector("container.inner_size", size)
+    alike = {"cylinder": 2, "sphere": 3}.get(str(shape), 1)
+    if np.ptp(inner_size[:alike]) > 0.0:
+        form = "[diameter, length]" if shape == "cylinder" else "one diameter"
+        raise ConfigurationError(f"container.inner_size={size!r} does not fit a {shape}: give {form} in m")
     radius = _number("sphere.radius", take("sphere.radius"))
     if np.any(inner_size <= 0.0) or radius <= 0.0:
         raise ConfigurationError("container.inner_size and sphere.radius must be positive lengths in m")
@@ -453,6 +457,9 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
         raise ConfigurationError(
             f"contact.frequency={frequency:g} rad/s and contact.traction={traction:g} 1/s must lie between 50 and 5000, 10 and 5000"
         )
+    constants = [_not_negative(f"contact.{key}", take(f"contact.{key}")) for key in ("k_e", "k_d", "k_f")]
+    if constants[0] == 0.0:
+        raise ConfigurationError("contact.k_e must be above 0 N/m")
     law = take("contact.law")
     if law not in LAWS:
         raise ConfigurationError(f"contact.law={law!r} is unknown: choose one of {', '.join(LAWS)}")
@@ -480,6 +487,7 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
         Quantity(spread["friction"], spread["friction_std"]),
         traction,
         law,
+        *constants,
     )
 
 

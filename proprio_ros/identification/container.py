@@ -19,6 +19,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.container_problem import (
+    LIGHTEST_KG,
     SIGNALS,
     ContainerFacts,
     ContainerProblem,
@@ -353,7 +354,7 @@ def _stiffness_shift(
     posterior: Posterior,
 ) -> float:
     """By how much the mass would follow if a touch were ``STIFFER`` times as quick [kg]."""
-    harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency)
+    harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e)
     other, _ = _problem(robot, data, harder, options, Role.FREE)
     values = fit.values.copy()
     for row in np.flatnonzero(data.rolling):  # rest is less deep in a harder wall
@@ -579,13 +580,17 @@ def _assumptions(
     where = "lay still in the lowest place" if facts.settled else "may have been anywhere in it"
     if facts.start is not None:
         where = f"lay at [{', '.join(f'{1e3 * c:g}' for c in facts.start)}] +- {1e3 * facts.start_std:g} mm"
+    constants = (
+        f"{facts.contact_frequency:g} rad/s, damping ratio {facts.damping_ratio.value:g} +- {facts.damping_ratio.std:g}"
+        if facts.law == "ramped"
+        else f"k_e {facts.k_e:g} N/m, k_d {facts.k_d:g} N s/m, k_f {facts.k_f:g} N s/m, for {1e3 * LIGHTEST_KG:g} g or more"
+    )
     return (
         f"the container is {facts.shell.shape.description}, its centre at [{place}] mm in {robot.payload_frame}; its mass was "
         + ("taken from the empty-container runs" if baseline else "told"),
         f"a {'solid' if facts.enclosure.inertia_factor == 0.4 else 'hollow'} sphere of radius {1e3 * facts.enclosure.radius:g} mm "
         f"that {where} when the current came on",
-        f"law of contact {facts.law}: {facts.contact_frequency:g} rad/s, damping ratio {facts.damping_ratio.value:g} +- "
-        f"{facts.damping_ratio.std:g}, friction {facts.friction.value:g} +- {facts.friction.std:g}",
+        f"law of contact {facts.law}: {constants}, friction {facts.friction.value:g} +- {facts.friction.std:g}",
         f"integrator {options.integrator}, steps of at most {1e3 * problem.contact_step_s:.3g} ms, as the contact needs them",
         f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
     )

@@ -25,10 +25,12 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, MixedSimulator, SphereRun
+from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, MixedSimulator, SphereRun, paper_contact
 
 LEVEL = 0.1
 """A wall that takes less than this share of the sphere's weight does not tell where along it the sphere rests."""
+LIGHTEST_KG = 1e-3
+"""Forces of the paper's law do not shrink with the sphere: what is lighter would need shorter steps, and is not looked for."""
 RESTING_STD_M = 3e-4
 """How far a sphere at rest may be from where the walls that carry it put it: dust, a dent, a wall that is not flat."""
 
@@ -50,6 +52,7 @@ class ContainerFacts:
         friction: coefficient of friction between sphere and walls [1].
         traction: how fast slip is lost while the sphere rolls [1/s].
         law: of contact, see ``sim/sphere.py``.
+        k_e, k_d, k_f: of the law ``paper`` [N/m, N s/m, N s/m], instead of frequency, damping ratio and traction.
     """
 
     enclosure: Enclosure
@@ -65,6 +68,9 @@ class ContainerFacts:
     friction: Quantity = field(default_factory=lambda: Quantity(0.35, 0.15))
     traction: float = 300.0
     law: str = "ramped"
+    k_e: float = 1000.0
+    k_d: float = 1.0
+    k_f: float = 1.0
 
     @property
     def shell(self) -> PayloadFacts:
@@ -72,9 +78,16 @@ class ContainerFacts:
         walls = PayloadShape.hollow(self.enclosure.shape, self.enclosure.inner_size)
         return PayloadFacts(self.centre, np.zeros(3), walls.turned(self.rotation), 0.1)
 
+    def sinks(self, pull: np.ndarray | float) -> np.ndarray | float:
+        """How deep a wall lets a sphere of usual mass sink that is pulled into it [m], per pull [m/s^2]."""
+        stiffness = self.k_e / 0.01 if self.law == "paper" else self.contact_frequency**2
+        return pull / stiffness
+
     @property
     def contact(self) -> Contact:
-        """Constants of a touch at the values that are expected."""
+        """Constants of a touch at the values that are expected; of the paper's law, with the lightest sphere."""
+        if self.law == "paper":
+            return paper_contact(LIGHTEST_KG, self.k_e, self.k_d, self.k_f, self.friction.value)
         return Contact.of(self.contact_frequency, self.damping_ratio.value, self.friction.value, self.traction)
 
 
@@ -133,12 +146,12 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     if facts.start is not None:
         mean, std = np.asarray(facts.start, dtype=np.float64), np.full(3, facts.start_std)
         # where walls carry the sphere it is a little inside them
-        outside = 9.81 / facts.contact_frequency**2
+        outside = float(facts.sinks(9.81))
         return StartPrior(mean, std, np.minimum(-room - outside, mean), np.maximum(room + outside, mean), mean[None])
     free = np.ones(3, dtype=bool)
     if facts.settled and facts.enclosure.shape == "box":
         free = np.abs(gravity) < LEVEL * weight
-        mean = np.where(free, 0.0, np.sign(gravity) * (room + np.abs(gravity) / facts.contact_frequency**2))
+        mean = np.where(free, 0.0, np.sign(gravity) * (room + facts.sinks(np.abs(gravity))))
         std = np.where(free, std, RESTING_STD_M)
         lower, upper = np.minimum(lower, mean), np.maximum(upper, mean)
     elif facts.settled:
@@ -146,12 +159,12 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
         round_axes = [0, 1] if facts.enclosure.shape == "cylinder" else [0, 1, 2]
         pull = float(np.linalg.norm(gravity[round_axes]))
         if pull > LEVEL * weight:
-            reach = room[0] + pull / facts.contact_frequency**2
+            reach = room[0] + facts.sinks(pull)
             mean[round_axes], std[round_axes] = reach * gravity[round_axes] / pull, RESTING_STD_M
             lower[round_axes], upper[round_axes] = -reach, reach
             free[round_axes] = False
         if facts.enclosure.shape == "cylinder" and abs(gravity[2]) > LEVEL * weight:
-            mean[2] = np.sign(gravity[2]) * (room[2] + abs(gravity[2]) / facts.contact_frequency**2)
+            mean[2] = np.sign(gravity[2]) * (room[2] + facts.sinks(abs(gravity[2])))
             std[2], free[2] = RESTING_STD_M, False
             lower[2], upper[2] = min(lower[2], mean[2]), max(upper[2], mean[2])
     guesses = [mean]
@@ -189,8 +202,11 @@ def container_unknowns(
     """
     unknowns = payload_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
-    unknowns.append(Unknown("sphere_mass", "kg", 0.01, np.inf, -0.2, 5.0, asinh_scale=0.002))
+    lightest = LIGHTEST_KG if facts.law == "paper" else -0.2
+    unknowns.append(Unknown("sphere_mass", "kg", 0.01, np.inf, lightest, 5.0, asinh_scale=0.002))
     damping, friction = facts.damping_ratio, facts.friction
+    if facts.law == "paper":  # it has a constant of its own
+        damping = Quantity(damping.value)
     unknowns.append(
         Unknown("contact_damping", "1", damping.value, damping.std, min(0.02, damping.value), 2.0).at_role(drive_role)
     )
@@ -257,6 +273,7 @@ class ContainerProblem(PayloadProblem):
         self._rolling_runs = tuple(runs)
         self._turns = [_turning_with(robot, run) for run in runs]
         super().__init__(robot, runs, facts.shell, unknowns, integrator, step_s)
+        self._affine &= facts.law != "paper"  # its constants go with one over the mass
         self._seen: list[_Seen] = []
         for row, track in enumerate(tracks):
             if track is None or not self.rolling[row] or signals == "joint":
@@ -295,12 +312,12 @@ class ContainerProblem(PayloadProblem):
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         at, to = self.index, SPHERE_INDEX
-        frequency = self.container.contact_frequency
+        facts = self.container
+        mass = values[:, at["sphere_mass"]]
         for row in np.flatnonzero(self.rolling):
             direct = [
                 ("sphere_mass", "sphere_mass", 1.0),
                 ("sphere_mass", "carried", 1.0),
-                ("contact_damping", "damping", 2.0 * frequency),
                 ("contact_friction", "friction", 1.0),
                 *((f"sphere_{axis}[{row}]", f"start_{axis}", 1.0) for axis in "xyz"),
             ]
@@ -315,8 +332,16 @@ class ContainerProblem(PayloadProblem):
                 p[:, row, to["tilt"]] += share * shift
                 for column, factor in by_unknown:
                     dp[:, row, to["tilt"], column] += share * factor
-            p[:, row, to["stiffness"]] = frequency**2
-            p[:, row, to["traction"]] = self.container.traction
+            if facts.law == "paper":
+                for constant, parameter in ((facts.k_e, "stiffness"), (facts.k_d, "damping"), (facts.k_f, "traction")):
+                    p[:, row, to[parameter]] = constant / mass
+                    dp[:, row, to[parameter], at["sphere_mass"]] = -constant / mass**2
+            else:
+                damping = 2.0 * facts.contact_frequency
+                p[:, row, to["damping"]] = damping * values[:, at["contact_damping"]]
+                dp[:, row, to["damping"], at["contact_damping"]] = damping
+                p[:, row, to["stiffness"]] = facts.contact_frequency**2
+                p[:, row, to["traction"]] = facts.traction
         return p, dp
 
     def linearise(

@@ -262,6 +262,8 @@ def test_too_wide_an_interval_is_no_answer(realistic: Level) -> None:
         ({"container.inner_size": [60, 40, 40]}, "lengths are in m"),
         ({"container.inner_size": [0.06, 0.04]}, "must be"),
         ({"container.shape": "bottle"}, "choose one of box, cylinder, sphere"),
+        ({"container.shape": "cylinder"}, "give [diameter, length]"),
+        ({"container.shape": "sphere", "container.inner_size": [0.05, 0.06, 0.05]}, "give one diameter"),
         ({"sphere.radius": 0.025}, "does not fit"),
         ({"sphere.radius": -0.01}, "positive"),
         ({"container.mass": -1.0}, "must not be negative"),
@@ -323,8 +325,10 @@ def test_where_a_sphere_settles() -> None:
         assert np.all(prior.lower <= prior.mean) and np.all(prior.mean <= prior.upper)
 
 
-def problem_of(level: Level, folders: list[Path], tracks: list[SphereTrack | None] | None = None) -> ContainerProblem:
-    facts = container_facts(Settings(told(folders[0])), probe_file("container"))
+def problem_of(
+    level: Level, folders: list[Path], tracks: list[SphereTrack | None] | None = None, law: str = "ramped"
+) -> ContainerProblem:
+    facts = container_facts(Settings({**told(folders[0]), "contact.law": law}), probe_file("container"))
     runs = [prepare_run(level.robot, run, None, facts.shell) for f in folders for run in runs_of(f, level.robot)]
     empty = [prepare_run(level.robot, run, None, facts.shell) for run in level.baseline()]
     rolling = [True] * len(runs) + [False] * len(empty)
@@ -336,13 +340,24 @@ def problem_of(level: Level, folders: list[Path], tracks: list[SphereTrack | Non
     return ContainerProblem(level.robot, everything, facts, rolling, unknowns, tracks=seen)
 
 
-@pytest.mark.parametrize("mass", [0.0, 0.004, 0.012, 0.05])
-def test_gradient_of_the_cost(realistic: Level, mass: float) -> None:
+@pytest.mark.parametrize(
+    ("law", "mass"),
+    [
+        ("ramped", 0.0),
+        ("ramped", 0.004),
+        ("ramped", 0.012),
+        ("ramped", 0.05),
+        ("paper", 0.004),
+        ("paper", 0.012),
+        ("paper", 0.05),
+    ],
+)
+def test_gradient_of_the_cost(realistic: Level, law: str, mass: float) -> None:
     """Every unknown, through the simulator, the baseline, the encoder's error and the camera, against finite differences."""
     folders = realistic.folders("container_sphere_12g_joint3_100mA")
     times = np.linspace(0.03, 0.5, 20)
     track = SphereTrack(times, np.tile([-0.02, 0.001, -0.009], (20, 1)), 2e-3)
-    problem = problem_of(realistic, folders, [track])
+    problem = problem_of(realistic, folders, [track], law)
     rng = np.random.default_rng(3)
     base = problem.coordinates.prior_mean.copy()
     spread = np.array([u.std for u in problem.unknowns])[problem.free]
