@@ -69,7 +69,9 @@ from proprio_ros.sim.joint import JointRun
 STILL_M = 1e-3
 """A sphere that moves less was weighed like any load that does not move."""
 LOST_SHARE = 0.25
-"""Where the sphere is, is no longer known when its standard deviation passes this share of the room it has."""
+"""Where the sphere is, is no longer known when its standard deviation passes this share of the room it has, .."""
+LOST_GROWTH = 2.0
+""".. and so many times what it was when the current came on: not to know where it lay is not chaos."""
 EMPTY_SIGMAS = 3.0
 """How far from what was told about it a baseline may be before it is not believed."""
 DISTINCT = 0.03
@@ -335,7 +337,8 @@ def _lost_at(fit: FitResult) -> dict[int, int]:
         seen = np.eye(3) - (np.outer(run.axis, run.axis) if run.kind == "revolute" else 0.0)
         off = np.einsum("ij,kjf->kif", seen, dx)
         std = np.sqrt(np.einsum("kif,fg,kig->ki", off, covariance, off).max(axis=1))
-        lost = np.flatnonzero(~(std < LOST_SHARE * 2.0 * problem.container.enclosure.room.min()))
+        known = max(LOST_SHARE * 2.0 * problem.container.enclosure.room.min(), LOST_GROWTH * float(std[0]))
+        lost = np.flatnonzero(~(std < known))
         if len(lost):
             cut[int(row)] = int(lost[0])
     return cut

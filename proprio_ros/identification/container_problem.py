@@ -27,8 +27,8 @@ from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, MixedSimulator, SphereRun, paper_contact
 
-LEVEL = 0.1
-"""A wall that takes less than this share of the sphere's weight does not tell where along it the sphere rests."""
+LEVEL = 0.03
+"""A sphere rolls down any slope; but below this one (1.7 degrees) an arm that is not level may have sloped the other way."""
 LIGHTEST_KG = 1e-3
 """Forces of the paper's law do not shrink with the sphere: what is lighter would need shorter steps, and is not looked for."""
 RESTING_STD_M = 3e-4
@@ -139,7 +139,7 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     room = facts.enclosure.room
     gravity = run.gravity_at(position)
     weight = float(np.linalg.norm(gravity))
-    mean, std = np.zeros(3), room / np.sqrt(3.0)
+    mean, std = np.zeros(3), room.copy()  # about as likely at a wall as in the middle
     lower, upper = -room, room.copy()
     # along the joint's axis the sphere may be anywhere: it makes no difference
     matters = np.abs(run.axis) < 0.9 if run.kind == "revolute" else np.ones(3, dtype=bool)
@@ -170,7 +170,7 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     guesses = [mean]
     for axis in np.flatnonzero(free & matters):
         guesses = [
-            np.where(np.arange(3) == axis, share * room, guess) for guess in guesses for share in (0.0, -0.6, 0.6)
+            np.where(np.arange(3) == axis, share * room, guess) for guess in guesses for share in (0.0, -0.9, 0.9)
         ]
     return StartPrior(mean, std, lower, upper, np.array(guesses))
 
@@ -295,7 +295,7 @@ class ContainerProblem(PayloadProblem):
         return min(run.step_s for run, rolls in zip(self.simulator.runs, self.rolling, strict=True) if rolls)
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator:
-        step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor)
+        step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor, integrator)
         mixed: list[JointRun | SphereRun] = list(runs)
         for row in np.flatnonzero(self.rolling):
             joint = replace(

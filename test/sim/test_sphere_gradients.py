@@ -1,0 +1,208 @@
+"""Every derivative of a rollout with a sphere three ways: forward sensitivities, tape, central differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
+from proprio_ros.sim.sphere import (
+    LAWS,
+    SPHERE_INDEX,
+    SPHERE_PARAMETERS,
+    Contact,
+    Enclosure,
+    MixedSimulator,
+    SphereRun,
+    SphereSimulator,
+)
+
+ONE = np.zeros(1, dtype=np.int32)
+STEPS = (1e-4, 1e-5, 1e-6, 1e-7)
+"""Of a difference, relative to the parameter."""
+EVERY = np.eye(len(SPHERE_PARAMETERS))[None]
+INNER = {"box": [0.06, 0.04, 0.045], "cylinder": [0.05, 0.05, 0.06], "sphere": [0.05, 0.05, 0.05]}
+CONTACT = Contact.of(400.0, 0.4, 0.35)
+BASE = {
+    "inertia": 0.02, "gravity_cos": 0.12, "gravity_sin": 0.05, "gravity_constant": 0.03, "torque_constant": 1.78, "coulomb": 0.03,
+    "viscous": 0.01, "load_friction": 0.05, "delay": 0.0043, "q0": -0.7, "v0": 0.3, "carried": 0.03, "stribeck": 0.4,
+    "stribeck_velocity": 0.3, "sphere_mass": 0.03, "stiffness": CONTACT.stiffness, "damping": CONTACT.damping,
+    "traction": CONTACT.traction, "friction": CONTACT.friction, "tilt": 0.05,
+}  # fmt: skip
+# Where the sphere starts, as shares of the room it has: just inside a wall, in the air above it, in the corner of several walls.
+# All differ from a kink of the law; those at a wall start deep enough to stay, or to be thrown out.
+SCENES = {
+    "rolling": ("revolute", {"box": (0.3, -0.1, -1.005), "cylinder": (0.3, -0.955, 0.2), "sphere": (0.3, -0.2, -0.94)}),
+    "bouncing": ("revolute", {"box": (0.1, 0.3, -0.4), "cylinder": (-0.2, 0.1, 0.3), "sphere": (0.3, 0.2, -0.3)}),
+    "corner": ("revolute", {"box": (-1.01, 1.02, -1.015), "cylinder": (0.7, -0.73, -1.01), "sphere": (-0.6, 0.6, -0.55)}),
+    "on a slide": ("prismatic", {"box": (0.9, 0.2, -0.8), "cylinder": (0.5, -0.4, -0.8), "sphere": (0.4, 0.3, -0.6)}),
+}  # fmt: skip
+# the integrator knows neither shape nor law, so not every pair of those is compiled for the second one
+SEMI_IMPLICIT = (("box", "ramped"), ("cylinder", "paper"), ("sphere", "ramped"))
+KERNELS = [(shape, law, "rk4") for shape in INNER for law in LAWS]
+KERNELS += [(shape, law, "semi_implicit") for shape, law in SEMI_IMPLICIT]
+CASES = [pytest.param(scene, *kernel, id="-".join((scene, *kernel))) for kernel in KERNELS for scene in SCENES]
+
+
+def unit(*values: float) -> np.ndarray:
+    return np.array(values) / np.linalg.norm(values)
+
+
+def joint_run(seed: int = 1, duration_s: float = 0.3) -> JointRun:
+    """Irregular stamps, a square wave, and a supply so weak that it limits the current."""
+    times = np.sort(np.random.default_rng(seed).uniform(0.0, duration_s, 12))
+    step = 1e-3  # s; where the kinks of a rollout lie depends on it, and the scenes keep clear of them at this one
+    return JointRun(
+        times,
+        np.array([0.0, 0.1017, 0.2013]),
+        np.array([0.35, -0.3, 0.4]),
+        supply=(1.9, 2.49, 5.22),
+        friction_velocity=0.02,
+        step_s=step,
+        fine_step_s=step,
+        input_load=np.array([[0.01, 0.2], [-0.02, 0.3], [0.015, -0.1]]),
+    )
+
+
+def sphere_run(kind: str, joint: JointRun) -> SphereRun:
+    return SphereRun(joint, kind, unit(0.1, 0.95, -0.2), np.array([-0.15, 0.01, 0.02]), 9.81 * unit(0.25, -0.3, -0.9))
+
+
+def enclosure(shape: str) -> Enclosure:
+    return Enclosure(shape, np.array(INNER[shape]), 0.01)
+
+
+def scene(name: str, shape: str, law: str, integrator: str) -> tuple[SphereSimulator, np.ndarray]:
+    kind, starts = SCENES[name]
+    inside = enclosure(shape)
+    p = np.zeros((1, len(SPHERE_PARAMETERS)))
+    for parameter, value in {**BASE, "delay": BASE["delay"] * (-1.0 if name == "bouncing" else 1.0)}.items():
+        p[0, SPHERE_INDEX[parameter]] = value
+    p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]] = np.array(starts[shape]) * inside.room
+    return SphereSimulator([sphere_run(kind, joint_run())], inside, law, integrator), p
+
+
+def differences(sim: SphereSimulator, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Central differences of second and fourth order of joint and sphere, shape (2, P, T, 4); all in one launch."""
+    moved = p + np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)
+    worlds = moved.reshape(-1, len(step))
+    q, _, x, *_ = sim.states(np.zeros(len(worlds), dtype=np.int32), worlds)
+    far, near, next_, last = np.concatenate([q[..., None], x], axis=2).reshape(4, len(step), -1, 4)
+    second, fourth = (next_ - near) / 2.0, (far - 8.0 * near + 8.0 * next_ - last) / 12.0
+    return np.array([second, fourth]) / step[:, None, None]
+
+
+@pytest.mark.parametrize(("name", "shape", "law", "integrator"), CASES)
+def test_sensitivities_against_central_differences(name: str, shape: str, law: str, integrator: str) -> None:
+    """Of the joint's position and of the sphere's, by all 23 parameters.
+
+    A step of the integrator in which a wall is touched, or sliding turns into sticking, is a kink, and with the paper's law a
+    jump. The tangent is that of the side on which the rollout is, so of the differences each sample takes the one that straddles
+    no kink: over 8 a false tangent meets none of them to 1e-6.
+    """
+    sim, p = scene(name, shape, law, integrator)
+    q, _, by_parameter = (array.copy() for array in sim.jacobian(ONE, p, EVERY))
+    x, dx = sim.path(ONE, p, EVERY)
+    states = sim.states(ONE, p)
+    np.testing.assert_allclose(q, states[0], atol=1e-13)
+    np.testing.assert_allclose(x, states[2], atol=1e-13)
+    exact = np.concatenate([by_parameter[0][:, None, :], dx[0]], axis=1)  # (T, 4, P)
+    size = np.maximum(np.abs(p[0]), 1e-3)
+    estimates = [differences(sim, p, step * size) for step in STEPS]
+    for row, parameter in enumerate(SPHERE_PARAMETERS):
+        for what, columns in (("joint", slice(0, 1)), ("sphere", slice(1, 4))):
+            wanted = exact[:, columns, row]
+            scale = np.abs(wanted).max()
+            if parameter == "tilt" and name == "on a slide":
+                assert scale == 0.0  # a slide turns nothing
+                continue
+            assert scale * size[row] > 1e-7, f"{parameter} moves the {what} too little to be checked"
+            off = np.full(wanted.shape, np.inf)
+            for step, estimate in zip(STEPS, estimates, strict=True):
+                rounding = 2e-15 / (step * size[row])
+                if rounding < 2e-5 * scale:
+                    error = np.abs(estimate[:, row, :, columns] - wanted).min(axis=0)
+                    off = np.minimum(off, error / (1e-6 * scale + rounding))
+            assert off.max() < 1.0, f"{what} by {parameter}: off by {off.max():.2g} of what is allowed"
+
+
+@pytest.mark.parametrize(("name", "shape", "law", "integrator"), CASES)
+def test_tape_against_sensitivities(name: str, shape: str, law: str, integrator: str) -> None:
+    sim, p = scene(name, shape, law, integrator)
+    q, _, exact = sim.jacobian(ONE, p, EVERY)
+    weights = np.random.default_rng(3).normal(size=q.shape)
+    expected = np.einsum("wt,wtd->wd", weights, exact)
+    tape = sim.tape(ONE, p)
+    np.testing.assert_allclose(tape.q, q, atol=1e-13)
+    gradient = tape.gradient(weights)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected * p).max())
+    np.testing.assert_array_equal(tape.gradient(weights), gradient)  # a second backward pass starts from zero
+
+
+def test_the_supply_limits_the_current_here() -> None:
+    """Or the cases above would not have covered it."""
+    sim, p = scene("rolling", "box", "ramped", "rk4")
+    strong = SphereSimulator([sphere_run("revolute", replace(joint_run(), supply=(0.0, 2.49, 5.22)))], sim.enclosure)
+    assert np.abs(sim.states(ONE, p)[0] - strong.states(ONE, p)[0]).max() > 0.01
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
+def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str) -> None:
+    """Without delay a sample falls on a change of the current; one-sided differences (-3, 4, -1) towards longer delays."""
+    _, p = scene("rolling", "box", "ramped", integrator)
+    run = replace(joint_run(), sample_times_s=np.array([0.05, 0.1017, 0.16, 0.2013, 0.25]))
+    sim = SphereSimulator([sphere_run("revolute", run)], enclosure("box"), "ramped", integrator)
+    column = SPHERE_INDEX["delay"]
+    p[0, column] = 0.0
+    exact = sim.jacobian(ONE, p, EVERY)[2][0, :, column].copy()
+    dx = sim.path(ONE, p, EVERY)[1][0, :, :, column]
+    step = 1e-7
+    moved = np.repeat(p, 3, axis=0)
+    moved[:, column] = [0.0, step, 2.0 * step]
+    q, _, x, *_ = sim.states(np.zeros(3, dtype=np.int32), moved)
+    for values, wanted in ((q, exact), (x, dx)):
+        difference = (-3.0 * values[0] + 4.0 * values[1] - values[2]) / (2.0 * step)
+        np.testing.assert_allclose(difference, wanted, atol=3e-6 * np.abs(wanted).max())
+    weights = np.random.default_rng(2).normal(size=(1, 5))
+    assert sim.tape(ONE, p).gradient(weights)[0, column] == pytest.approx((weights[0] * exact).sum(), rel=1e-10)
+
+
+def test_few_directions_equal_all_of_them() -> None:
+    """The solver asks for as many directions as it has unknowns: other kernels."""
+    sim, p = scene("corner", "cylinder", "ramped", "rk4")
+    every = sim.jacobian(ONE, p, EVERY)[2].copy()
+    paths = sim.path(ONE, p, EVERY)[1]
+    directions = np.random.default_rng(1).normal(size=(1, len(SPHERE_PARAMETERS), 5)) * p[0, :, None]
+    np.testing.assert_allclose(sim.jacobian(ONE, p, directions)[2], every @ directions[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(sim.path(ONE, p, directions)[1], paths @ directions[0], rtol=1e-9, atol=1e-12)
+
+
+def test_runs_with_and_without_a_sphere_share_a_call() -> None:
+    """Each world is what its own simulator says of it, in whatever order runs and worlds come, and window by window."""
+    _, p = scene("bouncing", "box", "ramped", "rk4")
+    long, short = joint_run(1), joint_run(2, 0.2)
+    plain = replace(short, sample_times_s=short.sample_times_s[:7])
+    runs = [long, sphere_run("revolute", short), plain, sphere_run("prismatic", long)]
+    mixed = MixedSimulator(runs, enclosure("box"))
+    worlds = np.array([3, 0, 1, 2, 1, 3], dtype=np.int32)
+    p = np.repeat(p, len(worlds), axis=0)
+    p *= np.random.default_rng(4).uniform(0.9, 1.1, p.shape)
+    directions = np.repeat(EVERY, len(worlds), axis=0)
+    for counts in (None, mixed.windows(0.5)):
+        used = mixed.sample_counts if counts is None else counts
+        q, v, dq = mixed.jacobian(worlds, p, directions, counts)
+        for world, run in enumerate(worlds):
+            own = runs[run]
+            n = used[run]
+            if isinstance(own, SphereRun):
+                alone, width = SphereSimulator([own], enclosure("box")), len(SPHERE_PARAMETERS)
+            else:
+                alone, width = JointSimulator([own]), len(PARAMETERS)
+                np.testing.assert_array_equal(dq[world, :n, width:], 0.0)
+            expected = alone.jacobian(ONE, p[world : world + 1, :width], EVERY[:, :width])
+            for got, wanted in zip((q, v, dq), expected, strict=True):
+                np.testing.assert_allclose(got[world, :n], wanted[0, :n], rtol=1e-12, atol=1e-13)
+    with pytest.raises(ValueError, match="shape"):  # a world has the parameters of a sphere, rolling or not
+        mixed.jacobian(worlds, p[:, : len(PARAMETERS)], directions[:, : len(PARAMETERS)])
