@@ -23,6 +23,7 @@ import against_substeps
 import bus
 import calibrated
 import case as cases
+import container
 import fresh_process
 from case import REPEATS, Case, Row, measure
 
@@ -34,6 +35,7 @@ PARTS = {
     "substeps": against_substeps.rows,
     "c": against_c.rows,
     "calibrated": calibrated.rows,
+    "container": container.rows,
     "fresh": fresh_process.rows,
     "bus": bus.rows,
 }

@@ -47,6 +47,37 @@ def test_plain_c_computes_our_numbers(case: Any, tmp_path: Path) -> None:
     assert difference(ours, CPass(run, p, dp, str(tmp_path))()) < EQUAL
 
 
+def test_plain_c_computes_our_numbers_with_a_sphere(tmp_path: Path) -> None:
+    if shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
+    from container import EQUAL, SpherePass, apart, easy_and_hard, pose, share_in_contact
+
+    from proprio_ros.sim.sphere import SphereSimulator
+
+    box = pose()
+    for _, run, p in easy_and_hard(box):
+        simulator = SphereSimulator([run], box.facts.enclosure)
+        ours = simulator.states(np.zeros(len(p), dtype=np.int32), p)
+        assert apart(ours, SpherePass(simulator, p, str(tmp_path))()) < EQUAL
+        assert share_in_contact(simulator, p) > 0.9
+
+
+def test_a_sphere_in_mujoco_is_ours() -> None:
+    """The same joint and box, another law of contact: positions agree, and so do the masses that both find."""
+    pytest.importorskip("mujoco")
+    from container import AGREEMENT, SPHERE_KG, by_mujoco, mujoco_fit, pose
+
+    box = pose(by_mujoco, mass_alone=True)
+    p, _ = box.parameters([SPHERE_KG])
+    times_s = box.run.joint.sample_times_s
+    ours, _ = box.problem.simulator.rolling.rollout(np.zeros(1, dtype=np.int32), p)
+    assert np.abs(ours[0] - by_mujoco(box, times_s)).max() < 2e-3 < 0.01 * np.ptp(ours)
+    answer = box.solve()
+    masses, costs, _ = mujoco_fit(box, 2.5e-3, "RK4")()
+    for mass in (box.masses(answer.internal)[answer.best], masses[int(np.argmin(costs))]):
+        assert mass == pytest.approx(SPHERE_KG, rel=AGREEMENT)
+
+
 def test_void_without_agreement(case: Any) -> None:
     from case import compare
     from run import printed
