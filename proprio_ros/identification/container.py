@@ -348,6 +348,25 @@ def _shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
     return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason, hit_limit=False)
 
 
+def _bounces(robot: Robot, data: _Recorded, facts: ContainerFacts, options: ContainerOptions) -> list[str]:
+    """A sentence if the first halves of the runs are explained, and only what comes after is not."""
+    halves = tuple(
+        _shortened(run, (run.used + 1) // 2, run.cut_reason) if rolls else run
+        for run, rolls in zip(data.runs, data.rolling, strict=True)
+    )
+    if min(run.used for run, rolls in zip(halves, data.rolling, strict=True) if rolls) < MIN_USED:
+        return []
+    early = replace(data, runs=halves)
+    fit = _solve(robot, early, facts, options, Role.FREE, _solve(robot, early, facts, options, Role.FROZEN))
+    if not fit.explains:
+        return []
+    mass = float(fit.values[fit.problem.index["sphere_mass"]])
+    return [
+        f"the first half of the runs is explained, with {1e3 * mass:.1f} g, and what comes after is not: the sphere bounces "
+        "otherwise than the law of contact says; tilt instead of shaking, use less current, or make the probe shorter"
+    ]
+
+
 def _stiffness_shift(
     robot: Robot,
     data: _Recorded,
@@ -414,7 +433,8 @@ def _conclude(
         )
     elif fit.reduced_chi2 > MISFIT_LIMIT:
         verdict, withheld = Verdict.REJECTED, "the model does not explain the recording"
-        found.reasons[:0] = [misfit_reason(rms, expected, mass, fit.reduced_chi2), *other_suspects(robot)]
+        suspects = _bounces(robot, data, facts, options) or other_suspects(robot)
+        found.reasons[:0] = [misfit_reason(rms, expected, mass, fit.reduced_chi2), *suspects]
     elif mass + Z95 * std < 0.0:
         verdict, withheld = Verdict.REJECTED, "the container seems lighter than empty"
         found.reasons.insert(
