@@ -10,7 +10,7 @@ import json
 import shlex
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -19,19 +19,32 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.bags import RawMessage, write_messages
-from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
+from proprio_ros.identification.container import ContainerOptions
+from proprio_ros.identification.container_problem import ContainerFacts
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.weighing import WeighingOptions, weigh
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, Settings, configured_robot, held_positions, payload_facts, probe_file
+from proprio_ros.replay import (
+    ReplayOptions,
+    Settings,
+    configured_robot,
+    container_facts,
+    held_positions,
+    payload_facts,
+    probe_file,
+)
 from proprio_ros.resources import write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
 from proprio_ros.sim.joint import compile_kernels
 from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.sim.sphere import compile_kernels as compile_sphere_kernels
 
 LIVE_STARTS_KG = (0.01, 0.1)
 """A live estimate need not find its way from two orders of magnitude."""
+_FACTS = {"payload": ("payload.",), "container": ("container.", "sphere.", "contact.")}
+"""What the keys about a probe's object begin with; `payload.frame` is where every object sits."""
 
 
 class Session:
@@ -97,6 +110,80 @@ def prepare_identification() -> None:
     compile_kernels()
 
 
+def prepare_container(options: ReplayOptions) -> None:
+    """The same for the container that the settings describe: some 15 s once on a computer, under a second later.
+
+    Raises:
+        ConfigurationError, RobotError, SimulationError: In one line, what is wrong with the options.
+    """
+    _, facts = container_setting(options)
+    integrator = str(options.settings.get("solver.integrator", ContainerOptions.integrator))
+    compile_sphere_kernels(facts.enclosure.shape, facts.law, integrator)
+
+
+def settings_for(probe: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What concerns a probe; what is stated about another probe's object is left out."""
+    foreign = tuple(start for other, starts in _FACTS.items() if other != probe for start in starts)
+    return {key: value for key, value in settings.items() if key == "payload.frame" or not key.startswith(foreign)}
+
+
+def check_settings(options: ReplayOptions) -> None:
+    """Look at settings that may be about a payload, a container, or both.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with them.
+    """
+    settings = Settings(options.settings)
+    held_positions(configured_robot(options.robot, options.calibration, settings), settings)
+    settings.take_prefix("solver.")
+    payload_facts(settings, probe_file("payload")["payload"])
+    _recorded_container(settings)
+    settings.refuse_rest()
+
+
+def container_setting(options: ReplayOptions) -> tuple[Robot, ContainerFacts]:
+    """The robot and the container as the options have them.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with them.
+    """
+    settings = Settings(options.settings)
+    robot = configured_robot(options.robot, options.calibration, settings)
+    held_positions(robot, settings)
+    settings.take_prefix("solver.")
+    facts = _recorded_container(settings)
+    settings.refuse_rest()
+    return robot, facts
+
+
+def _recorded_container(settings: Settings) -> ContainerFacts:
+    if settings.take("sphere.camera", None) is not None:
+        raise ConfigurationError(
+            "sphere.camera: the identifier records no camera; record its topic beside it and give both to `proprio replay`"
+        )
+    return container_facts(settings, probe_file("container"))
+
+
+def empty_container_options(options: ReplayOptions, facts: ContainerFacts) -> ReplayOptions:
+    """How the empty container is weighed: as a payload of its shape at its place.
+
+    Args:
+        options: Of the probe `container`.
+        facts: What they say about it.
+    """
+    left_out = (*_FACTS["container"], "solver.")
+    settings = {key: value for key, value in options.settings.items() if not key.startswith(left_out)}
+    shell = facts.shell
+    per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
+    settings |= {
+        "payload.com": shell.com.tolist(),
+        "payload.inertia_per_mass": [
+            float(per_mass[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        ],
+    }
+    return replace(options, probe="payload", settings=settings, baseline=())
+
+
 def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
     """Write `estimate.json` beside a bag: the result, and the command that gives it again.
 
@@ -114,6 +201,8 @@ def replay_command(bag: Path, options: ReplayOptions) -> str:
         words += ["--robot", options.robot]
     if options.calibration:
         words += ["--calibration", str(options.calibration)]
+    if options.baseline:
+        words += ["--baseline", *(str(path) for path in options.baseline)]
     for key, value in options.settings.items():
         words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
     return shlex.join(words)
@@ -217,5 +306,10 @@ def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
     motion does not tell it."""
     if facts.shape_std_relative > 0.0:
         return np.full((3, 3), np.nan)
-    spread = facts.shape.second_moment_per_mass
-    return mass_kg * (np.trace(spread) * np.eye(3) - spread)
+    return mass_kg * rotational_inertia(facts.shape.second_moment_per_mass)
+
+
+def rotational_inertia(second_moment: np.ndarray) -> np.ndarray:
+    """From the integral of r r^T dm to that of r^2 - r r^T, shape (3, 3)."""
+    tensor: np.ndarray = np.trace(second_moment) * np.eye(3) - second_moment
+    return tensor

@@ -13,6 +13,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from proprio_ros.resources import resource
+from proprio_ros.virtual.objects import Container, parse_object
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LAUNCH = sorted((REPOSITORY / "proprio_ros" / "launch").glob("*.launch.py"))
@@ -151,6 +152,17 @@ def test_the_manifest_names_what_launch_files_need() -> None:
     assert {"robot_state_publisher", "rviz2"} < needed
     manifest = ElementTree.parse(REPOSITORY / "package.xml").getroot()
     assert needed <= {entry.text for entry in manifest.findall("exec_depend")}
+
+
+def test_the_container_that_is_typed_is_the_one_that_is_expected() -> None:
+    """`object:=container:0.03,sphere=0.012` needs no further settings."""
+    held = parse_object("container:0.03,sphere=0.012")
+    assert isinstance(held, Container) and (held.mass_kg, held.sphere_mass_kg) == (0.03, 0.012)
+    expected = YAML(typ="safe", pure=True).load(resource("probes", "container").read_text())
+    assert expected["container"]["shape"] == "box" and expected["container"]["rpy"] == [0.0, 0.0, 0.0]
+    assert list(held.inner_size_m) == expected["container"]["inner_size"]
+    assert list(held.centre_m) == expected["container"]["centre"]
+    assert held.sphere_radius_m == expected["sphere"]["radius"]
 
 
 def description(path: Path) -> Any:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -17,7 +19,20 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.records import Recording
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import load_robot
-from proprio_ros.session import LiveWeighing, Session, inertia_tensor, keep_result, live_interval, replay_command
+from proprio_ros.session import (
+    LiveWeighing,
+    Session,
+    check_settings,
+    container_setting,
+    empty_container_options,
+    inertia_tensor,
+    keep_result,
+    live_interval,
+    prepare_container,
+    replay_command,
+    settings_for,
+)
+from proprio_ros.sim import sphere
 
 ROBOT = load_robot("open_manipulator_x")
 CONSTANTS = {n: d.nominal_torque_constant / d.transmission for n, d in ROBOT.drive_trains.items()}
@@ -159,3 +174,93 @@ def test_the_command_beside_a_result_gives_it_again(
     words = shlex.split(kept["command"])
     assert main([*words[1:], "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["estimates"] == kept["estimates"]
+
+
+# --- a container and what rolls in it -----------------------------------------------------------------------------------
+
+SHELL_KG = 0.03
+ABOUT_IT = {"container.inner_size": [0.06, 0.04, 0.04], "container.centre": [0.035, 0.0, 0.0], "sphere.radius": 0.01}
+
+
+def container_options(bags: Path) -> ReplayOptions:
+    baseline = sorted(bags.glob("realistic_s00_container_no_sphere_*/bag_*"))
+    assert len(baseline) == 3
+    return ReplayOptions(probe="container", settings=ABOUT_IT, baseline=tuple(baseline))
+
+
+def test_a_probe_hears_only_of_its_own_object() -> None:
+    stated = {
+        "payload.size": 0.03,
+        "payload.frame": "link5",
+        "sphere.radius": 0.01,
+        "container.mass": 0.03,
+        "held.joint1": 0.1,
+    }
+    assert set(settings_for("payload", stated)) == {"payload.size", "payload.frame", "held.joint1"}
+    assert set(settings_for("container", stated)) == {"payload.frame", "sphere.radius", "container.mass", "held.joint1"}
+    check_settings(ReplayOptions(settings=stated))
+    with pytest.raises(ConfigurationError, match=r"sphere\.radios: unknown.*payload\.com.*sphere\.radius"):
+        check_settings(ReplayOptions(settings={**stated, "sphere.radios": 0.01}))
+    with pytest.raises(ConfigurationError, match="does not fit"):
+        check_settings(ReplayOptions(settings={"sphere.radius": 0.03}))
+    with pytest.raises(ConfigurationError, match="records no camera"):
+        check_settings(ReplayOptions(settings={"sphere.camera": "/sphere"}))
+
+
+def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> None:
+    options = replace(container_options(bags), settings={**ABOUT_IT, "held.joint1": 0.0, "solver.starts_kg": [0.01]})
+    _, facts = container_setting(options)
+    weighing = empty_container_options(options, facts)
+    assert weighing.probe == "payload" and not weighing.baseline and weighing.settings["held.joint1"] == 0.0
+    assert weighing.settings["payload.com"] == ABOUT_IT["container.centre"]
+    # thin walls: the two across z are 6 x 4 cm, those across y 6 x 4, those across x 4 x 4; moments of a plate and Steiner
+    areas = {"x": 2 * 16.0, "y": 2 * 24.0, "z": 2 * 24.0}
+    about_y = (
+        areas["x"] * (4.0**2 / 12.0 + 3.0**2)
+        + areas["y"] * (6.0**2 + 4.0**2) / 12.0
+        + areas["z"] * (6.0**2 / 12.0 + 2.0**2)
+    ) / (1e4 * sum(areas.values()))
+    assert weighing.settings["payload.inertia_per_mass"][1] == pytest.approx(about_y, rel=1e-9)
+    estimate = replay(options.baseline, weighing)
+    shell = estimate.values[0]
+    assert isinstance(shell.value, float) and shell.ci95[0] < SHELL_KG < shell.ci95[1]
+
+
+def test_a_container_told_to_be_turned_has_its_inertia_turned() -> None:
+    upright = ReplayOptions(probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]})
+    level = ReplayOptions(probe="container", settings=ABOUT_IT)
+    turned, straight = (
+        empty_container_options(options, container_setting(options)[1]).settings["payload.inertia_per_mass"]
+        for options in (upright, level)
+    )
+    xx, yy, zz = straight[:3]
+    assert xx != pytest.approx(yy, rel=0.1)
+    assert turned == pytest.approx([yy, xx, zz, 0.0, 0.0, 0.0], abs=1e-12)
+
+
+def test_the_command_of_a_container_names_its_baseline_and_gives_the_result_again(
+    bags: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = container_options(bags)
+    full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
+    words = shlex.split(replay_command(full, options))
+    assert words.count("--baseline") == 1 and set(map(str, options.baseline)) < set(words)
+    estimate = replay([full], options)
+    main([*words[1:], "--json"])
+    assert json.loads(capsys.readouterr().out)["estimates"] == estimate.as_json()["estimates"]
+
+
+def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
+    options = container_options(bags)
+    full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
+
+    def compiled_in_replay(prepared: ReplayOptions) -> int:
+        sphere._tangent_kernel.cache_clear()
+        prepare_container(prepared)
+        before = sphere._tangent_kernel.cache_info().misses
+        replay([full], options)
+        return int(sphere._tangent_kernel.cache_info().misses - before)
+
+    assert compiled_in_replay(options) == 0
+    other = replace(options, settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]})
+    assert compiled_in_replay(other) > 0

@@ -1,18 +1,19 @@
 """The identifier node: asks for a probe, listens, keeps the recording, says what it tells.
 
 A job has a thread of its own, so that neither the arm's motion nor the identification ever blocks the executor; a second thread
-weighs what has come so far while a probe is under way. The recording is written before anything is identified, and what is
-identified is the recording, by the function that `proprio replay` calls.
+weighs what has come so far while a payload is probed (not a sphere: where it rolls shows only when a run is over). The recording
+is written before anything is identified, and what is identified is the recording, by the function that `proprio replay` calls.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,21 +33,28 @@ from proprio_ros import __version__
 from proprio_ros.calibrate import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.container_problem import ContainerFacts
 from proprio_ros.identification.estimate import Z95, Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.report import write_calibration_report, write_report
+from proprio_ros.robot import Robot
 from proprio_ros.session import (
     LiveWeighing,
     Session,
     as_diagnostics,
+    check_settings,
+    container_setting,
+    empty_container_options,
     inertia_tensor,
     keep_result,
     live_interval,
+    prepare_container,
     prepare_identification,
     replay_command,
+    settings_for,
 )
 from proprio_ros.settings import parse_settings
 
@@ -58,6 +66,15 @@ CALL_S = 5.0
 ABORT_S = 2.0
 TAIL_S = 0.3
 """Joint states after the last run that belong to the recording."""
+OLD_S = 86400.0
+"""A baseline from another day is doubted: nobody remembers what was changed since."""
+_SERVICES = {
+    "robot": "calibrate_robot",
+    "payload": "calibrate_payload",
+    "container": "calibrate_container",
+    "container_baseline": "record_container_baseline",
+    "softness": "calibrate_softness",
+}
 
 
 class JobError(ProprioError):
@@ -75,6 +92,10 @@ class Job:
     message: str = ""
     on_end: list[Callable[[], None]] = field(default_factory=list)
 
+    @property
+    def service(self) -> str:
+        return _SERVICES[self.kind]
+
 
 class IdentifierNode(ManagedNode):
     """Services in, results out."""
@@ -83,16 +104,21 @@ class IdentifierNode(ManagedNode):
         ROBOT,
         Parameter("calibration", "", "Calibration file; empty: the newest of this robot in data_directory; none: without."),
         Parameter("data_directory", "~/.ros/proprio_ros", "Where recordings, results and calibrations are kept."),
-        Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03.", dynamic=True),
+        Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
+                  dynamic=True),
         Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot."),
         Parameter("payload_sequence", "payload", "Probe sequence of calibrate_payload."),
+        Parameter("container_sequence", "container",
+                  "Probe sequence of calibrate_container and record_container_baseline."),
+        Parameter("container_baseline", "",
+                  "Bag of the empty container; empty: what record_container_baseline kept last; none: without.", dynamic=True),
         Parameter("reference_sequence", "reference", "Probe sequence of calibrate_robot with the reference object."),
         Parameter("reference_mass", 0.0, "Mass of a weighed object for calibrate_robot [kg]; 0: none.", 0.0, 5.0, dynamic=True),
         Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
         Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
         Parameter("excitation_node", "excitation", "Name of the excitation node."),
         Parameter("report", True, "Write the result and an HTML report beside every recording."),
-        Parameter("live_period", 0.03, "Pause between live estimates [s]; 0 turns them off.", 0.0, 10.0),
+        Parameter("live_period", 0.03, "Pause between live estimates of a payload [s]; 0 turns them off.", 0.0, 10.0),
     )  # fmt: skip
 
     def __init__(self, **kwargs: Any) -> None:
@@ -115,6 +141,7 @@ class IdentifierNode(ManagedNode):
         self._calibration = self._find_calibration()
         started = time.monotonic()
         prepare_identification()  # kernels are compiled here, and never inside a probe
+        check_settings(replace(self._options("payload"), settings=parse_settings(value_of(self, "settings"))))
         self._live = LiveWeighing(self._options("payload"))
         self.say("info", f"ready after {time.monotonic() - started:.1f} s; calibration: {self._calibration or 'none'}")
 
@@ -137,8 +164,8 @@ class IdentifierNode(ManagedNode):
         self._set_probe = self.create_client(SetParameters, f"{name}/set_parameters")
         self._run = self.create_client(Trigger, f"{name}/run")
         self._abort = self.create_client(Trigger, f"{name}/abort")
-        for kind_ in ("robot", "payload", "container", "softness"):
-            LongService(self, f"~/calibrate_{kind_}", partial(self._begin, kind_))
+        for kind_, service in _SERVICES.items():
+            LongService(self, f"~/{service}", partial(self._begin, kind_))
         LongService(self, "~/cancel", self._cancel)
         self.every(5.0, self._save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -160,7 +187,9 @@ class IdentifierNode(ManagedNode):
         for parameter in parameters:
             if parameter.name in ("settings", "reference_settings"):
                 try:
-                    LiveWeighing(ReplayOptions(settings=parse_settings([pair for pair in parameter.value if pair])))
+                    facts = parse_settings([pair for pair in parameter.value if pair])
+                    options = ReplayOptions(robot=self.values["robot"], settings=facts)
+                    check_settings(options) if parameter.name == "settings" else LiveWeighing(options)
                 except ProprioError as error:
                     return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -176,11 +205,43 @@ class IdentifierNode(ManagedNode):
     def _newest_calibration(self) -> Path:
         return self._data / f"{Path(self.values['robot']).stem}_calibration.yaml"
 
+    def _newest_baseline(self) -> Path:
+        return self._data / f"{Path(self.values['robot']).stem}_container_baseline"
+
+    def _find_baseline(self) -> Path | None:
+        """The recording of the empty container, if there is one.
+
+        Raises:
+            JobError: One was named that is not there.
+        """
+        stated = value_of(self, "container_baseline")
+        if stated == "none":
+            return None
+        path = Path(stated).expanduser() if stated else self._newest_baseline()
+        if stated and not path.exists():
+            raise JobError(f"container_baseline {path}: there is no such recording; name a bag, or leave it empty")
+        return path.resolve() if path.exists() else None
+
+    def _keep_as_newest(self, link: Path, target: Path) -> None:
+        """Have the link point to the target, in one step.
+
+        Raises:
+            JobError: It cannot be written.
+        """
+        fresh = link.with_name(f".{link.name}.{os.getpid()}")
+        try:
+            fresh.symlink_to(target)
+            fresh.replace(link)
+        except OSError as error:
+            raise JobError(
+                f"{link} cannot be written ({error.strerror}); what it should point to is {target}"
+            ) from error
+
     def _options(self, probe: str) -> ReplayOptions:
         return ReplayOptions(
             probe=probe,
             robot=None if self._calibration else self.values["robot"],
-            settings=parse_settings(value_of(self, "settings")),
+            settings=settings_for(probe, parse_settings(value_of(self, "settings"))),
             calibration=self._calibration,
         )
 
@@ -224,10 +285,10 @@ class IdentifierNode(ManagedNode):
         """Begin a job, or answer why there can be none now."""
         if not self.active:
             return answer(False, "the identifier node is not active")
-        if kind in ("container", "softness"):
+        if kind == "softness":
             return answer(False, f"the {kind} probe is not available in version {__version__}")
         if self._job is not None:
-            return answer(False, f"busy: calibrate_{self._job.kind} is under way; wait for it, or call ~/cancel")
+            return answer(False, f"busy: {self._job.service} is under way; wait for it, or call ~/cancel")
         self._job = job = Job(kind)
         threading.Thread(target=self._work, args=(job, answer), name=f"calibrate {kind}", daemon=True).start()
         return None
@@ -237,7 +298,7 @@ class IdentifierNode(ManagedNode):
             job = self._job
             if job is None:
                 return answer(True, "nothing was under way")
-            job.on_end.append(lambda: answer(True, f"calibrate_{job.kind} was cancelled; the arm is held"))
+            job.on_end.append(lambda: answer(True, f"{job.service} was cancelled; the arm is held"))
         job.cancelled.set()
         return None
 
@@ -247,7 +308,11 @@ class IdentifierNode(ManagedNode):
         level = "error"
         try:
             self._await_others()
-            job.success, job.message = self._weigh(job) if job.kind == "payload" else self._calibrate(job)
+            works = {
+                "robot": self._calibrate, "payload": self._weigh, "container": self._find_sphere,
+                "container_baseline": self._record_baseline,
+            }  # fmt: skip
+            job.success, job.message = works[job.kind](job)
             level = "ok" if job.success else "warning"
         except ProprioError as error:
             job.message = str(error)
@@ -290,19 +355,73 @@ class IdentifierNode(ManagedNode):
         options = self._options("payload")
         self._live = LiveWeighing(options) if self.values["live_period"] > 0.0 else None
         bag = self._record(job, "payload", value_of(self, "payload_sequence"))
+        estimate = self._identify(job, bag, options, self._publish)
+        told = _interval_of(estimate)
+        if not told:
+            return False, f"{_refusal_of(estimate)}; recording: {bag}"
+        return True, f"payload {told}, {estimate.runs} runs{self._uncalibrated}; recording: {bag}"
+
+    @property
+    def _uncalibrated(self) -> str:
+        return "" if self._calibration else " (robot not calibrated)"
+
+    def _identify(self, job: Job, bag: Path, options: ReplayOptions, publish: Callable[[Estimate], None]) -> Estimate:
+        """What a bag tells: published, then written beside it with a report."""
         self._tell(job.kind, "identifying")
         estimate = replay([bag], options)
-        self._publish(estimate)
+        publish(estimate)
         command = replay_command(bag, options)
+        sources = [str(path) for path in (bag, *options.baseline)]
         self._keep(lambda: keep_result(bag, estimate, command))
-        self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=[str(bag)]))
-        value = estimate.values[0]
-        if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float):
-            return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons) or value.reason}; recording: {bag}"
-        low, high = (1e3 * end for end in value.ci95)
-        told = f"payload {1e3 * value.value:.1f} g, 95 % interval {low:.1f} .. {high:.1f} g"
-        calibrated = "" if self._calibration else " (robot not calibrated)"
-        return True, f"{told}, {estimate.runs} runs{calibrated}; recording: {bag}"
+        self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=sources))
+        return estimate
+
+    def _record_baseline(self, job: Job) -> tuple[bool, str]:
+        """The container without its sphere: kept for whatever will roll in it, and weighed, to see that it is empty."""
+        options = self._options("container")
+        _, facts = container_setting(options)
+        self._live = None
+        self._tell(job.kind, "the container has to be in the hand without its sphere")
+        bag = self._record(job, job.kind, value_of(self, "container_sequence"))
+        weighing = empty_container_options(options, facts)
+        estimate = self._identify(job, bag, weighing, partial(self._publish_final, name=job.kind))
+        if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
+            return False, f"not kept: {_refusal_of(estimate)}; is the container empty? recording: {bag}"
+        self._keep_as_newest(self._newest_baseline(), bag)
+        told = _interval_of(estimate) or f"an untold mass ({'; '.join(estimate.reasons)})"
+        return True, f"empty container {told}, {estimate.runs} runs{self._uncalibrated}; kept as the baseline: {bag}"
+
+    def _find_sphere(self, job: Job) -> tuple[bool, str]:
+        baseline = self._find_baseline()
+        options = replace(self._options("container"), baseline=() if baseline is None else (baseline,))
+        robot, facts = container_setting(options)
+        if baseline is None and math.isinf(facts.mass_std):
+            raise JobError(
+                "the empty container has not been recorded: put it into the hand without its sphere and call "
+                "~/record_container_baseline, or tell its mass (settings: container.mass=KG)"
+            )
+        self._live = None
+        self._tell(job.kind, "preparing the simulation of a sphere: once on a computer it is compiled, half a minute")
+        prepare_container(options)
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
+        self._tell(job.kind, "the container has to be in the hand with its sphere")
+        bag = self._record(job, job.kind, value_of(self, "container_sequence"))
+        estimate = self._identify(job, bag, options, partial(self._publish_sphere, robot=robot, facts=facts))
+        against = "" if baseline is None else f"; {self._about_baseline(baseline)}"
+        told = _interval_of(estimate)
+        if not told:
+            return False, f"{_refusal_of(estimate)}{against}; recording: {bag}"
+        return True, f"sphere {told}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}"
+
+    def _about_baseline(self, bag: Path) -> str:
+        """How old the recording of the empty container is, and whether that is a reason to doubt it."""
+        made_s = bag.stat().st_mtime
+        age_s = max(time.time() - made_s, 0.0)
+        told = f"baseline {_duration(age_s)} old: {bag}"
+        if self._calibration is not None and self._calibration.stat().st_mtime > made_s:
+            return f"{told} (older than the robot's calibration: record it again if the arm has changed between)"
+        return f"{told} (record it again if anything has changed since)" if age_s > OLD_S else told
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         self._live = None
@@ -326,10 +445,7 @@ class IdentifierNode(ManagedNode):
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
         self._calibration = output
-        newest = self._newest_calibration()
-        fresh = newest.with_name(f".{newest.name}.{os.getpid()}")
-        fresh.symlink_to(output)
-        fresh.replace(newest)
+        self._keep_as_newest(self._newest_calibration(), output)
         return True, f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
 
     def _keep(self, write: Callable[[], None]) -> None:
@@ -450,15 +566,22 @@ class IdentifierNode(ManagedNode):
         now = self.get_clock().now().nanoseconds
         self._estimate.publish(messages.diagnostics(now, [messages.status(level, name, message, told)]))
 
-    def _publish(self, estimate: Estimate) -> None:
+    def _publish_final(self, estimate: Estimate, name: str) -> None:
         accepted = estimate.verdict is Verdict.ACCEPTED
         told = {**as_diagnostics(estimate), "final": True, "calibration": str(self._calibration or "none")}
         told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         words = "; ".join(estimate.reasons) or estimate.verdict.value
-        self._publish_estimate("ok" if accepted else "warning", estimate.probe, words, told)
+        self._publish_estimate("ok" if accepted else "warning", name, words, told)
+
+    def _publish(self, estimate: Estimate) -> None:
+        self._publish_final(estimate, estimate.probe)
         value = estimate.values[0]
         live = self._live or LiveWeighing(self._options("payload"))
-        if not accepted or not isinstance(value.value, float) or not isinstance(value.std, float):
+        if (
+            estimate.verdict is not Verdict.ACCEPTED
+            or not isinstance(value.value, float)
+            or not isinstance(value.std, float)
+        ):
             return
         now, frame = self.get_clock().now().nanoseconds, live.robot.payload_frame
         com = next((entry.value for entry in estimate.values if entry.name == "payload_com"), None)
@@ -467,6 +590,21 @@ class IdentifierNode(ManagedNode):
         self._payload.publish(messages.inertia(now, frame, value.value, centre, tensor))
         self._numbers["mass"].publish(messages.number(value.value))
         self._markers.publish(messages.payload_markers(now, frame, centre, value.value, value.std))
+
+    def _publish_sphere(self, estimate: Estimate, robot: Robot, facts: ContainerFacts) -> None:
+        """All but `~/payload`: something that rolls has no fixed centre of mass, and is no payload to whoever listens there."""
+        self._publish_final(estimate, estimate.probe)
+        sphere, enclosure = estimate.values[0], facts.enclosure
+        if estimate.verdict is not Verdict.ACCEPTED or not isinstance(sphere.value, float):
+            return
+        assert isinstance(sphere.std, float)
+        self._numbers["mass"].publish(messages.number(sphere.value))
+        self._markers.publish(
+            messages.container_markers(
+                self.get_clock().now().nanoseconds, robot.payload_frame, facts.centre.tolist(), facts.rotation,
+                enclosure.shape, enclosure.inner_size.tolist(), enclosure.radius, sphere.value, sphere.std,
+            )
+        )  # fmt: skip
 
     def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
         told: dict[str, Any] = {
@@ -497,6 +635,27 @@ class IdentifierNode(ManagedNode):
                 continue
             self._unsaved.remove(session)
             self.say("info", f"the recording of {session.name} is saved now: {bag}")
+
+
+def _interval_of(estimate: Estimate) -> str:
+    """The first value in words; empty where it is not told."""
+    value = estimate.values[0]
+    if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
+        return ""
+    low, high = (1e3 * end for end in value.ci95)
+    return f"{1e3 * value.value:.1f} g, 95 % interval {low:.1f} .. {high:.1f} g"
+
+
+def _refusal_of(estimate: Estimate) -> str:
+    return f"{estimate.verdict.value}: {'; '.join(estimate.reasons) or estimate.values[0].reason}"
+
+
+def _duration(seconds: float) -> str:
+    """In the largest unit of which there are two or more."""
+    for unit, size_s in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size_s:
+            return f"{seconds / size_s:.0f} {unit}"
+    return f"{seconds:.0f} s"
 
 
 def main() -> int:

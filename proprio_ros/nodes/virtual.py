@@ -17,7 +17,7 @@ from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode, run_node
 from proprio_ros.realtime import run_in_real_time
 from proprio_ros.robot import load_robot
-from proprio_ros.virtual.objects import Payload, parse_object
+from proprio_ros.virtual.objects import Container, Payload, parse_object
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
@@ -43,6 +43,7 @@ class VirtualNode(ManagedNode):
         super().__init__("virtual", **kwargs)
         self._robot: VirtualRobot | None = None
         self._hand = "any"
+        self._sphere_is_out = False
 
     def configure(self) -> None:
         robot = load_robot(self.values["robot"])
@@ -63,6 +64,7 @@ class VirtualNode(ManagedNode):
         self._motors = self.create_publisher(JointState, "~/motors", 10)
         self.every(0.02, self._publish_motors)
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
+        self.create_subscription(DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED)
 
     def activate(self) -> None:
         seed = max(self.values["seed"], 0)
@@ -86,6 +88,13 @@ class VirtualNode(ManagedNode):
             self._hand = hand
             self._fill_hand()
 
+    def _on_identifier(self, message: DiagnosticStatus) -> None:
+        """The same sequence is made with the container empty and full; the identifier's status says which it is, to anybody."""
+        out = messages.values_of(message).get("doing") == "container_baseline"
+        if out != self._sphere_is_out:
+            self._sphere_is_out = out
+            self._fill_hand()
+
     def _publish_motors(self) -> None:
         """What is really going on: true positions [rad or m], and as effort the current in each motor [A]."""
         if self._robot is not None and self.active:
@@ -100,6 +109,8 @@ class VirtualNode(ManagedNode):
             return
         things = {"empty": None, "reference": self._reference}
         thing = things.get(self._hand, self._object)
+        if self._sphere_is_out and isinstance(thing, Container):
+            thing = thing.shell
         self._robot.hold(thing)
         held = "nothing" if thing is None else str(thing)
         self._status.publish(messages.status("ok", "virtual robot", f"the hand holds {held}", {"hand": self._hand}))

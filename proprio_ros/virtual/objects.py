@@ -100,6 +100,11 @@ class Container:
         )
         return (y + z, x + z, x + y, 0.0, 0.0, 0.0)
 
+    @property
+    def shell(self) -> Payload:
+        """The container with its sphere taken out."""
+        return Payload(self.mass_kg, self.centre_m, inertia_kg_m2=self.inertia)
+
 
 @dataclass(frozen=True)
 class SoftBlock:
@@ -154,7 +159,7 @@ class SoftBlock:
 HandObject = Payload | Container | SoftBlock
 
 OBJECT_FORMS = (
-    "none | 0.05 | payload:0.05,size=0.03,com=[0.01,0,0] | container:0.03,sphere=0.012,inner=[0.06,0.04,0.04],radius=0.012 "
+    "none | 0.05 | payload:0.05,size=0.03,com=[0.01,0,0] | container:0.03,sphere=0.012,inner=[0.06,0.04,0.04],radius=0.01 "
     "| block:12000,size=[0.03,0.03,0.03],gap=0.004 (kg, m, Pa)"
 )
 _KINDS: Mapping[str, tuple[Any, Mapping[str, str]]] = {

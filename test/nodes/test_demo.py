@@ -54,12 +54,12 @@ class Demo:
         return found
 
 
-def start(folder: Path) -> Demo:
+def start(folder: Path, *more: str) -> Demo:
     folder.mkdir()
     mark = uuid.uuid4().hex
     # demos that run side by side must not hear each other
     environment = {**os.environ, "PROPRIO_TEST_MARK": mark, "ROS_DOMAIN_ID": free_domain()}
-    words = [sys.executable, "-m", "proprio_ros.cli", "demo", "--output", str(folder / "demo")]
+    words = [sys.executable, "-m", "proprio_ros.cli", "demo", "--output", str(folder / "demo"), *more]
     with (folder / "stdout").open("wb") as stdout, (folder / "stderr").open("wb") as stderr:
         process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, env=environment)
     return Demo(process, folder, mark, time.monotonic())
@@ -147,3 +147,21 @@ def test_what_it_shows(whole: Demo) -> None:
     assert "<svg" in Path(report[1]).read_text()
     if os.getloadavg()[0] < 2.0 * (os.cpu_count() or 1):  # others that run meanwhile make it slower
         assert float(truth[2]) < LONGEST_S
+
+
+def test_a_sphere_in_a_container(tmp_path: Path) -> None:
+    demo = start(tmp_path / "container", "--probe", "container", "--mass", "0.02")
+    try:
+        assert demo.process.wait(6.0 * LONGEST_S) == 0, demo.result + demo.told
+        assert not demo.alive()
+        told = re.search(r"^sphere ([\d.]+) g, 95 % interval ([\d.]+) \.\. ([\d.]+) g", demo.result)
+        truth = re.search(
+            r"the sphere in the virtual container weighed 20\.0 g, a hidden robot; (\d+) s in all", demo.result
+        )
+        report = re.search(r"report: (.+_container/report\.html)", demo.result)
+        assert told and truth and report, demo.result
+        assert float(told[2]) <= 20.0 <= float(told[3]) and abs(float(told[1]) - 20.0) < 1.0
+        assert "empty container 30" in demo.told or "empty container 29" in demo.told, demo.told
+        assert "sphere" in Path(report[1]).read_text()
+    finally:
+        end(demo)

@@ -139,7 +139,7 @@ def test_departing_links_shift_the_torque(robot: Robot) -> None:
 
 def test_a_resting_sphere_weighs(robot: Robot) -> None:
     arm = VirtualArm(robot, truth_of(robot, SMOOTH))
-    box = Container(0.03, sphere_mass_kg=0.05, centre_m=(0.01, 0.0, 0.005))
+    box = Container(0.03, sphere_mass_kg=0.05, sphere_radius_m=0.012, centre_m=(0.01, 0.0, 0.005))
     arm.hold(box)
     start = arm.sphere_m()
     assert start == pytest.approx((0.0, 0.0, -0.008), abs=1e-12)
