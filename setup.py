@@ -52,7 +52,9 @@ setup(
             'ros-jazzy-common-interfaces; platform_machine == "x86_64"',
         ],
         "sim": ["mujoco>=3.2"],
-        "test": ["pytest>=7", "pytest-rerunfailures", "hypothesis", "ruff", "mypy"],
+        # blocks that are no boxes come from mesh files
+        "mesh": ["meshio>=5.3"],
+        "test": ["meshio>=5.3", "pytest>=7", "pytest-rerunfailures", "hypothesis", "ruff", "mypy"],
     },
     entry_points={
         "console_scripts": [

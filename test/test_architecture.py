@@ -84,6 +84,7 @@ ONLY_IN = {
     "dynamixel_sdk": {"bus"},
     "matplotlib": {"report"},
     "cma": {"identification"},
+    "meshio": {"sim"},
 }
 
 
