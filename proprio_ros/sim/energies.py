@@ -1,0 +1,173 @@
+"""What the block is made of: four laws of elasticity, their stress and its exact tangent.
+
+With the deformation gradient F, J = det F and Ic = |F|^2, the energy per reference volume of each law is linear in the two Lamé
+parameters of the paper:
+
+    Psi(F) = mu w(F) + lambda u(j)
+
+    log          w = (Ic - 3) / 2 - log J                          u = (log j)^2 / 2    j = J     the paper's equation (4)
+    smith        w = (Ic - 3) / 2 - (J - 1) + (J - 1)^2 / 2        u = (j - 1)^2 / 2    j = J     stable neo-Hookean
+    linear       w = |sym F - 1|^2                                 u = (j - 1)^2 / 2    j = tr F - 2      Hooke
+    warp_compat  w = (Ic - 3) / 2 - 3/4 (J - 1) - log((Ic + 1) / 4) / 2     u = (j - 1)^2 / 2    j = J
+
+``log`` is Bonet and Wood's compressible neo-Hookean. ``smith`` is that of Smith, de Goes and Kim, "Stable Neo-Hookean Flesh
+Simulation" (2018) without its logarithm and with lambda + mu before the square, so that mu and lambda mean what they mean in
+Hooke's law; it stays finite where J <= 0, but its force in a strong squeeze rises to a peak and drops: no law for reported
+values below a stretch of 0.7. ``warp_compat`` is equation (14) of the same paper with mu and lambda put in as they are, which
+is what warp.sim integrated: at small strain it behaves as mu 3/4 and lambda - 5/8 mu (``small_strain_lame``). ``linear`` is for
+tests; it takes a rotation for a strain.
+
+Four-node tetrahedra with Poisson's ratios above 0.4 lock: each of them alone must keep its volume. The cure is to take j as the
+mean over the cell, so that the lambda term is V_cell u(j_cell); at mu everything stays with the tetrahedron.
+
+Inversion: log J is continued below J_0 = 0.05 by its second-order Taylor polynomial, with continuous first and second
+derivative. The energy is then finite everywhere and an element that a step has turned inside out is pushed back. A converged
+state that holds such an element means nothing; the solvers refuse it.
+
+Shapes: F (M, 3, 3) for M tetrahedra; first derivatives (M, 9) by the entries of F row by row; second ones (M, 9, 9).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from proprio_ros.errors import SimulationError
+
+LAWS = ("log", "smith", "linear", "warp_compat")
+LEAST_J = 0.05
+"""Where log J is continued; smaller than in any squeeze that a block survives."""
+
+_PERMUTATION = np.zeros((3, 3, 3))
+_PERMUTATION[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+_PERMUTATION[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1.0
+# d^2 J / dF_ab dF_cd = e_ace e_bdf F_ef
+_CURVATURE_OF_J = np.einsum("ace,bdf->abcdef", _PERMUTATION, _PERMUTATION).reshape(81, 9)
+_ONE = np.eye(3).ravel()
+_TRANSPOSE = np.eye(9).reshape(3, 3, 3, 3).swapaxes(0, 1).reshape(9, 9)
+
+
+def check_law(law: str) -> str:
+    """The law, if there is such a one.
+
+    Raises:
+        SimulationError: there is none of that name.
+    """
+    if law not in LAWS:
+        raise SimulationError(f"unknown law of elasticity {law!r}: choose one of {', '.join(LAWS)}")
+    return law
+
+
+def lame(youngs_modulus: float, poissons_ratio: float) -> tuple[float, float]:
+    """mu, lambda [Pa] of Young's modulus [Pa] and Poisson's ratio."""
+    mu = youngs_modulus / (2.0 * (1.0 + poissons_ratio))
+    return mu, 2.0 * mu * poissons_ratio / (1.0 - 2.0 * poissons_ratio)
+
+
+def lame_by_poissons_ratio(poissons_ratio: float) -> tuple[float, float]:
+    """d mu / d nu and d lambda / d nu at Young's modulus 1."""
+    nu = poissons_ratio
+    both = (1.0 + nu) * (1.0 - 2.0 * nu)
+    return -0.5 / (1.0 + nu) ** 2, (1.0 + 2.0 * nu**2) / both**2
+
+
+def young(mu: float, lam: float) -> tuple[float, float]:
+    """Young's modulus [Pa] and Poisson's ratio of mu, lambda [Pa]."""
+    return mu * (3.0 * lam + 2.0 * mu) / (lam + mu), lam / (2.0 * (lam + mu))
+
+
+def small_strain_lame(law: str, mu: float, lam: float) -> tuple[float, float]:
+    """The Lamé parameters of Hooke's law that a law with these parameters starts with [Pa]."""
+    return (0.75 * mu, lam - 0.625 * mu) if law == "warp_compat" else (mu, lam)
+
+
+def check_material(law: str, mu: float, lam: float) -> None:
+    """Refuse what no solid is made of.
+
+    Raises:
+        SimulationError: shear or bulk modulus at small strain not above zero.
+    """
+    shear, lame_lambda = small_strain_lame(law, mu, lam)
+    if not (np.isfinite([mu, lam]).all() and shear > 0.0 and 3.0 * lame_lambda + 2.0 * shear > 0.0):
+        raise SimulationError(
+            f"no solid has the Lamé parameters mu = {mu:g} Pa, lambda = {lam:g} Pa under the law {law!r}: mu must be above 0 "
+            "and lambda above -2/3 of it (at small strain)"
+        )
+
+
+def log_j(j: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """log J, continued below ``LEAST_J``, with two derivatives."""
+    safe = np.maximum(j, LEAST_J)
+    below = np.minimum(j - LEAST_J, 0.0) / LEAST_J
+    first = (1.0 - below) / safe
+    return np.log(safe) + below - 0.5 * below**2, first, -1.0 / safe**2
+
+
+def shear_energy(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """w of the law and its derivatives: (M,), (M, 9), (M, 9, 9)."""
+    flat = f.reshape(-1, 9)
+    if law == "linear":
+        strain = 0.5 * (flat + flat @ _TRANSPOSE) - _ONE
+        return (strain**2).sum(axis=1), 2.0 * strain, np.broadcast_to(np.eye(9) + _TRANSPOSE, (len(flat), 9, 9))
+    ic = (flat**2).sum(axis=1)
+    j, by_f, curvature = _determinant(f)
+    by_ic = np.full_like(ic, 0.5)
+    w = 0.5 * (ic - 3.0)
+    if law == "log":
+        value, first, second = log_j(j)
+        w, by_j, by_jj = w - value, -first, -second
+    elif law == "smith":
+        w, by_j, by_jj = w - (j - 1.0) + 0.5 * (j - 1.0) ** 2, j - 2.0, np.ones_like(j)
+    else:
+        w, by_j, by_jj = (
+            w - 0.75 * (j - 1.0) - 0.5 * np.log(0.25 * (ic + 1.0)),
+            np.full_like(j, -0.75),
+            np.zeros_like(j),
+        )
+        by_ic = 0.5 - 0.5 / (ic + 1.0)
+    hessian = 2.0 * by_ic[:, None, None] * np.eye(9) + by_j[:, None, None] * curvature
+    if law == "warp_compat":
+        hessian += (2.0 / (ic + 1.0) ** 2)[:, None, None] * (flat[:, :, None] * flat[:, None, :])
+    else:
+        hessian += by_jj[:, None, None] * (by_f[:, :, None] * by_f[:, None, :])
+    return w, 2.0 * by_ic[:, None] * flat + by_j[:, None] * by_f, hessian
+
+
+def volume(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """j of the law, its change of volume, and derivatives: (M,), (M, 9), (M, 9, 9)."""
+    if law != "linear":
+        return _determinant(f)
+    count = len(f)
+    return (
+        np.trace(f, axis1=1, axis2=2) - 2.0,
+        np.broadcast_to(_ONE, (count, 9)),
+        np.broadcast_to(np.zeros((9, 9)), (count, 9, 9)),
+    )
+
+
+def bulk_energy(law: str, j: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u of the law and two derivatives, each (C,)."""
+    if law == "log":
+        value, first, second = log_j(j)
+        return 0.5 * value**2, value * first, first**2 + value * second
+    return 0.5 * (j - 1.0) ** 2, j - 1.0, np.ones_like(j)
+
+
+def stress(law: str, f: np.ndarray, mu: float, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy density, first Piola-Kirchhoff stress and its tangent where j is each tetrahedron's own.
+
+    Returns:
+        Psi (M,) [J/m^3], P (M, 3, 3) [Pa], dP/dF (M, 9, 9) [Pa].
+    """
+    w, by_f, curvature = shear_energy(law, f)
+    j, j_by_f, j_curvature = volume(law, f)
+    u, first, second = bulk_energy(law, j)
+    tangent = mu * curvature + lam * first[:, None, None] * j_curvature
+    tangent = tangent + (lam * second)[:, None, None] * (j_by_f[:, :, None] * j_by_f[:, None, :])
+    return mu * w + lam * u, (mu * by_f + lam * first[:, None] * j_by_f).reshape(-1, 3, 3), tangent
+
+
+def _determinant(f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J and its derivatives; exact also where F is singular."""
+    curvature = (f.reshape(-1, 9) @ _CURVATURE_OF_J.T).reshape(-1, 9, 9)
+    cofactor = 0.5 * np.einsum("mij,mj->mi", curvature, f.reshape(-1, 9))
+    return np.einsum("mi,mi->m", cofactor, f.reshape(-1, 9)) / 3.0, cofactor, curvature

@@ -1,0 +1,123 @@
+"""The laws of elasticity against finite differences, Hooke's law, their published formulae, and Cauchy's symmetry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from proprio_ros.errors import SimulationError
+from proprio_ros.sim.energies import (
+    LAWS,
+    LEAST_J,
+    bulk_energy,
+    check_law,
+    check_material,
+    lame,
+    lame_by_poissons_ratio,
+    small_strain_lame,
+    stress,
+    young,
+)
+
+MATERIALS = [(749.6, 264.3), (5097.6, 5430.4), (1.0, -0.3), (300.0, 9000.0)]
+
+
+def deformations(count: int, spread: float, seed: int = 3) -> np.ndarray:
+    return np.eye(3) + spread * np.random.default_rng(seed).normal(size=(count, 3, 3))
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("mu", "lam"), MATERIALS)
+def test_stress_and_tangent_against_central_differences(law: str, mu: float, lam: float) -> None:
+    """Also where a tetrahedron is inside out, and where it is nearly flat."""
+    inverted = deformations(4, 0.2) * np.array([-0.6, 1.0, 1.0])
+    crushed = deformations(4, 0.05) * np.array([0.03, 1.0, 1.0])
+    f = np.concatenate([deformations(8, 0.2), inverted, crushed])
+    _, exact, tangent = stress(law, f, mu, lam)
+    step = 1e-6
+    scale = np.abs(exact).max(axis=(1, 2)) + mu
+    for entry in range(9):
+        moved = np.zeros((3, 3))
+        moved.flat[entry] = step
+        up, down = stress(law, f + moved, mu, lam), stress(law, f - moved, mu, lam)
+        difference = (up[0] - down[0]) / (2 * step)
+        assert np.abs((difference - exact.reshape(-1, 9)[:, entry]) / scale).max() < 1e-6
+        slope = ((up[1] - down[1]) / (2 * step)).reshape(-1, 9)
+        size = np.abs(tangent).max(axis=(1, 2))[:, None]
+        assert np.abs((slope - tangent[:, :, entry]) / size).max() < 1e-6
+    np.testing.assert_allclose(tangent, tangent.swapaxes(1, 2), rtol=1e-12, atol=1e-12 * np.abs(tangent).max())
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("mu", "lam"), MATERIALS)
+def test_the_slope_at_rest_is_hooke_s_law(law: str, mu: float, lam: float) -> None:
+    rest = np.eye(3)[None]
+    energy, force, tangent = stress(law, rest, mu, lam)
+    assert abs(energy[0]) < 1e-12 * mu
+    assert np.abs(force).max() < 1e-12 * mu
+    shear, bulk = small_strain_lame(law, mu, lam)
+    one = np.eye(3)
+    hooke = bulk * np.einsum("ab,cd->abcd", one, one)
+    hooke += shear * (np.einsum("ac,bd->abcd", one, one) + np.einsum("ad,bc->abcd", one, one))
+    np.testing.assert_allclose(tangent[0], hooke.reshape(9, 9), atol=1e-10 * (mu + abs(lam)))
+
+
+def test_formulae_as_published() -> None:
+    f = deformations(6, 0.15)
+    mu, lam = 700.0, 900.0
+    j, ic = np.linalg.det(f), np.einsum("mab,mab->m", f, f)
+    eq4 = mu / 2 * (ic - 3) - mu * np.log(j) + lam / 2 * np.log(j) ** 2
+    np.testing.assert_allclose(stress("log", f, mu, lam)[0], eq4)
+    # Smith 2018 with its rest constant a = 1 + mu' / lambda' and without its logarithm, lambda' = lambda + mu
+    shift = 1 + mu / (lam + mu)
+    smith = mu / 2 * (ic - 3) + (lam + mu) / 2 * ((j - shift) ** 2 - (1 - shift) ** 2)
+    np.testing.assert_allclose(stress("smith", f, mu, lam)[0], smith)
+    # what warp.sim computed: P = mu F (1 - 1 / (Ic + 1)) + lambda (J - alpha) dJ/dF
+    alpha = 1 + mu / lam - mu / (4 * lam)
+    by_f = j[:, None, None] * np.linalg.inv(f).swapaxes(1, 2)
+    warp = mu * f * (1 - 1 / (ic + 1))[:, None, None] + lam * (j - alpha)[:, None, None] * by_f
+    np.testing.assert_allclose(stress("warp_compat", f, mu, lam)[1], warp, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if law != "linear"])
+def test_turning_the_block_costs_nothing(law: str) -> None:
+    f = deformations(5, 0.2)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    energy, force, _ = stress(law, f, 700.0, 900.0)
+    turned, force_turned, _ = stress(law, turn @ f, 700.0, 900.0)
+    np.testing.assert_allclose(turned, energy, rtol=1e-12)
+    np.testing.assert_allclose(force_turned, turn @ force, atol=1e-9)
+    cauchy = force @ f.swapaxes(1, 2)
+    np.testing.assert_allclose(cauchy, cauchy.swapaxes(1, 2), atol=1e-9)
+
+
+def test_the_papers_pair_under_warp_is_auxetic() -> None:
+    modulus, ratio = young(*small_strain_lame("warp_compat", 749.6, 264.3))
+    assert modulus == pytest.approx(804.0, abs=1.0) and ratio == pytest.approx(-0.285, abs=1e-3)
+
+
+def test_logarithm_is_continued_smoothly_and_pushes_back() -> None:
+    near = LEAST_J + np.array([-1e-7, 1e-7])
+    for values in bulk_energy("log", near):
+        assert values[0] == pytest.approx(values[1], rel=1e-4)
+    j = np.linspace(-1.0, 0.9, 200)
+    energy, slope, curvature = bulk_energy("log", j)
+    assert np.isfinite(energy).all() and (slope < 0.0).all() and (curvature > 0.0).all()
+
+
+@pytest.mark.parametrize("ratio", [-0.3, 0.0, 0.13, 0.45])
+def test_moduli_there_and_back(ratio: float) -> None:
+    assert young(*lame(1234.0, ratio)) == pytest.approx((1234.0, ratio))
+    step = 1e-6
+    difference = (np.array(lame(1.0, ratio + step)) - lame(1.0, ratio - step)) / (2 * step)
+    assert lame_by_poissons_ratio(ratio) == pytest.approx(difference, rel=1e-6)
+
+
+def test_bad_materials() -> None:
+    with pytest.raises(SimulationError, match="choose one of log, smith"):
+        check_law("rubber")
+    for mu, lam in [(0.0, 1.0), (1.0, -0.7), (np.nan, 1.0)]:
+        with pytest.raises(SimulationError, match="no solid"):
+            check_material("log", mu, lam)
+    check_material("warp_compat", 749.6, 264.3)
