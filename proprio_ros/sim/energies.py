@@ -21,8 +21,9 @@ Four-node tetrahedra with Poisson's ratios above 0.4 lock: each of them alone mu
 mean over the cell, so that the lambda term is V_cell u(j_cell); at mu everything stays with the tetrahedron.
 
 Inversion: log J is continued below J_0 = 0.05 by its second-order Taylor polynomial, with continuous first and second
-derivative. The energy is then finite everywhere and an element that a step has turned inside out is pushed back. A converged
-state that holds such an element means nothing; the solvers refuse it.
+derivative. Every energy is then finite everywhere, and an element that a step has turned inside out is pushed back. An answer of
+``log`` that holds such an element means nothing, and the solvers refuse it. ``smith`` and ``warp_compat`` allow inverted elements
+by design: in a strong squeeze single elements at the edge of a bonded face do invert.
 
 Shapes: F (M, 3, 3) for M tetrahedra; first derivatives (M, 9) by the entries of F row by row; second ones (M, 9, 9).
 """
@@ -78,6 +79,11 @@ def young(mu: float, lam: float) -> tuple[float, float]:
 def small_strain_lame(law: str, mu: float, lam: float) -> tuple[float, float]:
     """The Lamé parameters of Hooke's law that a law with these parameters starts with [Pa]."""
     return (0.75 * mu, lam - 0.625 * mu) if law == "warp_compat" else (mu, lam)
+
+
+def lame_of_small_strain(law: str, mu: float, lam: float) -> tuple[float, float]:
+    """The parameters with which a law starts as Hooke's law does with these: ``small_strain_lame`` the other way round [Pa]."""
+    return (mu / 0.75, lam + 0.625 / 0.75 * mu) if law == "warp_compat" else (mu, lam)
 
 
 def check_material(law: str, mu: float, lam: float) -> None:

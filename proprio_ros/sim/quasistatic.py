@@ -233,7 +233,7 @@ class QuasiStatic:
             results[:, k] = self._fold * scales * derivatives
             least_j[k] = self.elastic.least_j(points)
             places[k] = points
-            if self.elastic.law != "linear" and least_j[k] <= LEAST_J:
+            if self.elastic.law == "log" and least_j[k] <= LEAST_J:
                 raise SimulationError(
                     f"at a squeeze of {100 * squeeze[k] / self._length:.3g} % an element is crushed to "
                     f"{100 * least_j[k]:.3g} % of its volume: squeeze less"

@@ -14,6 +14,7 @@ from proprio_ros.sim.energies import (
     check_material,
     lame,
     lame_by_poissons_ratio,
+    lame_of_small_strain,
     small_strain_lame,
     stress,
     young,
@@ -109,6 +110,8 @@ def test_logarithm_is_continued_smoothly_and_pushes_back() -> None:
 @pytest.mark.parametrize("ratio", [-0.3, 0.0, 0.13, 0.45])
 def test_moduli_there_and_back(ratio: float) -> None:
     assert young(*lame(1234.0, ratio)) == pytest.approx((1234.0, ratio))
+    for law in LAWS:
+        assert small_strain_lame(law, *lame_of_small_strain(law, 3.0, 1.5)) == pytest.approx((3.0, 1.5))
     step = 1e-6
     difference = (np.array(lame(1.0, ratio + step)) - lame(1.0, ratio - step)) / (2 * step)
     assert lame_by_poissons_ratio(ratio) == pytest.approx(difference, rel=1e-6)
