@@ -1,0 +1,587 @@
+"""The block as the paper moves it: explicit elastodynamics of its nodes between two fingers that one motor closes.
+
+With nodal forces f = -dE/dx of the energy of ``quasistatic.py`` and a viscosity of the material as warp.sim has it, the paper's
+equations (2) and (4) for a gripper with joint coordinate q, positive when closing:
+
+    d = travel q - gap                                     squeeze; each finger moves by d / 2
+    J dw/dt = k_t i - f_c tanh(w / v_s) - f_v w - travel P,      P = (push on one finger + push on the other) / 2
+    m_i dv_i/dt = f_i,      F_i from stress P(F) + eta dF/dt,     F = sum of x_k (x) grad N_k
+
+integrated by semi-implicit Euler: first w and v from the state as it was, then q and x with the new w and v. While d > 0 the
+nodes of a face have its x; ``bonded`` ones also keep their place on it, ``frictionless`` ones slide. The faces' nodes are part
+of the gripper's inertia, with travel^2 / 4 of their mass. Before the fingers touch, the block is at rest. Gravity of the block
+is left out: 0.02 % of the force at a squeeze of 10 %.
+
+All steps of a frame run in one launch and every step writes its own row (an adjoint is only right when no state is
+overwritten). The gradient comes from the adjoint of the same kernel, frame by frame from the last one backwards.
+``keep="states"`` holds the states of all steps; ``keep="starts"`` holds those at the start of each frame and computes the
+others again: the same gradient for a fifth more time and a fraction of the memory.
+
+This is the paper's solver and the oracle for ``squeeze.py``, which is what a fit runs: nothing here is fast enough for that,
+and the step is limited by the block's fastest wave (``most_step_s``).
+"""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import eigsh
+
+from proprio_ros.errors import SimulationError
+from proprio_ros.sim import runtime
+from proprio_ros.sim.energies import LEAST_J, check_law, check_material
+from proprio_ros.sim.mesh import TetMesh
+from proprio_ros.sim.quasistatic import CONTACTS, Elastic
+from proprio_ros.sim.runtime import FLOAT
+
+SOFT_PARAMETERS = (
+    "inertia",
+    "torque_constant",
+    "coulomb",
+    "viscous",
+    "q0",
+    "v0",
+    "gap",
+    "lame_mu",
+    "lame_lambda",
+    "viscosity",
+)
+"""Rows of a parameter vector, SI: kg m^2, N m/A, N m, N m s/rad, rad, rad/s, m, Pa, Pa, Pa s (kg, N, m for a slide)."""
+SOFT_INDEX = {name: row for row, name in enumerate(SOFT_PARAMETERS)}
+KEEP = ("states", "starts")
+MARGIN = 0.8
+"""Of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency."""
+
+runtime.start()
+_VEC3 = wp.types.vector(length=3, dtype=FLOAT)
+_MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
+
+
+@dataclass(frozen=True)
+class SoftRun:
+    """What one rollout is driven by.
+
+    Attributes:
+        input_times_s: when the current changes [s], increasing, first at 0, shape (I,).
+        input_current_A: from each of those instants on [A], shape (I,).
+        frames: how many; a position is compared at the end of each.
+        frame_s: length of one [s].
+        substeps: steps of a frame.
+    """
+
+    input_times_s: np.ndarray
+    input_current_A: np.ndarray
+    frames: int
+    frame_s: float = 1.0 / 60.0
+    substeps: int = 64
+
+    @property
+    def step_s(self) -> float:
+        """Length of one step [s]."""
+        return self.frame_s / self.substeps
+
+    def currents(self) -> np.ndarray:
+        """The current at the start of every step [A], shape (frames, substeps)."""
+        times = np.arange(self.frames * self.substeps) * self.step_s
+        last = np.searchsorted(self.input_times_s, times + 1e-9, side="right") - 1
+        return np.asarray(self.input_current_A, dtype=np.float64)[last].reshape(self.frames, self.substeps)
+
+
+@wp.func
+def _log_slope(j: FLOAT):
+    """d log J / dJ, continued (``energies.log_j``)."""
+    least = FLOAT(LEAST_J)
+    below = wp.min(j - least, FLOAT(0.0)) / least
+    return (FLOAT(1.0) - below) / wp.max(j, least)
+
+
+@wp.func
+def _log(j: FLOAT):
+    least = FLOAT(LEAST_J)
+    below = wp.min(j - least, FLOAT(0.0)) / least
+    return wp.log(wp.max(j, least)) + below - FLOAT(0.5) * below * below
+
+
+@wp.func
+def _cofactor(f: _MAT33):
+    """dJ/dF."""
+    return _MAT33(
+        f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1],
+        f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2],
+        f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0],
+        f[2, 1] * f[0, 2] - f[2, 2] * f[0, 1],
+        f[2, 2] * f[0, 0] - f[2, 0] * f[0, 2],
+        f[2, 0] * f[0, 1] - f[2, 1] * f[0, 0],
+        f[0, 1] * f[1, 2] - f[0, 2] * f[1, 1],
+        f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2],
+        f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0],
+    )
+
+
+@cache
+def _law_functions(law: str) -> tuple[Any, Any]:
+    """j(F), and the stress from F and the cell's j: ``energies.py`` for kernels."""
+    identity = wp.constant(_MAT33(*np.eye(3).ravel().tolist()))
+
+    @wp.func
+    def change(f: _MAT33):
+        if wp.static(law == "linear"):
+            return f[0, 0] + f[1, 1] + f[2, 2] - FLOAT(2.0)
+        return wp.determinant(f)
+
+    @wp.func
+    def stress(f: _MAT33, cell_j: FLOAT, mu: FLOAT, lam: FLOAT):
+        if wp.static(law == "linear"):
+            strain = f + wp.transpose(f) - FLOAT(2.0) * identity
+            return mu * strain + (lam * (cell_j - FLOAT(1.0))) * identity
+        cofactor = _cofactor(f)
+        j = wp.determinant(f)
+        if wp.static(law == "log"):
+            push = lam * _log(cell_j) * _log_slope(cell_j) - mu * _log_slope(j)
+            return mu * f + push * cofactor
+        if wp.static(law == "smith"):
+            push = lam * (cell_j - FLOAT(1.0)) + mu * (j - FLOAT(2.0))
+            return mu * f + push * cofactor
+        ic = wp.ddot(f, f)
+        push = lam * (cell_j - FLOAT(1.0)) - FLOAT(0.75) * mu
+        return (mu * (FLOAT(1.0) - FLOAT(1.0) / (ic + FLOAT(1.0)))) * f + push * cofactor
+
+    return change, stress
+
+
+@wp.func
+def _spread(
+    x: wp.array3d(dtype=_VEC3), w: wp.int32, n: wp.int32, a: wp.int32, b: wp.int32, c: wp.int32, d: wp.int32, dm: _MAT33
+):
+    """Gradient of a nodal field in one tetrahedron; ``dm`` is the inverse of its edges at rest."""
+    origin = x[w, n, a]
+    e1 = x[w, n, b] - origin
+    e2 = x[w, n, c] - origin
+    e3 = x[w, n, d] - origin
+    return _MAT33(e1[0], e2[0], e3[0], e1[1], e2[1], e3[1], e1[2], e2[2], e3[2]) * dm
+
+
+@cache
+def _frame_kernel(law: str, bonded: bool) -> Any:
+    """All steps of a frame; thread = world."""
+    change, stress = _law_functions(law)
+
+    @wp.kernel(module="unique")
+    def frame(
+        # Block:
+        tets: wp.array2d(dtype=wp.int32),
+        cells: wp.array(dtype=wp.int32),
+        shares: wp.array(dtype=FLOAT),
+        volumes: wp.array(dtype=FLOAT),
+        inverses: wp.array(dtype=_MAT33),
+        masses: wp.array(dtype=FLOAT),
+        sides: wp.array(dtype=FLOAT),
+        end_nodes: wp.array(dtype=wp.int32),
+        # Gripper and run: half length, travel, smoothing velocity, faces' mass, step
+        constants: wp.array(dtype=FLOAT),
+        current_in: wp.array(dtype=FLOAT),
+        # World data in:
+        p_in: wp.array2d(dtype=FLOAT),
+        # World data in and out: row 0 is given, one more row for every step
+        q: wp.array2d(dtype=FLOAT),
+        u: wp.array2d(dtype=FLOAT),
+        x: wp.array3d(dtype=_VEC3),
+        v: wp.array3d(dtype=_VEC3),
+        # World data out, zero before:
+        cell_j: wp.array3d(dtype=FLOAT),
+        force: wp.array3d(dtype=_VEC3),
+        push: wp.array2d(dtype=FLOAT),
+    ):
+        w = wp.tid()
+        half_length = constants[0]
+        travel = constants[1]
+        smooth = constants[2]
+        h = constants[4]
+        half = FLOAT(0.5)
+        inertia = p_in[w, 0] + FLOAT(0.25) * travel * travel * constants[3]
+        torque_constant = p_in[w, 1]
+        coulomb = p_in[w, 2]
+        viscous = p_in[w, 3]
+        gap = p_in[w, 6]
+        mu = p_in[w, 7]
+        lam = p_in[w, 8]
+        eta = p_in[w, 9]
+        for n in range(current_in.shape[0]):
+            for t in range(tets.shape[0]):
+                f = _spread(x, w, n, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], inverses[t])
+                wp.atomic_add(cell_j, w, n, cells[t], shares[t] * change(f))
+            for t in range(tets.shape[0]):
+                a = tets[t, 0]
+                b = tets[t, 1]
+                c = tets[t, 2]
+                d = tets[t, 3]
+                dm = inverses[t]
+                f = _spread(x, w, n, a, b, c, d, dm)
+                rate = _spread(v, w, n, a, b, c, d, dm)
+                pull = (-volumes[t]) * ((stress(f, cell_j[w, n, cells[t]], mu, lam) + eta * rate) * wp.transpose(dm))
+                f1 = _VEC3(pull[0, 0], pull[1, 0], pull[2, 0])
+                f2 = _VEC3(pull[0, 1], pull[1, 1], pull[2, 1])
+                f3 = _VEC3(pull[0, 2], pull[1, 2], pull[2, 2])
+                wp.atomic_add(force, w, n, b, f1)
+                wp.atomic_add(force, w, n, c, f2)
+                wp.atomic_add(force, w, n, d, f3)
+                wp.atomic_add(force, w, n, a, -(f1 + f2 + f3))
+            for k in range(end_nodes.shape[0]):
+                i = end_nodes[k]
+                outward = force[w, n, i]
+                wp.atomic_add(push, w, n, half * sides[i] * outward[0])
+            turn = u[w, n]
+            pressing = wp.float64(0.0)
+            if travel * q[w, n] - gap > FLOAT(0.0):
+                pressing = push[w, n]
+            torque = torque_constant * current_in[n] - coulomb * wp.tanh(turn / smooth) - viscous * turn
+            u[w, n + 1] = turn + h * (torque - travel * pressing) / inertia
+            q[w, n + 1] = q[w, n] + h * u[w, n + 1]
+            for i in range(masses.shape[0]):
+                side = sides[i]
+                place = x[w, n, i]
+                speed = v[w, n, i] + (h / masses[i]) * force[w, n, i]
+                moved = place + h * speed
+                if side != FLOAT(0.0):
+                    squeeze = travel * q[w, n + 1] - gap
+                    at = side * half_length
+                    along = FLOAT(0.0)
+                    if squeeze > FLOAT(0.0):
+                        at = side * (half_length - half * squeeze)
+                        along = -half * side * travel * u[w, n + 1]
+                    if wp.static(bonded):
+                        v[w, n + 1, i] = _VEC3(along, FLOAT(0.0), FLOAT(0.0))
+                        x[w, n + 1, i] = _VEC3(at, place[1], place[2])
+                    else:
+                        v[w, n + 1, i] = _VEC3(along, speed[1], speed[2])
+                        x[w, n + 1, i] = _VEC3(at, moved[1], moved[2])
+                else:
+                    v[w, n + 1, i] = speed
+                    x[w, n + 1, i] = moved
+
+    return frame
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _carry(
+    row_in: wp.int32,
+    row_out: wp.int32,
+    q_in: wp.array2d(dtype=FLOAT),
+    u_in: wp.array2d(dtype=FLOAT),
+    x_in: wp.array3d(dtype=_VEC3),
+    v_in: wp.array3d(dtype=_VEC3),
+    q_out: wp.array2d(dtype=FLOAT),
+    u_out: wp.array2d(dtype=FLOAT),
+    x_out: wp.array3d(dtype=_VEC3),
+    v_out: wp.array3d(dtype=_VEC3),
+):
+    """Copy one row of the states to another."""
+    w, i = wp.tid()
+    x_out[w, row_out, i] = x_in[w, row_in, i]
+    v_out[w, row_out, i] = v_in[w, row_in, i]
+    if i == 0:
+        q_out[w, row_out] = q_in[w, row_in]
+        u_out[w, row_out] = u_in[w, row_in]
+
+
+class _Rows:
+    """States of some steps (or their adjoints) and what a frame's kernel needs beside them."""
+
+    def __init__(self, worlds: int, steps: int, nodes: int, cells: int, device: str) -> None:
+        def zeros(shape: tuple[int, ...], kind: Any = FLOAT) -> wp.array:
+            return wp.zeros(shape, dtype=kind, device=device)
+
+        self.states = [
+            zeros((worlds, steps + 1)),
+            zeros((worlds, steps + 1)),
+            zeros((worlds, steps + 1, nodes), _VEC3),
+            zeros((worlds, steps + 1, nodes), _VEC3),
+        ]
+        self.sums = [zeros((worlds, steps, cells)), zeros((worlds, steps, nodes), _VEC3), zeros((worlds, steps))]
+
+    @property
+    def bytes(self) -> int:
+        """Of memory."""
+        return sum(int(array.capacity) for array in (*self.states, *self.sums))
+
+
+class SoftBody:
+    """A block between the fingers of a gripper, many guesses (worlds) at a time.
+
+    Args:
+        mesh: the block.
+        mass: of the block [kg], spread evenly over its volume.
+        travel: how fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0.
+        law: one of ``energies.LAWS``.
+        contact: one of ``quasistatic.CONTACTS``.
+        friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
+        device: Warp device name.
+
+    Raises:
+        SimulationError: unknown law or contact, no mass or no travel.
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        mass: float,
+        travel: float,
+        law: str = "log",
+        contact: str = "bonded",
+        friction_velocity: float = 1e-3,
+        device: str = "cpu",
+    ) -> None:
+        if contact not in CONTACTS:
+            raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
+        if not (np.isfinite(mass) and mass > 0.0 and np.isfinite(travel) and travel != 0.0):
+            raise SimulationError(
+                f"block.mass={mass:g} kg and a travel of {travel:g} m: the first must be above 0, the second not 0"
+            )
+        self.mesh = mesh
+        self.law = check_law(law)
+        self.contact = contact
+        self.device = device
+        self.elastic = Elastic(mesh, law)
+        self.travel = travel
+        self._smooth = friction_velocity
+        density = mass / float(mesh.volumes.sum())
+        self.masses = np.bincount(mesh.tets.ravel(), np.repeat(0.25 * density * mesh.volumes, 4))
+        self._points = mesh.points - np.array([mesh.low[0] + 0.5 * mesh.length, 0.0, 0.0])
+        self._sides = np.zeros(len(mesh.points))
+        self._sides[mesh.end(0, False)], self._sides[mesh.end(0, True)] = -1.0, 1.0
+        self._ends = np.flatnonzero(self._sides)
+        corners = mesh.points[mesh.tets]
+        inverses = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+        shares = mesh.volumes / np.bincount(mesh.cells, mesh.volumes)[mesh.cells]
+
+        def array(values: np.ndarray, kind: Any = FLOAT) -> wp.array:
+            return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
+
+        self._block = [
+            array(mesh.tets.astype(np.int32), wp.int32),
+            array(mesh.cells.astype(np.int32), wp.int32),
+            array(shares),
+            array(mesh.volumes),
+            array(inverses, _MAT33),
+            array(self.masses),
+            array(self._sides),
+            array(self._ends.astype(np.int32), wp.int32),
+        ]
+
+    @cached_property
+    def _fastest(self) -> tuple[float, float, float]:
+        """Largest eigenvalues of stiffness over mass at mu = 1, lambda = 1, and of viscosity over mass at eta = 1.
+
+        Of what can move: the fingers, or rest before they touch, hold the faces.
+        """
+        mesh = self.mesh
+        gradients = mesh.gradients
+        local = mesh.volumes[:, None, None] * (gradients @ np.swapaxes(gradients, 1, 2))
+        index = np.repeat(mesh.tets, 4, axis=1).ravel(), np.tile(mesh.tets, (1, 4)).ravel()
+        viscous = coo_matrix((local.ravel(), index), shape=(len(mesh.points),) * 2).tocsr()
+        moves = np.ones((len(mesh.points), 3), dtype=bool)
+        moves[self._ends, : 3 if self.contact == "bonded" else 1] = False
+        if not moves.any():
+            return 0.0, 0.0, 0.0
+        masses = np.repeat(self.masses, 3)
+        shear = self.elastic.linearised(mesh.points, 1.0, 0.0)[2]
+        bulk = self.elastic.linearised(mesh.points, 0.0, 1.0)[2]
+        return (
+            _largest(shear, masses, moves.ravel()),
+            _largest(bulk, masses, moves.ravel()),
+            _largest(viscous, self.masses, moves.any(axis=1)),
+        )
+
+    def most_step_s(self, mu: float, lam: float, viscosity: float = 0.0) -> float:
+        """Longest stable step at rest [s]: h^2 omega^2 + 2 h c < 4 with the fastest wave's omega and damping c."""
+        shear, bulk, viscous = self._fastest
+        omega2, damping = mu * shear + max(lam, 0.0) * bulk, viscosity * viscous
+        if omega2 == 0.0:
+            return np.inf
+        return float((np.sqrt(damping**2 + 4.0 * omega2) - damping) / omega2)
+
+    def rollout(
+        self,
+        run: SoftRun,
+        p: np.ndarray,
+        keep: str = "states",
+        start: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> "SoftRollout":
+        """Integrate the run for some guesses.
+
+        Args:
+            run: current and steps.
+            p: parameters of each world in the order of ``SOFT_PARAMETERS``, shape (W, P).
+            keep: ``"states"`` of all steps, or ``"starts"`` of the frames.
+            start: positions [m] and velocities [m/s] of the nodes at the start, relative to the middle between the fingers,
+                each (N, 3); default at rest. Nodes of pressed faces go to where the fingers are.
+
+        Raises:
+            SimulationError: unknown ``keep``, no such solid, steps too long, or the block was torn to pieces on the way.
+        """
+        if keep not in KEEP:
+            raise SimulationError(f"unknown keep={keep!r}: choose one of {', '.join(KEEP)}")
+        p = np.array(p, dtype=np.float64)
+        if p.ndim != 2 or p.shape[1] != len(SOFT_PARAMETERS) or not np.isfinite(p).all():
+            raise SimulationError(f"parameters must be rows of finite numbers: {', '.join(SOFT_PARAMETERS)}")
+        for row in p:
+            mu, lam, eta = row[SOFT_INDEX["lame_mu"]], row[SOFT_INDEX["lame_lambda"]], row[SOFT_INDEX["viscosity"]]
+            check_material(self.law, mu, lam)
+            longest = MARGIN * self.most_step_s(mu, lam, eta)
+            if run.step_s > longest:
+                raise SimulationError(
+                    f"steps of {1e6 * run.step_s:.3g} us are too long for a block of mu = {mu:.4g} Pa, lambda = {lam:.4g} Pa on "
+                    f"this mesh: take {int(np.ceil(run.frame_s / longest))} substeps or more instead of {run.substeps}"
+                )
+        return SoftRollout(self, run, p, keep, start)
+
+    def _start(self, p: np.ndarray, given: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities of the nodes of each world, each (W, N, 3)."""
+        x, v = (self._points, np.zeros_like(self._points)) if given is None else given
+        x, v = np.tile(x, (len(p), 1, 1)), np.tile(v, (len(p), 1, 1))
+        squeeze = self.travel * p[:, SOFT_INDEX["q0"]] - p[:, SOFT_INDEX["gap"]]
+        pressed = squeeze > 0.0
+        side = self._sides[self._ends]
+        x[:, self._ends, 0] = side * (0.5 * self.mesh.length - 0.5 * np.maximum(squeeze, 0.0)[:, None])
+        v[:, self._ends, 0] = -0.5 * side * self.travel * (pressed * p[:, SOFT_INDEX["v0"]])[:, None]
+        if self.contact == "bonded":
+            v[:, self._ends, 1:] = 0.0
+        return x, v
+
+
+def _largest(matrix: Any, masses: np.ndarray, moves: np.ndarray) -> float:
+    """Largest eigenvalue of a symmetric matrix over masses, of the coordinates that move."""
+    root = diags(1.0 / np.sqrt(masses[moves]))
+    scaled = root @ matrix.tocsr()[moves][:, moves] @ root
+    if scaled.shape[0] < 50:
+        return float(np.linalg.eigvalsh(scaled.toarray())[-1])
+    return float(eigsh(scaled, k=1, which="LA", return_eigenvectors=False, tol=1e-4)[0])
+
+
+class SoftRollout:
+    """One rollout and its adjoint.
+
+    Attributes:
+        q, v: joint coordinate and velocity at the end of every frame, shape (W, K).
+        points, velocities: of the nodes at the end, relative to the middle between the fingers, shape (W, N, 3).
+        bytes: memory of the states that are kept, and of one frame's adjoint.
+    """
+
+    def __init__(
+        self,
+        owner: SoftBody,
+        run: SoftRun,
+        p: np.ndarray,
+        keep: str,
+        start: tuple[np.ndarray, np.ndarray] | None,
+    ) -> None:
+        self._owner = owner
+        self._run = run
+        self._keep = keep
+        self._given = p
+        self._p = wp.array(p, dtype=FLOAT, device=owner.device)
+        faces_mass = float(owner.masses[owner._ends].sum())
+        constants = [0.5 * owner.mesh.length, owner.travel, owner._smooth, faces_mass, run.step_s]
+        self._constants = wp.array(np.array(constants), dtype=FLOAT, device=owner.device)
+        self._currents = [wp.array(row, dtype=FLOAT, device=owner.device) for row in run.currents()]
+        self._kernel = _frame_kernel(owner.law, owner.contact == "bonded")
+        self._frames: list[_Rows] = []
+        self._work = self._rows(run.substeps) if keep == "starts" else None
+        self._pressed_at_start = owner.travel * p[:, SOFT_INDEX["q0"]] > p[:, SOFT_INDEX["gap"]]
+        rows = self._rows(0) if keep == "starts" else self._rows(run.substeps)
+        x, v = owner._start(p, start)
+        for array, value in zip(rows.states, (p[:, SOFT_INDEX["q0"]], p[:, SOFT_INDEX["v0"]], x, v), strict=True):
+            whole = array.numpy()
+            whole[:, 0] = value
+            array.assign(whole)
+        self.q, self.v = np.zeros((2, len(p), run.frames))
+        for frame in range(run.frames):
+            self._frames.append(rows)
+            done = self._integrate(frame)
+            self.q[:, frame] = done.states[0].numpy()[:, -1]
+            self.v[:, frame] = done.states[1].numpy()[:, -1]
+            if frame + 1 < run.frames:
+                rows = self._rows(0) if keep == "starts" else self._rows(run.substeps)
+                self._copy(done.states, run.substeps, rows.states, 0)
+        self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done.states[2:])
+        if not (np.isfinite(self.q).all() and np.isfinite(self.points).all()):
+            raise SimulationError(
+                "the rollout diverged: a squeezed block is stiffer than at rest; take more substeps, or less current"
+            )
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all states that are kept [B]."""
+        kept = sum(rows.bytes for rows in self._frames)
+        return kept + (self._work.bytes if self._work is not None else 0)
+
+    def _rows(self, steps: int) -> _Rows:
+        mesh = self._owner.mesh
+        return _Rows(len(self._given), steps, len(mesh.points), mesh.cell_count, self._owner.device)
+
+    def _copy(self, source: list[wp.array], row_in: int, target: list[wp.array], row_out: int) -> None:
+        dim = (len(self._given), len(self._owner.mesh.points))
+        wp.launch(_carry, dim=dim, inputs=[row_in, row_out, *source], outputs=target, device=self._owner.device)
+
+    def _inputs(self, frame: int) -> list[wp.array]:
+        return [*self._owner._block, self._constants, self._currents[frame], self._p]
+
+    def _integrate(self, frame: int) -> _Rows:
+        """Every step of a frame, from the start that is kept."""
+        rows = self._frames[frame]
+        if self._work is not None:
+            self._copy(rows.states, 0, self._work.states, 0)
+            rows = self._work
+            for array in rows.sums:
+                array.zero_()
+        wp.launch(
+            self._kernel,
+            dim=len(self._given),
+            inputs=self._inputs(frame),
+            outputs=[*rows.states, *rows.sums],
+            device=self._owner.device,
+        )
+        return rows
+
+    def gradient(self, weights: np.ndarray) -> np.ndarray:
+        """Gradient of ``sum(weights * q)`` by the parameters of each world.
+
+        Args:
+            weights: shape (W, K).
+
+        Returns:
+            shape (W, P).
+        """
+        run, owner = self._run, self._owner
+        adjoint, last, by_p = self._rows(run.substeps), self._rows(0), wp.zeros_like(self._p)
+        for frame in reversed(range(run.frames)):
+            rows = self._frames[frame] if self._work is None else self._integrate(frame)
+            for array in (*adjoint.states, *adjoint.sums):
+                array.zero_()
+            seed = last.states[0].numpy() + weights[:, frame : frame + 1]
+            last.states[0].assign(seed)
+            self._copy(last.states, 0, adjoint.states, run.substeps)
+            inputs = self._inputs(frame)
+            wp.launch(
+                self._kernel,
+                dim=len(self._given),
+                inputs=inputs,
+                outputs=[*rows.states, *rows.sums],
+                adj_inputs=[*(None for _ in inputs[:-1]), by_p],
+                adj_outputs=[*adjoint.states, *adjoint.sums],
+                adjoint=True,
+                device=owner.device,
+            )
+            self._copy(adjoint.states, 0, last.states, 0)
+        gradient = by_p.numpy().copy()
+        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in last.states)
+        # the start: q0 and v0, and the faces' nodes that the fingers hold there
+        side, ends, half = owner._sides[owner._ends], owner._ends, 0.5 * self._pressed_at_start
+        along = -half * (by_x[:, ends, 0] @ side)
+        gradient[:, SOFT_INDEX["q0"]] += by_q + owner.travel * along
+        gradient[:, SOFT_INDEX["gap"]] -= along
+        gradient[:, SOFT_INDEX["v0"]] += by_u - half * owner.travel * (by_v[:, ends, 0] @ side)
+        return gradient
