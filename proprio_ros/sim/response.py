@@ -125,10 +125,10 @@ def _basis_slope(t: FLOAT):
 
 
 @wp.func
-def tabulated(s: FLOAT, nu: FLOAT, grid: wp.array(dtype=FLOAT), nodes: wp.array2d(dtype=_VEC4)):
-    """phi, dphi/ds and dphi/dnu: ``Response.__call__`` for kernels."""
-    rows = nodes.shape[0] - 1
-    columns = nodes.shape[1] - 1
+def tabulated(s: FLOAT, nu: FLOAT, table: wp.int32, grid: wp.array(dtype=FLOAT), nodes: wp.array3d(dtype=_VEC4)):
+    """phi, dphi/ds and dphi/dnu of one of several tables over the same grid: ``Response.__call__`` for kernels."""
+    rows = nodes.shape[1] - 1
+    columns = nodes.shape[2] - 1
     zero = FLOAT(0.0)
     u = wp.clamp((s - grid[0]) / grid[1], zero, FLOAT(rows))
     w = wp.clamp((nu - grid[2]) / grid[3], zero, FLOAT(columns))
@@ -146,7 +146,7 @@ def tabulated(s: FLOAT, nu: FLOAT, grid: wp.array(dtype=FLOAT), nodes: wp.array2
     both = zero
     for k in range(2):
         for m in range(2):
-            node = nodes[i + k, j + m]
+            node = nodes[table, i + k, j + m]
             left = node[0] * b[2 * m] + node[2] * b[2 * m + 1]
             right = node[1] * b[2 * m] + node[3] * b[2 * m + 1]
             d_left = node[0] * db[2 * m] + node[2] * db[2 * m + 1]

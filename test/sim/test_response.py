@@ -65,11 +65,11 @@ def _read(
     s: wp.array(dtype=FLOAT),
     nu: wp.array(dtype=FLOAT),
     grid: wp.array(dtype=FLOAT),
-    nodes: wp.array2d(dtype=wp.types.vector(length=4, dtype=FLOAT)),
+    nodes: wp.array3d(dtype=wp.types.vector(length=4, dtype=FLOAT)),
     out: wp.array2d(dtype=FLOAT),
 ):
     k = wp.tid()
-    phi, by_s, by_nu = tabulated(s[k], nu[k], grid, nodes)
+    phi, by_s, by_nu = tabulated(s[k], nu[k], 1, grid, nodes)
     out[0, k] = phi
     out[1, k] = by_s
     out[2, k] = by_nu
@@ -81,7 +81,7 @@ def test_kernels_read_the_same(coarse: Response) -> None:
     s[:2], nu[:2] = [0.0, 0.6], [0.0, 0.48]
     out = wp.zeros((3, 300), dtype=FLOAT)
     given = [wp.array(part, dtype=FLOAT) for part in (s, nu, coarse.grid)]
-    nodes = wp.array(coarse.nodes, dtype=wp.types.vector(length=4, dtype=FLOAT))
+    nodes = wp.array(np.stack([0.0 * coarse.nodes, coarse.nodes]), dtype=wp.types.vector(length=4, dtype=FLOAT))
     wp.launch(_read, dim=300, inputs=[*given, nodes], outputs=[out])
     np.testing.assert_allclose(out.numpy(), coarse(s, nu), rtol=1e-11, atol=1e-11)
 
