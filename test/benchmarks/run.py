@@ -25,6 +25,7 @@ import calibrated
 import case as cases
 import container
 import fresh_process
+import softness
 from case import REPEATS, Case, Row, measure
 
 from proprio_ros.identification.weighing import weigh
@@ -38,6 +39,7 @@ PARTS = {
     "container": container.rows,
     "fresh": fresh_process.rows,
     "bus": bus.rows,
+    "softness": softness.rows,
 }
 
 

@@ -88,6 +88,25 @@ def test_void_without_agreement(case: Any) -> None:
     assert wrong.passed is False and wrong.ratio == "void" and "FAIL" in printed(wrong)
 
 
+def test_a_soft_block_launched_per_substep_moves_as_ours() -> None:
+    from softness import EQUAL, OnePerSubstep, PerSubstep, difference, explicit_case, fused
+
+    body, run, p = explicit_case(2, frames=3)
+    ours = fused(body, run, p)
+    for way in (PerSubstep, OnePerSubstep):
+        theirs = way(body, run, p)
+        assert difference(ours, theirs()) < EQUAL
+        assert difference(ours, theirs()) < EQUAL  # and again
+
+
+def test_both_fits_of_a_soft_block_find_the_truth() -> None:
+    from softness import Fit
+
+    fit = Fit(cells=1)
+    np.testing.assert_allclose(fit.ours(), fit.truth, rtol=1e-5)
+    np.testing.assert_allclose(fit.scipy(), fit.truth, rtol=5e-3)
+
+
 def test_the_coverage_of_two_robots() -> None:
     """The bound of Cramer and Rao is what an interval can be at best: ours is near it, and errors are of its size."""
     from coverage import EFFECTS, MATCHED, one_robot

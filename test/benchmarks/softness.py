@@ -1,0 +1,389 @@
+"""The soft block: our explicit solver against launches per substep on a ``wp.Tape``, and our fit against scipy over the same FEM.
+
+``PerSubstep`` is how a simulator in Warp is usually differentiated, and how the paper does it: kernels over tetrahedra and nodes,
+three launches per substep, every state in an array of its own, all on one tape. The same numbers as ours, so their times compare.
+``OnePerSubstep`` is the fewest launches there can be: our own kernel, one step at a time.
+
+The fit: Young's modulus, Poisson's ratio and gap from one closing of a gripper. Ours reads the table and has exact sensitivities;
+``scipy.optimize.least_squares`` has differences, and the finite elements' force over 11 squeezes at every guess. It gets the same
+octant of the block, and our own rollout of the gripper.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from case import Row, Timing, measure, measure_in_turn
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import least_squares
+
+from proprio_ros.sim.energies import lame
+from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.mesh import box
+from proprio_ros.sim.quasistatic import QuasiStatic
+from proprio_ros.sim.response import Response, build
+from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.sim.softbody import (
+    _MAT33,
+    _VEC3,
+    SOFT_INDEX,
+    SOFT_PARAMETERS,
+    SoftBody,
+    SoftRun,
+    _frame_kernel,
+    _law_functions,
+)
+from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SQUEEZE_PARAMETERS, SqueezeRun, SqueezeSimulator
+
+EDGE, MASS, TRAVEL = 0.03, 0.023, 0.023
+HEAVY = (5097.6, 5430.4)
+GOALS = {2: 20.0, 4: 5.0}
+FIT_GOAL = 100.0
+EQUAL = 1e-9
+
+_change, _stress = _law_functions("log")
+
+
+@wp.func
+def _gradient(x: wp.array(dtype=_VEC3), tets: wp.array2d(dtype=wp.int32), t: wp.int32, dm: _MAT33):
+    origin = x[tets[t, 0]]
+    a = x[tets[t, 1]] - origin
+    b = x[tets[t, 2]] - origin
+    c = x[tets[t, 3]] - origin
+    return _MAT33(a[0], b[0], c[0], a[1], b[1], c[1], a[2], b[2], c[2]) * dm
+
+
+@wp.kernel(module="unique")
+def _cell_kernel(
+    tets: wp.array2d(dtype=wp.int32),
+    cells: wp.array(dtype=wp.int32),
+    shares: wp.array(dtype=FLOAT),
+    inverses: wp.array(dtype=_MAT33),
+    x: wp.array(dtype=_VEC3),
+    cell_j: wp.array(dtype=FLOAT),
+):
+    t = wp.tid()
+    wp.atomic_add(cell_j, cells[t], shares[t] * _change(_gradient(x, tets, t, inverses[t])))
+
+
+@wp.kernel(module="unique")
+def _force_kernel(
+    tets: wp.array2d(dtype=wp.int32),
+    cells: wp.array(dtype=wp.int32),
+    volumes: wp.array(dtype=FLOAT),
+    inverses: wp.array(dtype=_MAT33),
+    p: wp.array(dtype=FLOAT),
+    x: wp.array(dtype=_VEC3),
+    cell_j: wp.array(dtype=FLOAT),
+    sides: wp.array(dtype=FLOAT),
+    force: wp.array(dtype=_VEC3),
+    push: wp.array(dtype=FLOAT),
+):
+    t = wp.tid()
+    f = _gradient(x, tets, t, inverses[t])
+    pull = (-volumes[t]) * (_stress(f, cell_j[cells[t]], p[7], p[8]) * wp.transpose(inverses[t]))
+    f1 = _VEC3(pull[0, 0], pull[1, 0], pull[2, 0])
+    f2 = _VEC3(pull[0, 1], pull[1, 1], pull[2, 1])
+    f3 = _VEC3(pull[0, 2], pull[1, 2], pull[2, 2])
+    wp.atomic_add(force, tets[t, 1], f1)
+    wp.atomic_add(force, tets[t, 2], f2)
+    wp.atomic_add(force, tets[t, 3], f3)
+    f0 = -(f1 + f2 + f3)
+    wp.atomic_add(force, tets[t, 0], f0)
+    outward = sides[tets[t, 0]] * f0[0] + sides[tets[t, 1]] * f1[0]
+    outward = outward + sides[tets[t, 2]] * f2[0] + sides[tets[t, 3]] * f3[0]
+    wp.atomic_add(push, 0, FLOAT(0.5) * outward)
+
+
+@wp.kernel(module="unique")
+def _node_kernel(
+    masses: wp.array(dtype=FLOAT),
+    sides: wp.array(dtype=FLOAT),
+    constants: wp.array(dtype=FLOAT),
+    current: FLOAT,
+    p: wp.array(dtype=FLOAT),
+    force: wp.array(dtype=_VEC3),
+    push: wp.array(dtype=FLOAT),
+    q: wp.array(dtype=FLOAT),
+    x: wp.array(dtype=_VEC3),
+    v: wp.array(dtype=_VEC3),
+    q_out: wp.array(dtype=FLOAT),
+    x_out: wp.array(dtype=_VEC3),
+    v_out: wp.array(dtype=_VEC3),
+):
+    """Nodes, and the gripper (its state is ``q``: coordinate and velocity) as the last of them; bonded faces, in touch."""
+    i = wp.tid()
+    h = constants[4]
+    travel = constants[1]
+    half = FLOAT(0.5)
+    torque = p[1] * current - p[2] * wp.tanh(q[1] / constants[2]) - p[3] * q[1] - travel * push[0]
+    turn = q[1] + h * torque / (p[0] + FLOAT(0.25) * travel * travel * constants[3])
+    angle = q[0] + h * turn
+    if i == masses.shape[0]:
+        q_out[0] = angle
+        q_out[1] = turn
+    elif sides[i] == FLOAT(0.0):
+        speed = v[i] + (h / masses[i]) * force[i]
+        v_out[i] = speed
+        x_out[i] = x[i] + h * speed
+    else:
+        x_out[i] = _VEC3(sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2])
+        v_out[i] = _VEC3(-half * sides[i] * travel * turn, FLOAT(0.0), FLOAT(0.0))
+
+
+class PerSubstep:
+    """The bonded block between the fingers, three launches per substep on one tape."""
+
+    def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
+        self.run, self.body = run, body
+        self._tets, self._cells, self._shares, self._volumes, self._inverses, self._masses, self._sides, _ = body._block
+        faces = float(body.masses[body._ends].sum())
+        constants = np.array([0.5 * body.mesh.length, body.travel, body._smooth, faces, run.step_s])
+        self._constants = wp.array(constants, dtype=FLOAT)
+        self._p = wp.array(p[0], dtype=FLOAT, requires_grad=True)
+        self._start = body._start(p, None)
+        self._currents = run.currents().ravel()
+
+    def __call__(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions at the end of every frame (K,), and the gradient of their sum by the parameters (P,)."""
+        steps, substeps = len(self._currents), self.run.substeps
+        p0 = self._p.numpy()
+        x, v = (wp.array(part[0], dtype=_VEC3, requires_grad=True) for part in self._start)
+        q = wp.array(p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]], dtype=FLOAT, requires_grad=True)
+        tets, nodes = self._tets.shape[0], len(self.body.mesh.points)
+        states = [q]
+        tape = wp.Tape()
+        with tape:
+            for n in range(steps):
+                cell_j = wp.zeros(self.body.mesh.cell_count, dtype=FLOAT, requires_grad=True)
+                force = wp.zeros(nodes, dtype=_VEC3, requires_grad=True)
+                push = wp.zeros(1, dtype=FLOAT, requires_grad=True)
+                next_q = wp.empty_like(q)
+                next_x = wp.empty_like(x)
+                next_v = wp.empty_like(v)
+                wp.launch(
+                    _cell_kernel, dim=tets, inputs=[self._tets, self._cells, self._shares, self._inverses, x, cell_j]
+                )
+                wp.launch(
+                    _force_kernel,
+                    dim=tets,
+                    inputs=[
+                        self._tets, self._cells, self._volumes, self._inverses, self._p, x, cell_j, self._sides, force, push,
+                    ],
+                )  # fmt: skip
+                wp.launch(
+                    _node_kernel,
+                    dim=nodes + 1,
+                    inputs=[
+                        self._masses, self._sides, self._constants, float(self._currents[n]), self._p,
+                        force, push, q, x, v, next_q, next_x, next_v,
+                    ],
+                )  # fmt: skip
+                q, x, v = next_q, next_x, next_v
+                states.append(q)
+        one = wp.array([1.0, 0.0], dtype=FLOAT)
+        frames = states[substeps::substeps]
+        tape.backward(grads=dict.fromkeys(frames, one))
+        gradient = self._p.grad.numpy().copy()
+        tape.zero()
+        return np.array([frame.numpy()[0] for frame in frames]), gradient
+
+
+class OnePerSubstep:
+    """Our kernel, one launch per substep on one tape; the states' arrays are there before."""
+
+    def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
+        steps, nodes = run.frames * run.substeps, len(body.mesh.points)
+        self._rest = PerSubstep(body, run, p)
+        self._p = wp.array(p, dtype=FLOAT, requires_grad=True)
+        self._kernel = _frame_kernel(body.law, True)
+        currents = wp.array(run.currents().ravel(), dtype=FLOAT)
+        shapes = [((1, steps + 1), FLOAT)] * 2 + [((1, steps + 1, nodes), _VEC3)] * 2
+        shapes += [((1, steps, body.mesh.cell_count), FLOAT), ((1, steps, nodes), _VEC3), ((1, steps), FLOAT)]
+        self._arrays = [wp.zeros(shape, dtype=kind, requires_grad=True) for shape, kind in shapes]
+        start = (*p[:, [SOFT_INDEX["q0"], SOFT_INDEX["v0"]]].T, *body._start(p, None))
+        for array, value in zip(self._arrays, start, strict=False):
+            array.numpy()[:, 0] = value
+        self._launches = [
+            [
+                currents[n : n + 1],
+                *(a[:, n : n + 2] for a in self._arrays[:4]),
+                *(a[:, n : n + 1] for a in self._arrays[4:]),
+            ]
+            for n in range(steps)
+        ]
+        self._block = body._block
+        self._substeps = run.substeps
+
+    def __call__(self) -> tuple[np.ndarray, np.ndarray]:
+        """As ``PerSubstep.__call__``."""
+        for array in self._arrays[4:]:
+            array.zero_()
+        tape = wp.Tape()
+        with tape:
+            for current, *rows in self._launches:
+                inputs = [*self._block, self._rest._constants, current, self._p]
+                wp.launch(self._kernel, dim=1, inputs=inputs, outputs=rows)
+        for array in self._arrays:
+            array.grad.zero_()
+        self._p.grad.zero_()
+        self._arrays[0].grad.numpy()[:, self._substeps :: self._substeps] = 1.0
+        tape.backward()
+        return self._arrays[0].numpy()[0, self._substeps :: self._substeps].copy(), self._p.grad.numpy()[0].copy()
+
+
+def explicit_case(cells: int, frames: int = 60) -> tuple[SoftBody, SoftRun, np.ndarray]:
+    """A second of the paper's heavy cube under its motor, in touch from the start."""
+    body = SoftBody(box(np.full(3, EDGE), (cells, cells, cells)), MASS, TRAVEL)
+    values = {"inertia": 0.005, "torque_constant": 1.0, "coulomb": 0.01, "viscous": 0.01, "v0": 0.01, "gap": -1e-4}
+    values |= {"lame_mu": HEAVY[0], "lame_lambda": HEAVY[1]}
+    p = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
+    return body, SoftRun(np.zeros(1), np.array([0.08]), frames), p
+
+
+def fused(body: SoftBody, run: SoftRun, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ours, as ``PerSubstep.__call__``."""
+    result = body.rollout(run, p)
+    return result.q[0], result.gradient(np.ones_like(result.q))[0]
+
+
+def difference(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> float:
+    """Largest relative difference of positions and of the gradient by what both differentiate."""
+    rows = [SOFT_INDEX[name] for name in ("inertia", "torque_constant", "coulomb", "viscous", "lame_mu", "lame_lambda")]
+    by_ours, by_theirs = ours[1][rows], theirs[1][rows]
+    return float(max(np.abs(ours[0] / theirs[0] - 1.0).max(), np.abs(by_ours / by_theirs - 1.0).max()))
+
+
+class Fit:
+    """E, nu and gap from one closing, both ways.
+
+    Args:
+        cells: of the octant.
+    """
+
+    names = ("youngs_modulus", "poissons_ratio", "gap")
+    truth = np.array([12824.6, 0.258, 0.0004])
+    start = np.array([3 * 12824.6, 0.35, 0.0])
+
+    def __init__(self, cells: int = 2) -> None:
+        self.table = build(np.full(3, EDGE), cells=cells)
+        mesh = box(np.full(3, 0.5 * EDGE), (cells, cells, cells), corner=np.zeros(3))
+        self.solver = QuasiStatic(mesh, octant=True)
+        self.simulator = self._simulator(self.table)
+        self.rows = [SQUEEZE_INDEX[name] for name in self.names]
+        self.fixed = np.zeros((1, len(SQUEEZE_PARAMETERS)))
+        values = {"inertia": 0.005, "torque_constant": 1.0, "viscous": 0.02, "coulomb": 0.01}
+        for name, value in values.items():
+            self.fixed[0, SQUEEZE_INDEX[name]] = value
+        self.directions = np.zeros((1, len(SQUEEZE_PARAMETERS), 3))
+        self.directions[0, self.rows, range(3)] = 1.0
+        self.directions.setflags(write=False)
+        self.one = np.zeros(1, dtype=np.int32)
+        self.one.setflags(write=False)
+        self.seen = self._rollout(self.simulator, self.truth)
+        self.scale = np.array([1e4, 0.1, 1e-3])
+
+    def _simulator(self, table: Response) -> SqueezeSimulator:
+        times = np.arange(1, 41) / 40.0
+        joint = JointRun(
+            times, np.zeros(1), np.array([0.11]), friction_velocity=0.01, step_s=1 / 480, fine_step_s=1 / 480
+        )
+        return SqueezeSimulator([SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table)])
+
+    def _p(self, values: np.ndarray) -> np.ndarray:
+        p = self.fixed.copy()
+        p[0, self.rows] = values
+        return p
+
+    def _rollout(self, simulator: SqueezeSimulator, values: np.ndarray) -> np.ndarray:
+        return simulator.rollout(self.one, self._p(values))[0][0]
+
+    def ours(self) -> np.ndarray:
+        """Levenberg and Marquardt with exact sensitivities over the table; E in logarithms."""
+        values, damping = self.start.copy(), 1e-3
+
+        def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            q, _, dq = self.simulator.jacobian(self.one, self._p(at), self.directions)
+            return q[0] - self.seen, dq[0] * np.array([at[0], 0.1, 1e-3])
+
+        residual, jacobian = linearised(values)
+        for _ in range(60):
+            normal = jacobian.T @ jacobian
+            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual)
+            moved = values * [np.exp(np.clip(step[0], -1, 1)), 1, 1] + [0, 0.1 * step[1], 1e-3 * step[2]]
+            moved[1] = np.clip(moved[1], 0.0, 0.48)
+            new_residual, new_jacobian = (part.copy() for part in linearised(moved))
+            if new_residual @ new_residual < residual @ residual:
+                done = np.abs(step).max() < 1e-8
+                values, residual, jacobian, damping = moved, new_residual, new_jacobian, 0.1 * damping
+                if done:
+                    break
+            else:
+                damping *= 10.0
+                if damping > 1e8:
+                    break
+        return values
+
+    def scipy(self) -> np.ndarray:
+        """Trust region with two-point differences; the finite elements at every guess."""
+        squeezes = np.linspace(0.0, 0.6, 11)
+        grid = self.table.squeeze
+
+        def residual(scaled: np.ndarray) -> np.ndarray:
+            values = scaled * self.scale
+            curve = self.solver.curve(squeezes * EDGE, *lame(1.0, values[1]))
+            spline = CubicHermiteSpline(squeezes, curve.force / EDGE**2, curve.by_squeeze / EDGE)
+            nodes = np.zeros((len(grid), 2, 4))
+            nodes[:, :, 0] = spline(grid)[:, None]
+            nodes[:, :, 1] = spline(grid, 1)[:, None] * grid[1]
+            table = Response(f"one curve at {values[1]}", grid, np.array([0.0, 0.48]), nodes)
+            return (self._rollout(self._simulator(table), values) - self.seen) / 1e-3
+
+        bounds = np.array([[100.0, 0.0, -0.005], [1e6, 0.48, 0.005]]) / self.scale
+        found = least_squares(residual, self.start / self.scale, bounds=bounds, xtol=1e-8, ftol=1e-8, gtol=1e-8)
+        return found.x * self.scale
+
+
+def rows(_: Any = None) -> list[Row]:
+    """The table's lines."""
+    lines = []
+    for cells, goal in GOALS.items():
+        body, run, p = explicit_case(cells)
+        three, one = PerSubstep(body, run, p), OnePerSubstep(body, run, p)
+        answer = fused(body, run, p)
+        off, off_one = difference(answer, three()), difference(answer, one())
+        by_three, by_one, ours = measure_in_turn((three, one, lambda b=body, r=run, q=p: fused(b, r, q)), 3, (1, 1, 3))
+        lines.append(Row(f"soft block {cells}^3: ours, a frame per launch, rollout and gradient", ours))
+        what = f"soft block {cells}^3: three launches per substep and wp.Tape"
+        lines.append(_compared(what, by_three, ours, goal, off <= EQUAL, f"differs by {off:.1g}"))
+        what = f"soft block {cells}^3: our kernel once per substep and wp.Tape"
+        ratio = f"{by_one.median / ours.median:.0f}x"
+        lines.append(Row(what, by_one, ratio, note=f"no goal: nobody writes it so; differs by {off_one:.1g}"))
+    body, run, p = explicit_case(8)
+    for keep in ("states", "starts"):
+        eight = measure(lambda k=keep: body.rollout(run, p, k).gradient(np.ones((1, 60))), repeats=3, warm_up=1)
+        mebibytes = body.rollout(run, p, keep).bytes / 2**20
+        lines.append(
+            Row(f"soft block 8^3, keep={keep}: rollout and gradient", eight, note=f"{mebibytes:.0f} MiB of states")
+        )
+    fit = Fit()
+    ours_found, scipy_found = fit.ours(), fit.scipy()
+    theirs, ours = measure_in_turn((fit.scipy, fit.ours), 3, (1, 10))
+    lines.append(Row("softness: our fit over the table", ours, note=_found(ours_found, fit)))
+    same = bool(np.abs(ours_found / fit.truth - 1.0)[0] < 0.005 and np.abs(scipy_found / fit.truth - 1.0)[0] < 0.005)
+    what = "softness: scipy, differences over the same finite elements"
+    lines.append(_compared(what, theirs, ours, FIT_GOAL, same, _found(scipy_found, fit)))
+    return lines
+
+
+def _compared(what: str, theirs: Timing, ours: Timing, goal: float, same: bool, note: str) -> Row:
+    if not same:
+        return Row(what, theirs, "void", False, note)
+    ratio = theirs.median / ours.median
+    return Row(what, theirs, f"{ratio:.0f}x (goal >= {goal:g}x)", ratio >= goal, note)
+
+
+def _found(values: np.ndarray, fit: Fit) -> str:
+    return f"E {values[0]:.1f} Pa ({100 * (values[0] / fit.truth[0] - 1):+.3f} %), nu {values[1]:.4f}, gap {1e3 * values[2]:.3f} mm"
