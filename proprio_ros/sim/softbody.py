@@ -12,10 +12,10 @@ nodes of a face have its x; ``bonded`` ones also keep their place on it, ``frict
 of the gripper's inertia, with travel^2 / 4 of their mass. Before the fingers touch, the block is at rest. Gravity of the block
 is left out: 0.02 % of the force at a squeeze of 10 %.
 
-All steps of a frame run in one launch and every step writes its own row (an adjoint is only right when no state is
-overwritten). The gradient comes from the adjoint of the same kernel, frame by frame from the last one backwards.
-``keep="states"`` holds the states of all steps; ``keep="starts"`` holds those at the start of each frame and computes the
-others again: the same gradient for a fifth more time and a fraction of the memory.
+All steps of a segment of frames run in one launch and every step writes its own row (an adjoint is only right when no state is
+overwritten). The gradient comes from the adjoint of the same kernel, segment by segment from the last one backwards.
+``keep="states"`` holds the states of all steps; ``keep="starts"`` holds those at the start of each segment and computes the others
+again: the same gradient for a third more time and a fraction of the memory.
 
 This is the paper's solver and the oracle for ``squeeze.py``, which is what a fit runs: nothing here is fast enough for that,
 and the step is limited by the block's fastest wave (``most_step_s``).
@@ -52,6 +52,8 @@ SOFT_PARAMETERS = (
 """Rows of a parameter vector, SI: kg m^2, N m/A, N m, N m s/rad, rad, rad/s, m, Pa, Pa, Pa s (kg, N, m for a slide)."""
 SOFT_INDEX = {name: row for row, name in enumerate(SOFT_PARAMETERS)}
 KEEP = ("states", "starts")
+SEGMENT_BYTES = 2**20
+"""States of a segment: as many whole frames as fit, at least one. A launch costs 50 us, and what fits into the cache is faster."""
 MARGIN = 0.8
 """Of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency."""
 
@@ -84,10 +86,10 @@ class SoftRun:
         return self.frame_s / self.substeps
 
     def currents(self) -> np.ndarray:
-        """The current at the start of every step [A], shape (frames, substeps)."""
+        """The current at the start of every step [A], shape (frames * substeps,)."""
         times = np.arange(self.frames * self.substeps) * self.step_s
         last = np.searchsorted(self.input_times_s, times + 1e-9, side="right") - 1
-        return np.asarray(self.input_current_A, dtype=np.float64)[last].reshape(self.frames, self.substeps)
+        return np.asarray(self.input_current_A, dtype=np.float64)[last]
 
 
 @wp.func
@@ -106,68 +108,72 @@ def _log(j: FLOAT):
 
 
 @wp.func
-def _cofactor(f: _MAT33):
-    """dJ/dF."""
-    return _MAT33(
-        f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1],
-        f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2],
-        f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0],
-        f[2, 1] * f[0, 2] - f[2, 2] * f[0, 1],
-        f[2, 2] * f[0, 0] - f[2, 0] * f[0, 2],
-        f[2, 0] * f[0, 1] - f[2, 1] * f[0, 0],
-        f[0, 1] * f[1, 2] - f[0, 2] * f[1, 1],
-        f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2],
-        f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0],
-    )
+def _edges(x: wp.array3d(dtype=_VEC3), w: wp.int32, n: wp.int32, tets: wp.array2d(dtype=wp.int32), t: wp.int32):
+    """Of a nodal field, from the first corner of a tetrahedron to the others."""
+    origin = x[w, n, tets[t, 0]]
+    return x[w, n, tets[t, 1]] - origin, x[w, n, tets[t, 2]] - origin, x[w, n, tets[t, 3]] - origin
 
 
 @cache
 def _law_functions(law: str) -> tuple[Any, Any]:
-    """j(F), and the stress from F and the cell's j: ``energies.py`` for kernels."""
-    identity = wp.constant(_MAT33(*np.eye(3).ravel().tolist()))
+    """j of a tetrahedron, and V P dm^T from its edges and the cell's j: ``energies.py`` for kernels.
+
+    With the edges D now and the inverse dm of those at rest, F = D dm and 6 V det dm = 1. So F dm^T = D G with G = dm dm^T, and
+    V cof(F) dm^T = cof(D) / 6, whose columns are cross products of the edges: that saves F.
+    """
+    linear, compat = law == "linear", law == "warp_compat"
 
     @wp.func
-    def change(f: _MAT33):
-        if wp.static(law == "linear"):
+    def change(e1: _VEC3, e2: _VEC3, e3: _VEC3, volume: FLOAT, dm: _MAT33):
+        if wp.static(linear):
+            f = wp.matrix_from_cols(e1, e2, e3) * dm
             return f[0, 0] + f[1, 1] + f[2, 2] - FLOAT(2.0)
-        return wp.determinant(f)
+        else:
+            return wp.dot(e1, wp.cross(e2, e3)) / (FLOAT(6.0) * volume)
 
     @wp.func
-    def stress(f: _MAT33, cell_j: FLOAT, mu: FLOAT, lam: FLOAT):
-        if wp.static(law == "linear"):
-            strain = f + wp.transpose(f) - FLOAT(2.0) * identity
-            return mu * strain + (lam * (cell_j - FLOAT(1.0))) * identity
-        cofactor = _cofactor(f)
-        j = wp.determinant(f)
-        if wp.static(law == "log"):
-            push = lam * _log(cell_j) * _log_slope(cell_j) - mu * _log_slope(j)
-            return mu * f + push * cofactor
-        if wp.static(law == "smith"):
-            push = lam * (cell_j - FLOAT(1.0)) + mu * (j - FLOAT(2.0))
-            return mu * f + push * cofactor
-        ic = wp.ddot(f, f)
-        push = lam * (cell_j - FLOAT(1.0)) - FLOAT(0.75) * mu
-        return (mu * (FLOAT(1.0) - FLOAT(1.0) / (ic + FLOAT(1.0)))) * f + push * cofactor
+    def pull(
+        e1: _VEC3,
+        e2: _VEC3,
+        e3: _VEC3,
+        rates: _MAT33,
+        cell_j: FLOAT,
+        volume: FLOAT,
+        dm: _MAT33,
+        gram: _MAT33,
+        mu: FLOAT,
+        lam: FLOAT,
+        eta: FLOAT,
+    ):
+        one = FLOAT(1.0)
+        d = wp.matrix_from_cols(e1, e2, e3)
+        if wp.static(linear):
+            f = d * dm
+            side = wp.transpose(f * (mu * volume))
+            spherical = volume * (lam * (cell_j - one) - FLOAT(2.0) * mu)
+            return (volume * (mu * d + eta * rates)) * gram + side * wp.transpose(dm) + spherical * wp.transpose(dm)
+        else:
+            c1 = wp.cross(e2, e3)
+            j = wp.dot(e1, c1) / (FLOAT(6.0) * volume)
+            push = lam * (cell_j - one)
+            shear = mu
+            if wp.static(law == "log"):
+                push = lam * _log(cell_j) * _log_slope(cell_j) - mu * _log_slope(j)
+            if wp.static(law == "smith"):
+                push = lam * (cell_j - one) + mu * (j - FLOAT(2.0))
+            if wp.static(compat):
+                push = lam * (cell_j - one) - FLOAT(0.75) * mu
+                shear = mu * (one - one / (wp.ddot(d, d * gram) + one))
+            cofactor = wp.matrix_from_cols(c1, wp.cross(e3, e1), wp.cross(e1, e2))
+            return (volume * (shear * d + eta * rates)) * gram + (push / FLOAT(6.0)) * cofactor
 
-    return change, stress
-
-
-@wp.func
-def _spread(
-    x: wp.array3d(dtype=_VEC3), w: wp.int32, n: wp.int32, a: wp.int32, b: wp.int32, c: wp.int32, d: wp.int32, dm: _MAT33
-):
-    """Gradient of a nodal field in one tetrahedron; ``dm`` is the inverse of its edges at rest."""
-    origin = x[w, n, a]
-    e1 = x[w, n, b] - origin
-    e2 = x[w, n, c] - origin
-    e3 = x[w, n, d] - origin
-    return _MAT33(e1[0], e2[0], e3[0], e1[1], e2[1], e3[1], e1[2], e2[2], e3[2]) * dm
+    return change, pull
 
 
 @cache
 def _frame_kernel(law: str, bonded: bool) -> Any:
-    """All steps of a frame; thread = world."""
-    change, stress = _law_functions(law)
+    """All steps of a segment; thread = world."""
+    change, pull = _law_functions(law)
 
     @wp.kernel(module="unique")
     def frame(
@@ -177,6 +183,7 @@ def _frame_kernel(law: str, bonded: bool) -> Any:
         shares: wp.array(dtype=FLOAT),
         volumes: wp.array(dtype=FLOAT),
         inverses: wp.array(dtype=_MAT33),
+        grams: wp.array(dtype=_MAT33),
         masses: wp.array(dtype=FLOAT),
         sides: wp.array(dtype=FLOAT),
         end_nodes: wp.array(dtype=wp.int32),
@@ -204,31 +211,28 @@ def _frame_kernel(law: str, bonded: bool) -> Any:
         inertia = p_in[w, 0] + FLOAT(0.25) * travel * travel * constants[3]
         torque_constant = p_in[w, 1]
         coulomb = p_in[w, 2]
-        viscous = p_in[w, 3]
+        drag = p_in[w, 3]
         gap = p_in[w, 6]
         mu = p_in[w, 7]
         lam = p_in[w, 8]
         eta = p_in[w, 9]
         for n in range(current_in.shape[0]):
             for t in range(tets.shape[0]):
-                f = _spread(x, w, n, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], inverses[t])
-                wp.atomic_add(cell_j, w, n, cells[t], shares[t] * change(f))
+                e1, e2, e3 = _edges(x, w, n, tets, t)
+                wp.atomic_add(cell_j, w, n, cells[t], shares[t] * change(e1, e2, e3, volumes[t], inverses[t]))
             for t in range(tets.shape[0]):
-                a = tets[t, 0]
-                b = tets[t, 1]
-                c = tets[t, 2]
-                d = tets[t, 3]
-                dm = inverses[t]
-                f = _spread(x, w, n, a, b, c, d, dm)
-                rate = _spread(v, w, n, a, b, c, d, dm)
-                pull = (-volumes[t]) * ((stress(f, cell_j[w, n, cells[t]], mu, lam) + eta * rate) * wp.transpose(dm))
-                f1 = _VEC3(pull[0, 0], pull[1, 0], pull[2, 0])
-                f2 = _VEC3(pull[0, 1], pull[1, 1], pull[2, 1])
-                f3 = _VEC3(pull[0, 2], pull[1, 2], pull[2, 2])
-                wp.atomic_add(force, w, n, b, f1)
-                wp.atomic_add(force, w, n, c, f2)
-                wp.atomic_add(force, w, n, d, f3)
-                wp.atomic_add(force, w, n, a, -(f1 + f2 + f3))
+                e1, e2, e3 = _edges(x, w, n, tets, t)
+                r1, r2, r3 = _edges(v, w, n, tets, t)
+                rates = wp.matrix_from_cols(r1, r2, r3)
+                j = cell_j[w, n, cells[t]]
+                inward = pull(e1, e2, e3, rates, j, volumes[t], inverses[t], grams[t], mu, lam, eta)
+                f1 = _VEC3(inward[0, 0], inward[1, 0], inward[2, 0])
+                f2 = _VEC3(inward[0, 1], inward[1, 1], inward[2, 1])
+                f3 = _VEC3(inward[0, 2], inward[1, 2], inward[2, 2])
+                wp.atomic_sub(force, w, n, tets[t, 1], f1)
+                wp.atomic_sub(force, w, n, tets[t, 2], f2)
+                wp.atomic_sub(force, w, n, tets[t, 3], f3)
+                wp.atomic_add(force, w, n, tets[t, 0], f1 + f2 + f3)
             for k in range(end_nodes.shape[0]):
                 i = end_nodes[k]
                 outward = force[w, n, i]
@@ -237,7 +241,7 @@ def _frame_kernel(law: str, bonded: bool) -> Any:
             pressing = wp.float64(0.0)
             if travel * q[w, n] - gap > FLOAT(0.0):
                 pressing = push[w, n]
-            torque = torque_constant * current_in[n] - coulomb * wp.tanh(turn / smooth) - viscous * turn
+            torque = torque_constant * current_in[n] - coulomb * wp.tanh(turn / smooth) - drag * turn
             u[w, n + 1] = turn + h * (torque - travel * pressing) / inertia
             q[w, n + 1] = q[w, n] + h * u[w, n + 1]
             for i in range(masses.shape[0]):
@@ -288,7 +292,7 @@ def _carry(
 
 
 class _Rows:
-    """States of some steps (or their adjoints) and what a frame's kernel needs beside them."""
+    """States of some steps (or their adjoints) and what the kernel needs beside them."""
 
     def __init__(self, worlds: int, steps: int, nodes: int, cells: int, device: str) -> None:
         def zeros(shape: tuple[int, ...], kind: Any = FLOAT) -> wp.array:
@@ -302,9 +306,14 @@ class _Rows:
         ]
         self.sums = [zeros((worlds, steps, cells)), zeros((worlds, steps, nodes), _VEC3), zeros((worlds, steps))]
 
+    @staticmethod
+    def bytes_of(worlds: int, steps: int, nodes: int, cells: int) -> int:
+        """About how much memory so many rows take [B]."""
+        return 8 * worlds * steps * (3 + 9 * nodes + cells)
+
     @property
     def bytes(self) -> int:
-        """Of memory."""
+        """Of memory [B]."""
         return sum(int(array.capacity) for array in (*self.states, *self.sums))
 
 
@@ -366,6 +375,7 @@ class SoftBody:
             array(shares),
             array(mesh.volumes),
             array(inverses, _MAT33),
+            array(inverses @ np.swapaxes(inverses, 1, 2), _MAT33),
             array(self.masses),
             array(self._sides),
             array(self._ends.astype(np.int32), wp.int32),
@@ -415,7 +425,7 @@ class SoftBody:
         Args:
             run: current and steps.
             p: parameters of each world in the order of ``SOFT_PARAMETERS``, shape (W, P).
-            keep: ``"states"`` of all steps, or ``"starts"`` of the frames.
+            keep: ``"states"`` of all steps, or ``"starts"`` of the segments.
             start: positions [m] and velocities [m/s] of the nodes at the start, relative to the middle between the fingers,
                 each (N, 3); default at rest. Nodes of pressed faces go to where the fingers are.
 
@@ -467,7 +477,6 @@ class SoftRollout:
     Attributes:
         q, v: joint coordinate and velocity at the end of every frame, shape (W, K).
         points, velocities: of the nodes at the end, relative to the middle between the fingers, shape (W, N, 3).
-        bytes: memory of the states that are kept, and of one frame's adjoint.
     """
 
     def __init__(
@@ -486,26 +495,34 @@ class SoftRollout:
         faces_mass = float(owner.masses[owner._ends].sum())
         constants = [0.5 * owner.mesh.length, owner.travel, owner._smooth, faces_mass, run.step_s]
         self._constants = wp.array(np.array(constants), dtype=FLOAT, device=owner.device)
-        self._currents = [wp.array(row, dtype=FLOAT, device=owner.device) for row in run.currents()]
         self._kernel = _frame_kernel(owner.law, owner.contact == "bonded")
-        self._frames: list[_Rows] = []
-        self._work = self._rows(run.substeps) if keep == "starts" else None
+        per_frame = _Rows.bytes_of(len(p), run.substeps, len(owner.mesh.points), owner.mesh.cell_count)
+        whole = max(1, min(run.frames, SEGMENT_BYTES // per_frame))
+        self._first = list(range(0, run.frames, whole))  # frame of each segment
+        currents = run.currents()
+        self._currents = [
+            wp.array(currents[k * run.substeps : (k + whole) * run.substeps], dtype=FLOAT, device=owner.device)
+            for k in self._first
+        ]
+        self._segments: list[_Rows] = []
+        self._work: dict[int, _Rows] = {}
         self._pressed_at_start = owner.travel * p[:, SOFT_INDEX["q0"]] > p[:, SOFT_INDEX["gap"]]
-        rows = self._rows(0) if keep == "starts" else self._rows(run.substeps)
+        rows = self._new_segment(0)
         x, v = owner._start(p, start)
         for array, value in zip(rows.states, (p[:, SOFT_INDEX["q0"]], p[:, SOFT_INDEX["v0"]], x, v), strict=True):
-            whole = array.numpy()
-            whole[:, 0] = value
-            array.assign(whole)
+            both = array.numpy()
+            both[:, 0] = value
+            array.assign(both)
         self.q, self.v = np.zeros((2, len(p), run.frames))
-        for frame in range(run.frames):
-            self._frames.append(rows)
-            done = self._integrate(frame)
-            self.q[:, frame] = done.states[0].numpy()[:, -1]
-            self.v[:, frame] = done.states[1].numpy()[:, -1]
-            if frame + 1 < run.frames:
-                rows = self._rows(0) if keep == "starts" else self._rows(run.substeps)
-                self._copy(done.states, run.substeps, rows.states, 0)
+        for segment, frame in enumerate(self._first):
+            self._segments.append(rows)
+            done = self._integrate(segment)
+            ends = slice(frame, frame + whole)
+            self.q[:, ends] = done.states[0].numpy()[:, run.substeps :: run.substeps]
+            self.v[:, ends] = done.states[1].numpy()[:, run.substeps :: run.substeps]
+            if segment + 1 < len(self._first):
+                rows = self._new_segment(segment + 1)
+                self._copy(done.states, self._steps(segment), rows.states, 0)
         self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done.states[2:])
         if not (np.isfinite(self.q).all() and np.isfinite(self.points).all()):
             raise SimulationError(
@@ -515,8 +532,13 @@ class SoftRollout:
     @property
     def bytes(self) -> int:
         """Memory of all states that are kept [B]."""
-        kept = sum(rows.bytes for rows in self._frames)
-        return kept + (self._work.bytes if self._work is not None else 0)
+        return sum(rows.bytes for rows in (*self._segments, *self._work.values()))
+
+    def _steps(self, segment: int) -> int:
+        return int(self._currents[segment].shape[0])
+
+    def _new_segment(self, segment: int) -> _Rows:
+        return self._rows(0 if self._keep == "starts" else self._steps(segment))
 
     def _rows(self, steps: int) -> _Rows:
         mesh = self._owner.mesh
@@ -526,21 +548,25 @@ class SoftRollout:
         dim = (len(self._given), len(self._owner.mesh.points))
         wp.launch(_carry, dim=dim, inputs=[row_in, row_out, *source], outputs=target, device=self._owner.device)
 
-    def _inputs(self, frame: int) -> list[wp.array]:
-        return [*self._owner._block, self._constants, self._currents[frame], self._p]
+    def _inputs(self, segment: int) -> list[wp.array]:
+        return [*self._owner._block, self._constants, self._currents[segment], self._p]
 
-    def _integrate(self, frame: int) -> _Rows:
-        """Every step of a frame, from the start that is kept."""
-        rows = self._frames[frame]
-        if self._work is not None:
-            self._copy(rows.states, 0, self._work.states, 0)
-            rows = self._work
+    def _integrate(self, segment: int) -> _Rows:
+        """Every step of a segment, from the start that is kept."""
+        rows = self._segments[segment]
+        if self._keep == "starts":
+            steps = self._steps(segment)
+            work = self._work.get(steps)  # two lengths at most: the last segment may be shorter
+            if work is None:
+                work = self._work[steps] = self._rows(steps)
+            self._copy(rows.states, 0, work.states, 0)
+            rows = work
             for array in rows.sums:
                 array.zero_()
         wp.launch(
             self._kernel,
             dim=len(self._given),
-            inputs=self._inputs(frame),
+            inputs=self._inputs(segment),
             outputs=[*rows.states, *rows.sums],
             device=self._owner.device,
         )
@@ -556,28 +582,35 @@ class SoftRollout:
             shape (W, P).
         """
         run, owner = self._run, self._owner
-        adjoint, last, by_p = self._rows(run.substeps), self._rows(0), wp.zeros_like(self._p)
-        for frame in reversed(range(run.frames)):
-            rows = self._frames[frame] if self._work is None else self._integrate(frame)
-            for array in (*adjoint.states, *adjoint.sums):
-                array.zero_()
-            seed = last.states[0].numpy() + weights[:, frame : frame + 1]
-            last.states[0].assign(seed)
-            self._copy(last.states, 0, adjoint.states, run.substeps)
-            inputs = self._inputs(frame)
+        later, by_p = self._rows(0), wp.zeros_like(self._p)
+        adjoint: dict[int, _Rows] = {}
+        for segment, frame in reversed(list(enumerate(self._first))):
+            rows = self._segments[segment] if self._keep == "states" else self._integrate(segment)
+            steps = self._steps(segment)
+            mine = adjoint.get(steps)
+            if mine is None:
+                mine = adjoint[steps] = self._rows(steps)
+            else:
+                for array in (*mine.states, *mine.sums):
+                    array.zero_()
+            self._copy(later.states, 0, mine.states, steps)
+            by_q = mine.states[0].numpy()
+            by_q[:, run.substeps :: run.substeps] += weights[:, frame : frame + steps // run.substeps]
+            mine.states[0].assign(by_q)
+            inputs = self._inputs(segment)
             wp.launch(
                 self._kernel,
                 dim=len(self._given),
                 inputs=inputs,
                 outputs=[*rows.states, *rows.sums],
                 adj_inputs=[*(None for _ in inputs[:-1]), by_p],
-                adj_outputs=[*adjoint.states, *adjoint.sums],
+                adj_outputs=[*mine.states, *mine.sums],
                 adjoint=True,
                 device=owner.device,
             )
-            self._copy(adjoint.states, 0, last.states, 0)
+            self._copy(mine.states, 0, later.states, 0)
         gradient = by_p.numpy().copy()
-        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in last.states)
+        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in later.states)
         # the start: q0 and v0, and the faces' nodes that the fingers hold there
         side, ends, half = owner._sides[owner._ends], owner._ends, 0.5 * self._pressed_at_start
         along = -half * (by_x[:, ends, 0] @ side)

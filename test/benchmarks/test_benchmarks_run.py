@@ -102,7 +102,7 @@ def test_a_soft_block_launched_per_substep_moves_as_ours() -> None:
 def test_both_fits_of_a_soft_block_find_the_truth() -> None:
     from softness import Fit
 
-    fit = Fit(cells=1)
+    fit = Fit()
     np.testing.assert_allclose(fit.ours(), fit.truth, rtol=1e-5)
     np.testing.assert_allclose(fit.scipy(), fit.truth, rtol=5e-3)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,12 @@ def test_a_mesh_comes_back_from_a_file(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(again.size, [0.03, 0.02, 0.025])
     assert again.volumes.sum() == pytest.approx(1.5e-5)
     assert again.volumes.min() > 0.0 and again.cell_count == len(again.tets)
+
+
+def test_without_meshio_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    with pytest.raises(ConfigurationError, match=r"proprio_ros\[mesh\]"):
+        read_mesh(tmp_path / "block.vtk")
 
 
 def test_bad_mesh_files(tmp_path: Path) -> None:

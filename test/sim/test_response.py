@@ -12,9 +12,9 @@ import warp as wp
 from proprio_ros.errors import ConfigurationError, SimulationError
 from proprio_ros.sim import response as module
 from proprio_ros.sim.energies import lame, lame_of_small_strain
-from proprio_ros.sim.mesh import box
+from proprio_ros.sim.mesh import TetMesh, box
 from proprio_ros.sim.quasistatic import QuasiStatic
-from proprio_ros.sim.response import Response, build, cache_folder, response, tabulated
+from proprio_ros.sim.response import Response, build, cache_folder, response, response_of_mesh, tabulated
 from proprio_ros.sim.runtime import FLOAT
 
 CUBE = np.full(3, 0.03)
@@ -93,6 +93,23 @@ def test_frictionless_faces_need_one_table_for_all_shapes() -> None:
     assert len(list(cache_folder().iterdir())) == 1
     # closed form of Hooke's slope
     assert first(0.0, 0.3)[1] == pytest.approx(1.0, rel=1e-9)
+
+
+def test_a_block_that_is_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frustum: its table is its own finite elements, and another mesh has another."""
+    monkeypatch.setattr(module, "SQUEEZES", {"log": (0.0, 0.3, 7)})
+    monkeypatch.setattr(module, "RATIOS", (0.1, 0.4, 4))
+    cube = box(CUBE, (3, 3, 3))
+    narrower = 1.0 - 0.4 * (cube.points[:, :1] / CUBE[0] + 0.5)
+    mesh = TetMesh(cube.points * np.hstack([np.ones_like(narrower), narrower, narrower]), cube.tets, cube.cells)
+    table = response_of_mesh(mesh)
+    mu, lam = lame(3000.0, 0.23)
+    curve = QuasiStatic(mesh).curve(np.array([0.13 * CUBE[0]]), mu, lam)
+    assert 3000.0 * mesh.area * table(0.13, 0.23)[0] == pytest.approx(curve.force[0], rel=1e-3)
+    assert response_of_mesh(cube)(0.13, 0.23)[0] > 1.02 * table(0.13, 0.23)[0]
+    assert len(list(cache_folder().iterdir())) == 2
+    assert response_of_mesh(mesh).made_of == table.made_of
+    assert len(list(cache_folder().iterdir())) == 2
 
 
 def test_the_cache_is_used_and_checked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,6 +181,19 @@ def test_adjoint_against_central_differences(law: str, contact: str, seed: int) 
     np.testing.assert_allclose(sim.rollout(schedule, p, "starts").gradient(weights)[0], gradient, rtol=1e-12)
 
 
+@pytest.mark.parametrize("law", ["log", "smith", "warp_compat"])
+def test_a_block_that_is_inside_out_unfolds(law: str) -> None:
+    """Its middle node starts beyond a face of the block, so that elements are inverted, and finds back."""
+    sim = body(2, law=law)
+    points = sim.mesh.points.copy()
+    (middle,) = np.flatnonzero(np.abs(points).max(axis=1) < 1e-9)
+    points[middle] = [0.002, 0.7 * EDGE, 0.003]
+    assert sim.elastic.least_j(points) < -0.3
+    p = parameters(viscosity=20.0, q0=0.0, v0=0.0, gap=1.0)  # never touched
+    end = sim.rollout(run(60, substeps=512), p, start=(points, np.zeros_like(points))).points[0]
+    np.testing.assert_allclose(end, sim.mesh.points, atol=1e-5 * EDGE)
+
+
 def test_worlds_do_not_mix() -> None:
     sim = body(2)
     p = np.concatenate([parameters(), parameters(lame_mu=8000.0), parameters(gap=0.001)])
