@@ -10,12 +10,12 @@ equations (2) and (4) for a gripper with joint coordinate q, positive when closi
 integrated by semi-implicit Euler: first w and v from the state as it was, then q and x with the new w and v. While d > 0 the
 nodes of a face have its x; ``bonded`` ones also keep their place on it, ``frictionless`` ones slide. The faces' nodes are part
 of the gripper's inertia, with travel^2 / 4 of their mass. Before the fingers touch, the block is at rest. Gravity of the block
-is left out: 0.02 % of the force at a squeeze of 10 %.
+is left out: at most 0.2 % of the force at squeezes of 10 to 30 %.
 
 All steps of a segment of frames run in one launch and every step writes its own row (an adjoint is only right when no state is
 overwritten). The gradient comes from the adjoint of the same kernel, segment by segment from the last one backwards.
-``keep="states"`` holds the states of all steps; ``keep="starts"`` holds those at the start of each segment and computes the others
-again: the same gradient for a third more time and a fraction of the memory.
+``keep="states"`` holds the states of all steps; ``keep="starts"`` holds those at the start of each segment and computes the
+others again: the same gradient for a third more time and a fraction of the memory.
 
 This is the paper's solver and the oracle for ``squeeze.py``, which is what a fit runs: nothing here is fast enough for that,
 and the step is limited by the block's fastest wave (``most_step_s``).
