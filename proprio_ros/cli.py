@@ -18,6 +18,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
+_SHOWN = {"kg": (1e3, 2, " g"), "Pa": (1e-3, 2, " kPa"), "1": (1.0, 3, ""), "N/m": (1.0, 0, " N/m")}
 _DEMO_KG = {"payload": 0.05, "container": 0.012}
 _DEMO_TRUTH = {"payload": "the virtual hand held", "container": "the sphere in the virtual container weighed"}
 
@@ -413,13 +414,13 @@ def _value_text(value: Any) -> str:
     if isinstance(value.value, list):
         numbers = ", ".join("?" if v is None else f"{v:.4f}" for v in value.value)
         return f"{value.name}: [{numbers}] {value.unit}" + (f" ({value.reason})" if value.reason else "")
-    # masses in g, as on the report's page; --json gives them in kg
-    factor, digits, unit = (1e3, 2, "g") if value.unit == "kg" else (1.0, 5, value.unit)
-    number = f"{value.name}: {factor * value.value:.{digits}f} {unit}"
+    # masses in g and moduli in kPa, as on the report's page; --json gives them in kg and Pa
+    factor, digits, unit = _SHOWN.get(value.unit, (1.0, 5, f" {value.unit}"))
+    number = f"{value.name}: {factor * value.value:.{digits}f}{unit}"
     if value.ci95 is None:
-        return f"{number} ({value.reason})"
+        return f"{number} ({value.reason})" if value.reason else number
     low, high = value.ci95
-    return f"{number}   95 % interval {factor * low:.{digits}f} .. {factor * high:.{digits}f} {unit}"
+    return f"{number}   95 % interval {factor * low:.{digits}f} .. {factor * high:.{digits}f}{unit}"
 
 
 if __name__ == "__main__":

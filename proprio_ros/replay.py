@@ -25,16 +25,20 @@ from proprio_ros.identification.container import ContainerOptions, find_sphere
 from proprio_ros.identification.container_problem import ContainerFacts, SphereTrack
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.paper import FRAME_S, PaperOptions, weigh_as_paper
+from proprio_ros.identification.squeeze import SqueezeOptions, find_softness
+from proprio_ros.identification.squeeze_problem import HIGHEST_RATIO, BlockFacts
 from proprio_ros.identification.weighing import WeighingOptions, weigh
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.resources import resource
 from proprio_ros.robot import Robot, load_robot, rotation_from_rpy
 from proprio_ros.runs import cut_runs
+from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+from proprio_ros.sim.quasistatic import CONTACTS
 from proprio_ros.sim.sphere import LAWS, Enclosure
 
-PROBES = ("payload", "container")
+PROBES = ("payload", "container", "softness")
 PROFILES = ("default", "paper")
 DEFAULT_ROBOT = "open_manipulator_x"
 TEXT_ROBOT = "open_manipulator_x_as_published"
@@ -43,10 +47,11 @@ TEXT_ROBOT = "open_manipulator_x_as_published"
 PAPER_PROBE_FRAMES = 36
 """The paper's elbow probe lasts 0.6 s: 36 frames. Its recording goes on for longer, without saying what the motor did then."""
 
-_Options = TypeVar("_Options", WeighingOptions, PaperOptions, ContainerOptions)
+_Options = TypeVar("_Options", WeighingOptions, PaperOptions, ContainerOptions, SqueezeOptions)
 _SECTIONS = {
     "payload": {"payload", "solver", "paper"},
     "container": {"container", "sphere", "contact", "solver"},
+    "softness": {"block", "solver"},
 }
 
 
@@ -96,7 +101,7 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
     robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else None)
     robot = configured_robot(robot_name, options.calibration, settings)
     held = held_positions(robot, settings)
-    identify = _container(options, settings) if options.probe == "container" else _payload(options, settings)
+    identify = {"payload": _payload, "container": _container, "softness": _softness}[options.probe](options, settings)
 
     loaded = time.perf_counter()
     runs: list[Run] = []
@@ -144,10 +149,32 @@ def _payload(options: ReplayOptions, settings: Settings) -> _Identify:
     return identify
 
 
-def _container(options: ReplayOptions, settings: Settings) -> _Identify:
+def _refuse_payloads_own(options: ReplayOptions) -> None:
     for given, default, flag in ((options.solver, "lm", "--solver"), (options.profile, "default", "--profile")):
         if given != default:
             raise ConfigurationError(f"{flag} {given} is only there for --probe payload; leave it out")
+
+
+def _softness(options: ReplayOptions, settings: Settings) -> _Identify:
+    _refuse_payloads_own(options)
+    probe = probe_file("softness")
+    facts = block_facts(settings, probe["block"])
+    solving = _options(SqueezeOptions, settings, "solver.", probe["solver"])
+
+    def identify(
+        robot: Robot,
+        runs: Sequence[Run],
+        baseline: Sequence[Run],
+        text: TextRecording | None,
+        sources: Sequence[Path],
+    ) -> Estimate:
+        return find_softness(robot, runs, facts, solving, baseline)
+
+    return identify
+
+
+def _container(options: ReplayOptions, settings: Settings) -> _Identify:
+    _refuse_payloads_own(options)
     probe = probe_file("container")
     facts = container_facts(settings, probe)
     solving = _options(ContainerOptions, settings, "solver.", probe["solver"])
@@ -491,6 +518,49 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     )
 
 
+def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
+    """Size of the soft block and how it is held, the user's words before the probe file's.
+
+    Args:
+        defaults: the section ``block`` of the probe file.
+
+    Raises:
+        ConfigurationError: a value of the wrong form or unit.
+    """
+
+    def take(name: str) -> Any:
+        return settings.take(f"block.{name}", defaults.get(name))
+
+    size = take("size")
+    size = _vector("block.size", [size] * 3 if isinstance(size, (int, float)) and not isinstance(size, bool) else size)
+    if np.any(size <= 0.0) or np.any(size > 0.5):
+        raise ConfigurationError(f"block.size={size.tolist()} must be lengths in m above 0, so 30 mm is 0.03")
+    law, contact = take("law"), take("contact")
+    for key, given, choices in (("law", law, LAWS_OF_ELASTICITY), ("contact", contact, CONTACTS)):
+        if given not in choices:
+            raise ConfigurationError(f"block.{key}={given!r} is unknown: choose one of {', '.join(choices)}")
+    fingers = _number("block.fingers", take("fingers"))
+    if fingers not in (1.0, 2.0):
+        raise ConfigurationError(f"block.fingers={fingers:g}: one finger moves, or two")
+    take("mass")  # a block's weight changes its squeeze by less than a thousandth; told or not, it is not used
+    ratio = Quantity(_not_negative("block.poissons_ratio", take("poissons_ratio")), _std(take, "poissons_ratio_std"))
+    if ratio.value > HIGHEST_RATIO:
+        raise ConfigurationError(f"block.poissons_ratio={ratio.value:g} must lie between 0 and {HIGHEST_RATIO}")
+    return BlockFacts(
+        size,
+        law,
+        contact,
+        int(fingers),
+        Quantity(_number("block.gap", take("gap")), _std(take, "gap_std")),
+        ratio,
+        Quantity(_not_negative("block.relaxation_s", take("relaxation_s")), _std(take, "relaxation_std_s")),
+    )
+
+
+def _std(take: Callable[[str], Any], name: str) -> float:
+    return _not_negative(f"block.{name}", take(name))
+
+
 def probe_file(probe: str) -> dict[str, Any]:
     path = resource("probes", probe)
     try:
@@ -509,10 +579,11 @@ def _options(kind: Callable[..., _Options], settings: Settings, prefix: str, def
         if entry.name == "solver":
             continue
         value = settings.take(prefix + entry.name, defaults.get(entry.name, entry.default))
-        if entry.name == "starts_kg":
+        if entry.name in ("starts_kg", "starts_Pa"):
             value = tuple(_numbers(prefix + entry.name, value))
             if not value or min(value) <= 0.0:
-                raise ConfigurationError(f"{prefix}{entry.name} needs at least one positive mass in kg")
+                what = "mass in kg" if entry.name == "starts_kg" else "modulus in Pa"
+                raise ConfigurationError(f"{prefix}{entry.name} needs at least one positive {what}")
         elif entry.name not in ("integrator", "signals") and value is not None:
             value = _number(prefix + entry.name, value)
             if isinstance(entry.default, int) or "int" in str(entry.type):

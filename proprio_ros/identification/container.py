@@ -330,7 +330,7 @@ def _lost_at(fit: FitResult) -> dict[int, int]:
     covariance = Posterior(problem, fit.values).covariance
     cut: dict[int, int] = {}
     for row, (_, dx), run in zip(
-        np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free), problem.simulator.rolling.sphere_runs,
+        np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free), problem.simulator.special.sphere_runs,
         strict=True,
     ):  # fmt: skip
         # along the joint's axis the sphere may be anywhere, and it makes no difference
@@ -569,7 +569,7 @@ def _paths(robot: Robot, fit: FitResult, covariance: np.ndarray) -> tuple[Sphere
     shown, _, _ = problem.simulate(fit.values[None], free[:1])
     paths = []
     for row, (x, dx), run in zip(
-        rows, problem.path(fit.values, free), problem.simulator.rolling.sphere_runs, strict=True
+        rows, problem.path(fit.values, free), problem.simulator.special.sphere_runs, strict=True
     ):
         prepared = problem.runs[row]
         model = reduced_model(robot, prepared.run, {})

@@ -24,8 +24,9 @@ from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, MixedSimulator, SphereRun, paper_contact
+from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, SphereRun, SphereSimulator, paper_contact
 
 LEVEL = 0.03
 """A sphere rolls down any slope; but below this one (1.7 degrees) an arm that is not level may have sloped the other way."""
@@ -254,7 +255,7 @@ class ContainerProblem(PayloadProblem):
         signals: ``"both"``, or which one of ``SIGNALS`` a run that has both is fitted to.
     """
 
-    simulator: MixedSimulator
+    simulator: MixedSimulator[SphereSimulator]
 
     def __init__(
         self,
@@ -294,15 +295,16 @@ class ContainerProblem(PayloadProblem):
         """The longest step of a run with a sphere [s]."""
         return min(run.step_s for run, rolls in zip(self.simulator.runs, self.rolling, strict=True) if rolls)
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator:
+    def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SphereSimulator]:
         step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor, integrator)
-        mixed: list[JointRun | SphereRun] = list(runs)
+        rolling: list[SphereRun] = []
         for row in np.flatnonzero(self.rolling):
             joint = replace(
                 runs[row], step_s=min(runs[row].step_s, step_s), fine_step_s=min(runs[row].fine_step_s, step_s)
             )
-            mixed[row] = sphere_run(self.robot, self._rolling_runs[row], self.container, joint)
-        return MixedSimulator(mixed, self.container.enclosure, self.container.law, integrator)
+            rolling.append(sphere_run(self.robot, self._rolling_runs[row], self.container, joint))
+        special = SphereSimulator(rolling, self.container.enclosure, self.container.law, integrator)
+        return MixedSimulator(special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator)
 
     def _touches(self, name: str, row: int) -> bool:
         if name == "sphere_mass" or name.startswith("contact_"):
@@ -353,7 +355,7 @@ class ContainerProblem(PayloadProblem):
         guesses, size = internal.shape
         width = len(self.simulator.parameters)
         direct = size <= width
-        x, dx = self.simulator.rolling.last_path(size if direct else width)
+        x, dx = self.simulator.special.last_path(size if direct else width)
         x, dx = x.reshape(guesses, -1, *x.shape[1:]), dx.reshape(guesses, -1, *dx.shape[1:])
         slope = self.coordinates.slope(internal)
         _, dp = self._kernel_parameters(self.coordinates.physical(internal))
@@ -410,7 +412,7 @@ class ContainerProblem(PayloadProblem):
         rows = np.flatnonzero(self.rolling)
         width = len(self.simulator.parameters)
         identity = np.tile(np.eye(width), (len(rows), 1, 1))
-        x, by_parameter = self.simulator.rolling.path(np.arange(len(rows)), p[0, rows], identity)
+        x, by_parameter = self.simulator.special.path(np.arange(len(rows)), p[0, rows], identity)
         dx = np.einsum("rtkp,rpf->rtkf", by_parameter, dp[0, rows])
         return [(x[n, : self.runs[row].used], dx[n, : self.runs[row].used]) for n, row in enumerate(rows)]
 

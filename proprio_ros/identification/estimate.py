@@ -184,6 +184,25 @@ class SpherePath:
 
 
 @dataclass(frozen=True)
+class SqueezeCurve:
+    """What a block did in one closing of the gripper, as simulated at the estimate.
+
+    Attributes:
+        run: name of the run.
+        length: of the block along the squeeze [m].
+        times_s: shape (K,).
+        squeeze: relative to the length, below 0 while it is not touched, shape (K,).
+        force_N: on each finger, by the law of elasticity alone, shape (K,).
+    """
+
+    run: str
+    length: float
+    times_s: np.ndarray
+    squeeze: np.ndarray
+    force_N: np.ndarray
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The result of one identification, the same object live and offline."""
 
@@ -200,6 +219,7 @@ class Estimate:
     budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the mass [kg])
     scan: Scan | None = None
     paths: tuple[SpherePath, ...] = ()
+    curves: tuple[SqueezeCurve, ...] = ()
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
@@ -232,7 +252,7 @@ class Estimate:
                 "estimates": [value.as_json() for value in self.values],
                 "fit": fit,
                 "solver": None if self.solver is None else self.solver.as_json(),
-                "uncertainty_budget": [{"source": s, "std": v, "unit": "kg"} for s, v in self.budget],
+                "uncertainty_budget": [{"source": s, "std": v, "unit": self.values[0].unit} for s, v in self.budget],
                 "notes": list(self.notes),
                 "timing_s": self.timing_s,
             }

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT, Run
 from proprio_ros.robot import DriveTrain, ReducedModel, Robot
 from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
+from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import (
     PayloadFacts,
     joint_coefficients,
@@ -30,7 +32,6 @@ from proprio_ros.sim.payload import (
     payload_parameters_by_com,
     pseudo_inertia_basis,
 )
-from proprio_ros.sim.sphere import MixedSimulator
 
 DRIVE_TERMS = {
     "torque_constant": "N m/A",
@@ -244,13 +245,15 @@ def at_the_shaft(robot: Robot, run: Run) -> Run:
 
 
 def prepare_run(
-    robot: Robot, run: Run, load: KnownLoad | None = None, facts: PayloadFacts | None = None
+    robot: Robot, run: Run, load: KnownLoad | None = None, facts: PayloadFacts | None = None, past_fast: bool = False
 ) -> PreparedRun:
     """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
 
     Args:
         load: what the hand is known to hold; None means the payload to be weighed.
         facts: where the payload sits, for what yielding joints do with it; default at the payload frame.
+        past_fast: whether samples count from where the joint runs so fast that the supply may limit the current. That is then
+            simulated with the supply's nominal numbers: for motions that are fast for a moment and tell most after it.
 
     Raises:
         RecordingError: a joint the robot has is missing from the recording, the driven joint has no drive train, or the load to
@@ -287,7 +290,8 @@ def prepare_run(
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
     lower, upper = joint.lower / drive.transmission, joint.upper / drive.transmission
-    used, reason, hit_limit = _usable_window(run, velocity, followed, drive, lower, upper)
+    counted = np.ones_like(followed) if past_fast else followed
+    used, reason, hit_limit = _usable_window(run, velocity, counted, drive, lower, upper)
     reading = robot.residual_scale * float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
     # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none
     jitter = min(robot.stamp_jitter_s, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
@@ -508,7 +512,7 @@ class PayloadProblem:
         self._identities: dict[int, np.ndarray] = {}
         self._touching = [np.flatnonzero([self._touches(name, row) for name in free_names]) for row in range(len(runs))]
 
-    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator:
+    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator[Any]:
         return JointSimulator(runs, integrator)
 
     def _touches(self, name: str, row: int) -> bool:

@@ -98,22 +98,73 @@ def run_figure(fit: RunFit, number: int) -> str:
         return svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
 
 
-def mass_in_words(estimate: Estimate) -> str:
-    """Which mass was searched for: "payload mass", "sphere mass"."""
+SHOWN = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}
+"""Units in which a reader wants a number, and the factor to them."""
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and name of the unit in which a value is shown."""
+    return SHOWN.get(unit, (1.0, unit))
+
+
+def searched_in_words(estimate: Estimate) -> str:
+    """What was searched for: "payload mass", "sphere mass", "youngs modulus"."""
     return estimate.values[0].name.replace("_", " ")
+
+
+def _scale(estimate: Estimate) -> tuple[float, str]:
+    return shown_unit(estimate.values[0].unit)
+
+
+def squeeze_figure(estimate: Estimate) -> str:
+    """The block at a few instants of the first closing, and the force on a finger over the squeeze of all."""
+    from matplotlib.patches import Rectangle
+
+    first = estimate.curves[0]
+    instants = np.linspace(0, int(np.argmax(first.squeeze)), 6).round().astype(int)
+    with drawn(7.4, 4.6, nrows=2, height_ratios=[1.0, 2.0]) as (figure, (above, below)):
+        for place, row in enumerate(instants):
+            width = 1.0 - max(float(first.squeeze[row]), 0.0)
+            gap = max(-float(first.squeeze[row]), 0.0)
+            left = 1.9 * place + 0.5 * (1.0 - width)
+            above.add_patch(Rectangle((left, 0.0), width, 1.0, facecolor=ACCENT, alpha=0.35, edgecolor=INK))
+            for side in (left - 0.5 * gap - 0.12, left + width + 0.5 * gap):
+                above.add_patch(Rectangle((side, -0.15), 0.12, 1.3, facecolor=MUTED))
+            above.text(
+                1.9 * place + 0.5,
+                -0.5,
+                f"{first.times_s[row]:.2f} s, {100.0 * (1.0 - width):.0f} %",
+                ha="center",
+                fontsize=8,
+            )
+        above.set_xlim(-0.4, 1.9 * len(instants) - 0.4)
+        above.set_ylim(-0.75, 1.25)
+        above.set_aspect("equal")
+        above.axis("off")
+        for curve in estimate.curves:
+            order = np.argsort(curve.squeeze)
+            below.plot(
+                100.0 * curve.squeeze[order], curve.force_N[order], "-o", markersize=3, linewidth=1.2, label=curve.run
+            )
+        below.set_xlabel("squeeze (% of the block's length)")
+        below.set_ylabel("force on a finger (N)")
+        if len(estimate.curves) > 1:
+            below.legend(fontsize=7.5)
+        return svg(figure, "The block between the fingers, and force over squeeze by the fitted law")
 
 
 def convergence_figure(estimate: Estimate) -> str:
     """The mass of every start over the iterations, and where the paper's schedule stops."""
+    factor, unit = _scale(estimate)
     solver = estimate.solver
     assert solver is not None
     with drawn(7.4, 3.4) as (figure, axes):
         for path in solver.paths:
             color = ACCENT if path.agrees else MUTED
-            axes.plot(1e3 * np.maximum(path.mass_kg, 1e-6), color=color, linewidth=1.3)
-            axes.plot(0, 1e3 * path.start_kg, "o", color=color, markersize=4)
+            axes.plot(factor * np.maximum(path.mass_kg, 1e-6), color=color, linewidth=1.3)
+            axes.plot(0, factor * path.start_kg, "o", color=color, markersize=4)
             if path.scheduled_kg is not None:
-                axes.plot(solver.iterations, 1e3 * path.scheduled_kg, "X", color=SIMULATED, markersize=7)
+                axes.plot(solver.iterations, factor * path.scheduled_kg, "X", color=SIMULATED, markersize=7)
         if any(path.scheduled_kg is not None for path in solver.paths):
             axes.axvline(solver.iterations, color=SIMULATED, linewidth=0.8, linestyle=":")
             axes.annotate(
@@ -121,34 +172,36 @@ def convergence_figure(estimate: Estimate) -> str:
             )
         axes.set_yscale("log")
         axes.set_xlabel("iteration")
-        axes.set_ylabel(f"{mass_in_words(estimate)} (g)")
-        return svg(figure, f"Iterations from {len(solver.paths)} starts: {mass_in_words(estimate)}")
+        axes.set_ylabel(f"{searched_in_words(estimate)} ({unit})")
+        return svg(figure, f"Iterations from {len(solver.paths)} starts: {searched_in_words(estimate)}")
 
 
 def scan_figure(estimate: Estimate) -> str:
     """Misfit over mass, with the estimate and its interval."""
+    factor, unit = _scale(estimate)
     scan = estimate.scan
     assert scan is not None
     with drawn(7.4, 3.2) as (figure, axes):
-        axes.plot(1e3 * scan.mass_kg, np.maximum(scan.cost, 1e-4), color=INK, linewidth=1.5)
+        axes.plot(factor * scan.mass_kg, np.maximum(scan.cost, 1e-4), color=INK, linewidth=1.5)
         value = estimate.values[0]
         if isinstance(value.value, float):
-            axes.axvline(1e3 * value.value, color=SIMULATED, linewidth=1.2)
+            axes.axvline(factor * value.value, color=SIMULATED, linewidth=1.2)
             if value.ci95 is not None:
                 low, high = max(value.ci95[0], scan.mass_kg[0]), value.ci95[1]
-                axes.axvspan(1e3 * low, 1e3 * high, color=SIMULATED, alpha=0.1, linewidth=0)
+                axes.axvspan(factor * low, factor * high, color=SIMULATED, alpha=0.1, linewidth=0)
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_xlabel(f"{mass_in_words(estimate)} (g); line: the value, band: its 95 % interval")
+        axes.set_xlabel(f"{searched_in_words(estimate)} ({unit}); line: the value, band: its 95 % interval")
         axes.set_ylabel(scan.measure)
-        return svg(figure, f"Misfit of the simulation over the {mass_in_words(estimate)}")
+        return svg(figure, f"Misfit of the simulation over the {searched_in_words(estimate)}")
 
 
 def budget_figure(estimate: Estimate) -> str:
     """Where the uncertainty of the mass comes from."""
+    factor, unit = _scale(estimate)
     entries = list(estimate.budget[:8])[::-1]
     with drawn(7.4, 0.6 + 0.3 * len(entries)) as (figure, axes):
-        axes.barh([source for source, _ in entries], [1e3 * std for _, std in entries], color=ACCENT, height=0.62)
-        axes.set_xlabel(f"standard deviation it puts on the {mass_in_words(estimate)} (g)")
+        axes.barh([source for source, _ in entries], [factor * std for _, std in entries], color=ACCENT, height=0.62)
+        axes.set_xlabel(f"standard deviation it puts on the {searched_in_words(estimate)} ({unit})")
         axes.grid(axis="y", visible=False)
-        return svg(figure, f"Contributions to the uncertainty of the {mass_in_words(estimate)}")
+        return svg(figure, f"Contributions to the uncertainty of the {searched_in_words(estimate)}")

@@ -45,8 +45,10 @@ def _page(estimate: Estimate, command: str, sources: Sequence[str]) -> str:
             parts.append(f"<h3>{escape(fit.name)}</h3><p class=small>{escape(about)}</p>")
             parts.append(framed(figures.run_figure(fit, n)))
     parts += _sphere(estimate)
+    if estimate.curves:
+        parts += ["<h2>The block</h2>", framed(figures.squeeze_figure(estimate))]
     if estimate.scan is not None:
-        mass = escape(figures.mass_in_words(estimate))
+        mass = escape(figures.searched_in_words(estimate))
         parts += [f"<h2>Misfit over {mass}</h2>", framed(figures.scan_figure(estimate))]
     if estimate.solver is not None:
         parts += _convergence(estimate)
@@ -104,17 +106,19 @@ def _in_words(value: Value) -> str:
     if isinstance(value.value, list):
         numbers = ", ".join("?" if v is None else f"{1e3 * v:.1f}" for v in value.value)
         return f"{value.name.replace('_', ' ')} [{numbers}] mm"
-    if value.unit == "kg":
-        return f"{1e3 * value.value:.2f} g"
-    return f"{value.value:.4g} {value.unit}"
+    factor, unit = figures.shown_unit(value.unit)
+    return f"{factor * value.value:.2f} {unit}" if factor != 1.0 else f"{value.value:.4g} {unit}".removesuffix(" 1")
 
 
 def _interval_in_words(value: Value) -> str:
     name = value.name.replace("_", " ")
-    if isinstance(value.ci95, list) and value.unit == "kg":
+    if isinstance(value.ci95, list) and not isinstance(value.value, list):
         low, high = value.ci95
-        interval = f"95 % interval {1e3 * low:.2f} to {1e3 * high:.2f} g"
-        return f"{name}, {interval} ({value.value:.6f} kg, standard deviation {value.std:.6f})"
+        factor, unit = figures.shown_unit(value.unit)
+        if factor == 1.0:
+            return f"{name}, 95 % interval {low:.4g} to {high:.4g} {unit}".removesuffix(" 1")
+        interval = f"95 % interval {factor * low:.2f} to {factor * high:.2f} {unit}"
+        return f"{name}, {interval} ({value.value:.6g} {value.unit}, standard deviation {value.std:.6g})"
     return f"{name}: {value.reason}" if value.reason else name
 
 
@@ -128,17 +132,18 @@ def _convergence(estimate: Estimate) -> list[str]:
         framed(figures.convergence_figure(estimate)),
     ]
     scheduled = any(path.scheduled_kg is not None for path in solver.paths)
+    factor, unit = figures.shown_unit(estimate.values[0].unit)
     header = [
-        "start (g)",
-        *(["where the schedule stops (g)"] * scheduled),
-        "least error (g)" if scheduled else "end (g)",
+        f"start ({unit})",
+        *([f"where the schedule stops ({unit})"] * scheduled),
+        f"least error ({unit})" if scheduled else f"end ({unit})",
         "cost",
     ]
     rows = [
         [
-            f"{1e3 * path.start_kg:.3g}",
-            *([f"{1e3 * (path.scheduled_kg or 0.0):.1f}"] * scheduled),
-            f"{1e3 * path.end_kg:.3f}",
+            f"{factor * path.start_kg:.3g}",
+            *([f"{factor * (path.scheduled_kg or 0.0):.1f}"] * scheduled),
+            f"{factor * path.end_kg:.3f}",
             f"{path.cost:.3g}",
         ]
         for path in solver.paths

@@ -151,7 +151,7 @@ class Boxed:
 
     @property
     def run(self) -> SphereRun:
-        return self.problem.simulator.rolling.sphere_runs[0]
+        return self.problem.simulator.special.sphere_runs[0]
 
     @property
     def names(self) -> list[str]:
@@ -464,7 +464,7 @@ def _forward_rows(box: Boxed) -> list[Row]:
 
 
 def _tangent_rows(box: Boxed) -> list[Row]:
-    simulator = box.problem.simulator.rolling
+    simulator = box.problem.simulator.special
     p, dp = box.parameters(STARTS_KG)
     worlds = np.zeros(len(p), dtype=np.int32)
     _, forward = simulator.record_forward(*simulator._worlds(worlds, p))

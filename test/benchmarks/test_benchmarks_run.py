@@ -70,7 +70,7 @@ def test_a_sphere_in_mujoco_is_ours() -> None:
     box = pose(by_mujoco, mass_alone=True)
     p, _ = box.parameters([SPHERE_KG])
     times_s = box.run.joint.sample_times_s
-    ours, _ = box.problem.simulator.rolling.rollout(np.zeros(1, dtype=np.int32), p)
+    ours, _ = box.problem.simulator.special.rollout(np.zeros(1, dtype=np.int32), p)
     assert np.abs(ours[0] - by_mujoco(box, times_s)).max() < 2e-3 < 0.01 * np.ptp(ours)
     answer = box.solve()
     masses, costs, _ = mujoco_fit(box, 2.5e-3, "RK4")()

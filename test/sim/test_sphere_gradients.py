@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
+from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.sphere import (
     LAWS,
     SPHERE_INDEX,
     SPHERE_PARAMETERS,
     Contact,
     Enclosure,
-    MixedSimulator,
     SphereRun,
     SphereSimulator,
 )
@@ -185,7 +185,9 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
     long, short = joint_run(1), joint_run(2, 0.2)
     plain = replace(short, sample_times_s=short.sample_times_s[:7])
     runs = [long, sphere_run("revolute", short), plain, sphere_run("prismatic", long)]
-    mixed = MixedSimulator(runs, enclosure("box"))
+    with_sphere = [isinstance(run, SphereRun) for run in runs]
+    special = SphereSimulator([run for run in runs if isinstance(run, SphereRun)], enclosure("box"))
+    mixed = MixedSimulator(special, [long, plain], with_sphere)
     worlds = np.array([3, 0, 1, 2, 1, 3], dtype=np.int32)
     p = np.repeat(p, len(worlds), axis=0)
     p *= np.random.default_rng(4).uniform(0.9, 1.1, p.shape)

@@ -1,0 +1,375 @@
+"""From closings of the gripper on a soft block to its elastic moduli, with intervals and a verdict.
+
+What one squeeze fixes is Young's modulus. Poisson's ratio shows only in how the force bends away from a straight line at large
+strain; where the posterior is hardly narrower than the prior it is called dominated by that and not told. Lamé parameters follow
+from the two, with what is known of both. Runs with the empty gripper (the baseline, and the calibration) tell friction and
+armature; torque constant and armature share one scale that no gripper can tell apart, so the modulus is known no better than the
+torque constant is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.identification import solvers
+from proprio_ros.identification.estimate import (
+    Z95,
+    Estimate,
+    Fit,
+    Scan,
+    SolverSummary,
+    SqueezeCurve,
+    StartPath,
+    Value,
+    Verdict,
+)
+from proprio_ros.identification.gates import (
+    MIN_USED,
+    MISFIT_LIMIT,
+    Findings,
+    chi2_limit,
+    contradicting,
+    look_at_run,
+)
+from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.squeeze_problem import (
+    HIGHEST_RATIO,
+    BlockFacts,
+    SqueezeProblem,
+    block_unknowns,
+)
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.identification.weighing import (
+    FitResult,
+    error_budget,
+    is_calibrated,
+    other_suspects,
+    say_if_uncalibrated,
+    unknown_rows,
+)
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.sim.energies import lame, lame_by_poissons_ratio
+
+UNMOVED_RAD = 0.02
+"""A gripper that moves less has told nothing but its friction."""
+UNTOUCHED = 3e-3
+"""Relative squeeze below which a block was hardly pressed."""
+CRUSHED = 0.45
+"""Relative squeeze beyond which no law of elasticity here is to be trusted (SOFTNESS, section 4)."""
+TOLD = 0.7
+"""Posterior over prior standard deviation above which a value is the prior's."""
+
+
+@dataclass(frozen=True)
+class SqueezeOptions:
+    """How to solve, and when to refuse.
+
+    Attributes:
+        integrator, step_s: see ``SqueezeSimulator``.
+        starts_Pa: first guesses of Young's modulus, two orders of magnitude apart or more.
+        widest_relative: half width of the 95 % interval of Young's modulus over its value beyond which none is given.
+    """
+
+    integrator: str = "rk4"
+    step_s: float = 1.0 / 480.0
+    starts_Pa: tuple[float, ...] = (3e3, 1e4, 4e4, 1.6e5, 6e5)
+    widest_relative: float = 1.0
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """The runs of a fit, those with the block first."""
+
+    runs: tuple[PreparedRun, ...]
+    squeezing: tuple[bool, ...]
+
+
+def find_softness(
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: BlockFacts,
+    options: SqueezeOptions | None = None,
+    baseline: Sequence[Run] = (),
+) -> Estimate:
+    """Identify the elastic moduli of the block that all ``runs`` squeeze.
+
+    Args:
+        robot: model, drive trains and their uncertainty.
+        runs: at least one, each a closing of the gripper on the block.
+        facts: what is told about it.
+        options: solver and limits.
+        baseline: closings of the empty gripper.
+
+    Raises:
+        RecordingError: a run cannot be related to the robot at all, or does not squeeze.
+    """
+    options = options or SqueezeOptions()
+    found = Findings()
+    usable: list[tuple[PreparedRun, bool]] = []
+    for run, squeezes in [*((run, True) for run in runs), *((run, False) for run in baseline)]:
+        prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)
+        if prepared.used < MIN_USED:
+            why = prepared.cut_reason or "the probe was too short"
+            found.reasons.append(f"{run.name}: only {prepared.used} usable samples, because {why}")
+        elif abs(prepared.travel) < UNMOVED_RAD:
+            found.reasons.append(
+                f"{run.name}: the fingers moved only {1e3 * abs(prepared.travel * prepared.drive.transmission):.2f} mm, so "
+                "friction and not the block decides where they are: squeeze with more current, or from further away"
+            )
+        else:
+            usable.append((prepared, squeezes))
+        look_at_run(robot, prepared, found)
+    data = _Recorded(tuple(run for run, _ in usable), tuple(squeezes for _, squeezes in usable))
+    if not any(data.squeezing):
+        return _no_answer(robot, len(runs), found)
+    nominal = _solve(robot, data, facts, options, Role.FROZEN)
+    fit = _solve(robot, data, facts, options, Role.FREE, nominal)
+    if not fit.explains:
+        again = _solve(robot, data, facts, options, Role.FREE)
+        fit = again if again.chi2 < fit.chi2 else fit
+    return _conclude(robot, data, facts, options, nominal, fit, found, len(runs))
+
+
+def _solve(
+    robot: Robot,
+    data: _Recorded,
+    facts: BlockFacts,
+    options: SqueezeOptions,
+    role: Role,
+    start: FitResult | None = None,
+) -> FitResult:
+    """Fit the runs from every guess, or from the values of another fit."""
+    unknowns = block_unknowns(robot, data.runs, data.squeezing, facts, role)
+    problem = SqueezeProblem(robot, data.runs, facts, data.squeezing, unknowns, options.integrator, options.step_s)
+    coordinates = problem.coordinates
+    if start is None:
+        starts = np.tile(coordinates.prior_mean, (len(options.starts_Pa), 1))
+        starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = options.starts_Pa
+        windows, tolerance = problem.simulator.windows, 1e-3
+    else:
+        starts = start.values[problem.free][None]
+        windows, tolerance = None, 1e-4
+    solution = solvers.levenberg_marquardt(
+        problem, coordinates.internal(starts), windows, iterations=40, tolerance=tolerance
+    )
+    return FitResult.of(problem, solution)
+
+
+def _conclude(
+    robot: Robot,
+    data: _Recorded,
+    facts: BlockFacts,
+    options: SqueezeOptions,
+    nominal: FitResult,
+    fit: FitResult,
+    found: Findings,
+    run_count: int,
+) -> Estimate:
+    problem = fit.problem
+    assert isinstance(problem, SqueezeProblem)
+    known = is_calibrated(robot, data.runs)
+    at = problem.index
+    fits, rms, expected = run_fits(problem, fit.values, data.runs)
+    inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
+    posterior = Posterior(problem, fit.values, inflation)
+    covariance = posterior.whole_covariance()
+    row = at["youngs_modulus"]
+    modulus, std = float(fit.values[row]), float(np.sqrt(covariance[row, row]))
+    budget = error_budget(fit, covariance, "youngs_modulus")
+    curves = _curves(problem, fit.values, facts)
+    largest = max(float(curve.squeeze.max()) for curve in curves)
+    verdict, withheld = Verdict.ACCEPTED, ""
+    unknown = problem.unknowns[row]
+    if not np.isfinite(fit.chi2):
+        verdict, withheld = Verdict.REJECTED, "no guess of the modulus could be simulated"
+        found.reasons.insert(0, withheld + ": check block.size and the robot file")
+    elif len(data.runs) > 1 and (odd := contradicting(posterior)) is not None and fit.chi2 > chi2_limit(fit.dof):
+        verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
+        found.reasons.insert(
+            0, f"{data.runs[odd].run.name} contradicts the other runs: was the same block held in the same way?"
+        )
+    elif fit.reduced_chi2 > MISFIT_LIMIT:
+        verdict, withheld = Verdict.REJECTED, "the model does not explain the recording"
+        found.reasons[:0] = [_misfit(rms, expected, modulus, fit.reduced_chi2), *other_suspects(robot)]
+    elif largest < UNTOUCHED or modulus <= unknown.lower * 1.01:
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the block was hardly pressed"
+        found.reasons.insert(
+            0,
+            f"the block was squeezed by {100.0 * max(largest, 0.0):.1f} % at most: is it between the fingers, and block.size "
+            "right?",
+        )
+    elif modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
+        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the interval is too wide to tell a modulus"
+        found.reasons.insert(
+            0,
+            f"Young's modulus can only be told to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of {budget[0][0]}: "
+            + ("squeeze with other currents, too" if known else "calibrate the gripper on closings without the block"),
+        )
+    if verdict is Verdict.ACCEPTED:
+        if inflation > 1.0 and not fit.explains:
+            found.reasons.append(
+                f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "
+                "the interval was widened by that factor"
+            )
+        if largest > CRUSHED:
+            found.reasons.append(
+                f"the block was squeezed by {100.0 * largest:.0f} %, where what is known about elasticity ends: use less current"
+            )
+        say_if_uncalibrated(robot, data.runs, [], found)
+    return Estimate(
+        probe="softness",
+        robot=robot.name,
+        verdict=verdict,
+        reasons=tuple(found.reasons),
+        values=_values(fit, covariance, facts, withheld, curves),
+        fit=Fit(rms, expected, fit.reduced_chi2, condition=posterior.condition),
+        solver=_summary(nominal, fit, options, std),
+        runs=run_count,
+        run_fits=fits,
+        unknowns=unknown_rows(fit, covariance),
+        budget=tuple(budget),
+        scan=_scan(fit, modulus),
+        curves=curves,
+        assumptions=_assumptions(robot, facts, options, largest),
+        notes=tuple(found.notes),
+    )
+
+
+def _values(
+    fit: FitResult, covariance: np.ndarray, facts: BlockFacts, withheld: str, curves: Sequence[SqueezeCurve]
+) -> tuple[Value, ...]:
+    names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
+    if withheld:
+        return tuple(Value(name, unit, None, reason=withheld) for name, unit in names.items())
+    at = fit.problem.index
+    rows = [at["youngs_modulus"], at["poissons_ratio"]]
+    modulus, ratio = (float(fit.values[row]) for row in rows)
+    both = covariance[np.ix_(rows, rows)]
+    std_e, std_nu = (float(np.sqrt(both[k, k])) for k in (0, 1))
+    prior = facts.poissons_ratio.std
+    dominated = prior > 0.0 and std_nu > TOLD * prior
+    untold = (
+        f"prior_dominated: the squeeze tells Poisson's ratio to +-{std_nu:.2f}, the prior to +-{prior:.2f}; squeeze further, with "
+        "several currents, or state block.poissons_ratio"
+        if dominated
+        else ""
+    )
+    unit_mu, unit_lambda = lame(1.0, ratio)
+    slope_mu, slope_lambda = lame_by_poissons_ratio(ratio)
+    mu_by, lambda_by = np.array([unit_mu, modulus * slope_mu]), np.array([unit_lambda, modulus * slope_lambda])
+    force, strain, length = max(
+        ((c.force_N.max(), c.squeeze.max(), c.length) for c in curves), key=lambda each: each[1]
+    )
+    secant = float(force / (strain * length))
+    return (
+        _told("youngs_modulus", "Pa", modulus, std_e),
+        Value("poissons_ratio", "1", None, std_nu, reason=untold)
+        if dominated
+        else _told("poissons_ratio", "1", ratio, std_nu, HIGHEST_RATIO),
+        _told("lame_mu", "Pa", modulus * unit_mu, float(np.sqrt(mu_by @ both @ mu_by))),
+        Value("lame_lambda", "Pa", None, reason=untold)
+        if dominated
+        else _told("lame_lambda", "Pa", modulus * unit_lambda, float(np.sqrt(lambda_by @ both @ lambda_by))),
+        _told("secant_stiffness", "N/m", secant, secant * std_e / modulus),
+        Value("largest_squeeze", "1", float(strain)),
+    )
+
+
+def _told(name: str, unit: str, value: float, std: float, highest: float = np.inf) -> Value:
+    return Value(name, unit, value, std, [max(value - Z95 * std, 0.0), min(value + Z95 * std, highest)])
+
+
+def _curves(problem: SqueezeProblem, values: np.ndarray, facts: BlockFacts) -> tuple[SqueezeCurve, ...]:
+    """Force on a finger over squeeze, as simulated, with the quasi-static law alone."""
+    at = problem.index
+    modulus, ratio = float(values[at["youngs_modulus"]]), float(values[at["poissons_ratio"]])
+    table = problem.simulator.special.squeeze_runs[0].response
+    curves = []
+    for row, squeeze in zip(np.flatnonzero(problem.squeezing), problem.squeezes(values), strict=True):
+        pressed = np.maximum(squeeze, 0.0)
+        force = modulus * facts.area * table(pressed, np.full(len(pressed), ratio))[0]
+        run = problem.runs[row]
+        curves.append(SqueezeCurve(run.run.name, float(facts.size[0]), run.times_s, squeeze, force))
+    return tuple(curves)
+
+
+def _ends(fit: FitResult, internal: np.ndarray | None = None) -> np.ndarray:
+    column = list(fit.problem.free).index(fit.problem.index["youngs_modulus"])
+    return fit.problem.coordinates.physical(fit.solution.internal if internal is None else internal)[..., column]
+
+
+def _summary(nominal: FitResult, fit: FitResult, options: SqueezeOptions, std: float) -> SolverSummary:
+    solution = nominal.solution
+    ends, history = _ends(nominal), _ends(nominal, solution.path)
+    best = float(ends[solution.best])
+    paths = tuple(
+        StartPath(
+            start, float(ends[s]), float(solution.cost[s]), bool(abs(ends[s] - best) <= max(0.02 * best, 0.1 * std)),
+            history[:, s], solution.path_cost[:, s],
+        )
+        for s, start in enumerate(options.starts_Pa)
+    )  # fmt: skip
+    iterations = solution.iterations + fit.solution.iterations
+    return SolverSummary("lm", "default", iterations, paths, options.integrator, options.step_s)
+
+
+def _scan(fit: FitResult, modulus: float) -> Scan:
+    """The data's misfit over Young's modulus."""
+    problem = fit.problem
+    grid = modulus * np.geomspace(0.1, 10.0, 61)
+    values = np.tile(fit.values, (len(grid), 1))
+    values[:, problem.index["youngs_modulus"]] = grid
+    q, _, _ = problem.simulate(values, problem.free[:1])
+    residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = np.einsum("srt,srt->s", residual, residual)
+    good = np.isfinite(cost)
+    return Scan(grid[good], cost[good] / fit.dof)
+
+
+def _misfit(rms: float, expected: float, modulus: float, reduced_chi2: float) -> str:
+    if rms <= expected:
+        return (
+            f"misfit: the simulation ({modulus:.3g} Pa) only follows the recording with a gripper or a block further from what is "
+            f"known about them than chance allows (reduced chi-square {reduced_chi2:.1f})"
+        )
+    return (
+        f"misfit: the best simulation ({modulus:.3g} Pa) misses the recording by {1e3 * rms:.2f} mrad rms where the encoder "
+        f"explains {1e3 * expected:.2f} mrad"
+    )
+
+
+def _assumptions(robot: Robot, facts: BlockFacts, options: SqueezeOptions, largest: float) -> tuple[str, ...]:
+    size = " x ".join(f"{1e3 * edge:g}" for edge in facts.size)
+    ratio = robot.drive_trains[next(iter(_slides(robot)))].transmission if _slides(robot) else 1.0
+    return (
+        f"a homogeneous block of {size} mm (the first along the squeeze), faces {facts.contact}, law of elasticity {facts.law}; "
+        f"squeezed by up to {100.0 * largest:.0f} %",
+        f"{facts.fingers} fingers that move {1e3 * ratio:g} mm per rad each: the modulus goes with one over the square of that",
+        f"Poisson's ratio {facts.poissons_ratio.value:g} +- {facts.poissons_ratio.std:g} before the squeeze",
+        f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms",
+        f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
+    )
+
+
+def _slides(robot: Robot) -> list[str]:
+    return [name for name in robot.drive_trains if robot.model.joint(name).kind == "prismatic"]
+
+
+def _no_answer(robot: Robot, run_count: int, found: Findings) -> Estimate:
+    return Estimate(
+        probe="softness",
+        robot=robot.name,
+        verdict=Verdict.NOT_IDENTIFIABLE,
+        reasons=tuple(found.reasons),
+        values=(Value("youngs_modulus", "Pa", None, reason="no run of this recording can tell"),),
+        fit=None,
+        solver=None,
+        runs=run_count,
+        notes=tuple(found.notes),
+    )

@@ -1,0 +1,168 @@
+"""A soft block between the fingers as a least-squares problem: what ``problem.py`` has, and a block in some of the runs.
+
+Every run is an empty hand's but for the block, whose force on the fingers ``sim/squeeze.py`` takes from a table. Unknown are its
+Young's modulus, Poisson's ratio and relaxation time (viscosity over modulus), which all runs with it share, and for each of them
+how far the fingers close before they touch it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.problem import PayloadProblem, PreparedRun, robot_unknowns
+from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.quantity import Quantity
+from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.mixed import MixedSimulator
+from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.sim.response import response
+from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SqueezeRun, SqueezeSimulator
+
+SOFTEST_PA, STIFFEST_PA = 1e2, 1e8
+"""Moduli that are looked for: foam has a thousand pascals, hard rubber ten millions."""
+LEAST_RELAXATION_S = -2e-4
+"""No block gives energy back, but a force that comes a little late looks as if it did."""
+HIGHEST_RATIO = 0.47
+"""Beyond it a block keeps its volume, and tetrahedra lock (SOFTNESS, section 3)."""
+
+
+@dataclass(frozen=True)
+class BlockFacts:
+    """What is told about the block and how it is held (``config/probes/softness.yaml`` and ``--set``).
+
+    Attributes:
+        size: of the block, x along the squeeze [m], shape (3,).
+        law: of elasticity, one of ``energies.LAWS``.
+        contact: of its faces with the fingers, one of ``quasistatic.CONTACTS``.
+        fingers: how many move, each by the joint's transmission.
+        gap: how far the fingers together close before they touch it [m].
+        poissons_ratio: prior.
+        relaxation_s: viscosity over Young's modulus, prior [s].
+    """
+
+    size: np.ndarray
+    law: str = "log"
+    contact: str = "frictionless"
+    fingers: int = 2
+    gap: Quantity = field(default_factory=lambda: Quantity(0.001, 0.002))
+    poissons_ratio: Quantity = field(default_factory=lambda: Quantity(0.3, 0.12))
+    relaxation_s: Quantity = field(default_factory=lambda: Quantity(0.0, 0.01))
+
+    @property
+    def area(self) -> float:
+        """Of the face that is pressed [m^2]."""
+        return float(self.size[1] * self.size[2])
+
+
+def travel_of(run: PreparedRun, facts: BlockFacts) -> float:
+    """How fast the fingers close on each other per rad at the motor's shaft [m/rad]; the current says which way is closing."""
+    current = run.run.input_current_A
+    towards = float(np.sign(current[np.argmax(np.abs(current))]))
+    return towards * facts.fingers * abs(run.drive.transmission)
+
+
+def block_unknowns(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    squeezing: Sequence[bool],
+    facts: BlockFacts,
+    drive_role: Role,
+    start_pa: float = 3e4,
+) -> list[Unknown]:
+    """All unknowns: those of the robot, and the block's.
+
+    Args:
+        squeezing: which runs have the block.
+        drive_role: what the recording may move of the robot.
+    """
+    ratio, relaxation, gap = facts.poissons_ratio, facts.relaxation_s, facts.gap
+    unknowns = [
+        Unknown("youngs_modulus", "Pa", start_pa, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA),
+        Unknown("poissons_ratio", "1", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(Role.FREE),
+        Unknown("block_relaxation", "s", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0).at_role(Role.FREE),
+    ]
+    for row in np.flatnonzero(squeezing):
+        unknowns.append(Unknown(f"gap[{row}]", "m", gap.value, gap.std, -0.01, 0.1).at_role(Role.FREE))
+    return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
+
+
+class SqueezeProblem(PayloadProblem):
+    """Whitened residuals of runs with and without a block between the fingers.
+
+    Args:
+        robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``block_unknowns`` and runs
+            that were prepared as empty hands.
+        facts: what is told about the block.
+        squeezing: which runs have it, length R; at least one.
+
+    Raises:
+        RecordingError: a run that squeezes drives a joint whose motion does not slide a finger.
+    """
+
+    simulator: MixedSimulator[SqueezeSimulator]
+
+    def __init__(
+        self,
+        robot: Robot,
+        runs: Sequence[PreparedRun],
+        facts: BlockFacts,
+        squeezing: Sequence[bool],
+        unknowns: Sequence[Unknown],
+        integrator: str = "rk4",
+        step_s: float = 1.0 / 240.0,
+    ) -> None:
+        self.block = facts
+        self.squeezing = np.asarray(squeezing, dtype=bool)
+        for row in np.flatnonzero(self.squeezing).tolist():
+            if robot.model.joint(runs[row].run.joint).kind != "prismatic":
+                raise RecordingError(
+                    f"{runs[row].run.name}: {runs[row].run.joint} was driven, which slides no finger: squeeze with the gripper"
+                )
+        self._travel = [travel_of(run, facts) for run in runs]
+        super().__init__(robot, runs, PayloadFacts(), unknowns, integrator, step_s)
+        self._affine = False  # viscosity is a product of two unknowns
+
+    def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SqueezeSimulator]:
+        table = response(self.block.size, self.block.law, self.block.contact)
+        squeezed = [
+            SqueezeRun(runs[row], float(self.block.size[0]), self.block.area, self._travel[row], table)
+            for row in np.flatnonzero(self.squeezing)
+        ]
+        special = SqueezeSimulator(squeezed, integrator)
+        return MixedSimulator(
+            special, [runs[row] for row in np.flatnonzero(~self.squeezing)], self.squeezing, integrator
+        )
+
+    def _touches(self, name: str, row: int) -> bool:
+        if name in ("youngs_modulus", "poissons_ratio", "block_relaxation"):
+            return bool(self.squeezing[row])
+        return super()._touches(name, row)
+
+    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p, dp = super()._all_parameters(values)
+        at, to = self.index, SQUEEZE_INDEX
+        modulus, relaxation = values[:, at["youngs_modulus"]], values[:, at["block_relaxation"]]
+        for row in np.flatnonzero(self.squeezing):
+            for name in ("youngs_modulus", "poissons_ratio"):
+                p[:, row, to[name]] = values[:, at[name]]
+                dp[:, row, to[name], at[name]] = 1.0
+            p[:, row, to["block_viscosity"]] = relaxation * modulus
+            dp[:, row, to["block_viscosity"], at["youngs_modulus"]] = relaxation
+            dp[:, row, to["block_viscosity"], at["block_relaxation"]] = modulus
+            # the fingers touch where they have closed by the gap from where they stood
+            p[:, row, to["gap"]] = self._travel[row] * self.runs[row].rest.value + values[:, at[f"gap[{row}]"]]
+            dp[:, row, to["gap"], at[f"gap[{row}]"]] = 1.0
+        return p, dp
+
+    def squeezes(self, values: np.ndarray) -> list[np.ndarray]:
+        """Squeeze relative to the block's length at the used samples of each run with it, as simulated; shapes (K,)."""
+        q, _, _ = self.simulate(values[None], self.free[:1])
+        p, _ = self.parameters(values[None], self.free[:1])
+        rows = np.flatnonzero(self.squeezing)
+        squeeze = self.simulator.special.squeeze(np.arange(len(rows)), p[0, rows], q[0, rows])
+        return [squeeze[n, : self.runs[row].used] for n, row in enumerate(rows)]
