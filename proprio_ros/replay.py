@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from ruamel.yaml import YAML
@@ -25,18 +25,17 @@ from proprio_ros.identification.container import ContainerOptions, find_sphere
 from proprio_ros.identification.container_problem import ContainerFacts, SphereTrack
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.paper import FRAME_S, PaperOptions, weigh_as_paper
-from proprio_ros.identification.squeeze import SqueezeOptions, find_softness
-from proprio_ros.identification.squeeze_problem import HIGHEST_RATIO, BlockFacts
 from proprio_ros.identification.weighing import WeighingOptions, weigh
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.resources import resource
 from proprio_ros.robot import Robot, load_robot, rotation_from_rpy
 from proprio_ros.runs import cut_runs
-from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-from proprio_ros.sim.quasistatic import CONTACTS
 from proprio_ros.sim.sphere import LAWS, Enclosure
+
+if TYPE_CHECKING:
+    from proprio_ros.identification.squeeze_problem import BlockFacts
 
 PROBES = ("payload", "container", "softness")
 PROFILES = ("default", "paper")
@@ -47,7 +46,7 @@ TEXT_ROBOT = "open_manipulator_x_as_published"
 PAPER_PROBE_FRAMES = 36
 """The paper's elbow probe lasts 0.6 s: 36 frames. Its recording goes on for longer, without saying what the motor did then."""
 
-_Options = TypeVar("_Options", WeighingOptions, PaperOptions, ContainerOptions, SqueezeOptions)
+_Options = TypeVar("_Options")
 _SECTIONS = {
     "payload": {"payload", "solver", "paper"},
     "container": {"container", "sphere", "contact", "solver"},
@@ -156,6 +155,9 @@ def _refuse_payloads_own(options: ReplayOptions) -> None:
 
 
 def _softness(options: ReplayOptions, settings: Settings) -> _Identify:
+    # finite elements bring half of SciPy along, which the other probes need not wait for
+    from proprio_ros.identification.squeeze import SqueezeOptions, find_softness
+
     _refuse_payloads_own(options)
     probe = probe_file("softness")
     facts = block_facts(settings, probe["block"])
@@ -527,6 +529,9 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     Raises:
         ConfigurationError: a value of the wrong form or unit.
     """
+    from proprio_ros.identification.squeeze_problem import HIGHEST_RATIO, BlockFacts
+    from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
+    from proprio_ros.sim.quasistatic import CONTACTS
 
     def take(name: str) -> Any:
         return settings.take(f"block.{name}", defaults.get(name))

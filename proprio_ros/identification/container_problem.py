@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from proprio_ros.identification.problem import (
     PayloadProblem,
@@ -244,6 +243,14 @@ class _Seen:
     between: np.ndarray
 
 
+def _between(known_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
+    """What takes values at some instants to others between them, shape (C, K): a cubic spline."""
+    from scipy.interpolate import CubicSpline  # half of a second to import, and few runs have a camera
+
+    spline: np.ndarray = CubicSpline(known_s, np.eye(len(known_s)))(wanted_s)
+    return spline
+
+
 class ContainerProblem(PayloadProblem):
     """Whitened residuals of runs with and without a sphere in the container.
 
@@ -281,7 +288,7 @@ class ContainerProblem(PayloadProblem):
                 continue
             times_s = runs[row].times_s
             inside = track.within(times_s[0], times_s[-1])
-            between = CubicSpline(times_s, np.eye(len(times_s)))(inside.times_s)
+            between = _between(times_s, inside.times_s)
             self._seen.append(_Seen(row, int(self.rolling[:row].sum()), inside, between))
             if signals == "camera":
                 self.weight[row] = 0.0
@@ -368,7 +375,7 @@ class ContainerProblem(PayloadProblem):
             passed = seen.track.times_s <= run.times_s[last - 1]
             between = seen.between[passed]
             if last < run.used:
-                between = CubicSpline(run.times_s[:last], np.eye(last))(seen.track.times_s[passed])
+                between = _between(run.times_s[:last], seen.track.times_s[passed])
             for guess in good:
                 slopes = dx[guess, seen.rolling_row, :last]
                 if not direct:
