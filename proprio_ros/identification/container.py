@@ -43,7 +43,6 @@ from proprio_ros.identification.gates import (
     MIN_USED,
     MISFIT_LIMIT,
     Findings,
-    chi2_limit,
     contradicting,
     look_at_run,
     unusable,
@@ -424,7 +423,7 @@ def _conclude(
     elif doubt:
         verdict, withheld = Verdict.REJECTED, "the baseline contradicts what was told"
         found.reasons.insert(0, doubt)
-    elif len(runs) > 1 and (odd := contradicting(posterior)) is not None and fit.chi2 > chi2_limit(fit.dof):
+    elif len(runs) > 1 and not fit.explains and (odd := contradicting(Posterior(fit.problem, fit.values))) is not None:
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
         found.reasons.insert(
             0,

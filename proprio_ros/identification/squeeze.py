@@ -30,7 +30,6 @@ from proprio_ros.identification.gates import (
     MIN_USED,
     MISFIT_LIMIT,
     Findings,
-    chi2_limit,
     contradicting,
     look_at_run,
 )
@@ -188,7 +187,7 @@ def _conclude(
     if not np.isfinite(fit.chi2):
         verdict, withheld = Verdict.REJECTED, "no guess of the modulus could be simulated"
         found.reasons.insert(0, withheld + ": check block.size and the robot file")
-    elif len(data.runs) > 1 and (odd := contradicting(posterior)) is not None and fit.chi2 > chi2_limit(fit.dof):
+    elif len(data.runs) > 1 and not fit.explains and (odd := contradicting(Posterior(problem, fit.values))) is not None:
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
         found.reasons.insert(
             0, f"{data.runs[odd].run.name} contradicts the other runs: was the same block held in the same way?"
