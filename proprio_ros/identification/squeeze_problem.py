@@ -128,7 +128,7 @@ class SqueezeProblem(PayloadProblem):
         self._affine = False  # viscosity is a product of two unknowns
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SqueezeSimulator]:
-        table = response(self.block.size, self.block.law, self.block.contact)
+        table = response(self.block.size, self.block.law, self.block.contact, far=True)
         squeezed = [
             SqueezeRun(runs[row], float(self.block.size[0]), self.block.area, self._travel[row], table)
             for row in np.flatnonzero(self.squeezing)

@@ -162,7 +162,9 @@ def tabulated(s: FLOAT, nu: FLOAT, table: wp.int32, grid: wp.array(dtype=FLOAT),
     return phi, by_s + both * beyond_nu, by_nu + both * beyond_s
 
 
-def build(size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS) -> Response:
+def build(
+    size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS, far: bool = False
+) -> Response:
     """Compute a table; half a minute for bonded faces.
 
     Args:
@@ -170,12 +172,13 @@ def build(size: np.ndarray, law: str = "log", contact: str = "bonded", cells: in
         law: one of ``energies.LAWS``.
         contact: one of ``quasistatic.CONTACTS``.
         cells: of an octant along a mean edge.
+        far: as ``FARTHEST`` says, where that can be; tables of one simulator must reach equally far.
 
     Raises:
         SimulationError: unknown law or contact, or a block of such a shape cannot be squeezed that far.
         ConfigurationError: no box.
     """
-    made_of = _made_of(size, law, contact, cells)
+    made_of = _made_of(size, law, contact, cells, far)
     settings = json.loads(made_of)
     edges = np.array([1.0, *settings["sides"]])
     mesh = box(0.5 * edges, tuple(settings["cells"]), corner=np.zeros(3))
@@ -198,16 +201,21 @@ def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> 
 
 
 def response(
-    size: np.ndarray, law: str = "log", contact: str = "bonded", cells: int = CELLS, rebuild: bool = False
+    size: np.ndarray,
+    law: str = "log",
+    contact: str = "bonded",
+    cells: int = CELLS,
+    rebuild: bool = False,
+    far: bool = False,
 ) -> Response:
     """The table of a block: from the cache, or built and put there.
 
     Args:
-        size, law, contact, cells: as for ``build``.
+        size, law, contact, cells, far: as for ``build``.
         rebuild: build it even where the cache has it.
     """
-    made_of = _made_of(size, law, contact, cells)
-    return _kept(made_of, rebuild, lambda: build(size, law, contact, cells))
+    made_of = _made_of(size, law, contact, cells, far)
+    return _kept(made_of, rebuild, lambda: build(size, law, contact, cells, far))
 
 
 def response_of_mesh(mesh: TetMesh, law: str = "log", contact: str = "bonded", rebuild: bool = False) -> Response:
@@ -243,7 +251,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "proprio_ros"
 
 
-def _made_of(size: np.ndarray, law: str, contact: str, cells: int) -> str:
+def _made_of(size: np.ndarray, law: str, contact: str, cells: int, far: bool) -> str:
     check_law(law)
     if contact not in CONTACTS:
         raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
@@ -256,7 +264,7 @@ def _made_of(size: np.ndarray, law: str, contact: str, cells: int) -> str:
         # even numbers: a block of twice as many cells is then exactly what the octant is an eighth of
         halves = np.round(0.5 * cells * edges / np.prod(edges) ** (1 / 3))
         counts = (2 * np.clip(halves, 1, 2 * cells)).astype(int).tolist()
-    squeezes = FARTHEST if contact == "frictionless" and SQUEEZES[law][1] > 0.5 else SQUEEZES[law]
+    squeezes = FARTHEST if far and contact == "frictionless" and SQUEEZES[law][1] > 0.5 else SQUEEZES[law]
     settings = {"law": law, "contact": contact, "sides": sides, "cells": counts}
     return json.dumps(settings | _common(squeezes), sort_keys=True)
 

@@ -149,7 +149,9 @@ def test_what_it_shows(whole: Demo) -> None:
         assert float(truth[2]) < LONGEST_S
 
 
+@pytest.mark.skipif("PROPRIO_LONG" not in os.environ, reason="takes two minutes: set PROPRIO_LONG=1")
 def test_a_sphere_in_a_container(tmp_path: Path) -> None:
+    """The whole of it; its parts are in test_container.py, and the gate has a quarter of an hour."""
     demo = start(tmp_path / "container", "--probe", "container", "--mass", "0.02")
     try:
         assert demo.process.wait(6.0 * LONGEST_S) == 0, demo.result + demo.told
