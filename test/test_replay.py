@@ -171,9 +171,9 @@ def test_the_papers_recording(recordings: Path) -> None:
     folder = recordings / "paper_heavy_ball"
     paper = replay([folder], ReplayOptions(profile="paper"))
     assert paper.verdict is Verdict.REJECTED
-    assert [path.start_kg for path in paper.solver.paths] == [0.000477, 0.001, 0.005, 0.095, 0.191]
-    np.testing.assert_allclose([path.end_kg for path in paper.solver.paths], 0.0424, atol=1e-4)
-    stops = np.array([path.scheduled_kg for path in paper.solver.paths])
+    assert [path.start for path in paper.solver.paths] == [0.000477, 0.001, 0.005, 0.095, 0.191]
+    np.testing.assert_allclose([path.end for path in paper.solver.paths], 0.0424, atol=1e-4)
+    stops = np.array([path.scheduled for path in paper.solver.paths])
     np.testing.assert_allclose(stops, [0.0561, 0.0563, 0.0570, 0.0316, 0.1105], atol=1.5e-3)
     assert any("42.4 g" in reason and "110.5 g" in reason for reason in paper.reasons)
 
@@ -279,7 +279,7 @@ def test_profile_paper_on_a_bag(bags: Path) -> None:
     folder = bags / LOADED
     estimate = weighed(folder, {"paper.substeps": 64}, profile="paper")
     assert estimate.solver.profile == "paper" and estimate.solver.integrator == "semi_implicit"
-    ends = [path.end_kg for path in estimate.solver.paths if path.start_kg <= 0.16]
+    ends = [path.end for path in estimate.solver.paths if path.start <= 0.16]
     np.testing.assert_allclose(ends, ends[0], rtol=5e-3)
     assert ends[0] == pytest.approx(0.05, abs=2e-3)
     assert estimate.value("payload_mass").ci95 is None

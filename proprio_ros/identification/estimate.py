@@ -83,15 +83,15 @@ class RunFit:
 
 @dataclass(frozen=True)
 class StartPath:
-    """What one start did: the mass after each iteration, and the cost."""
+    """What one start did: what was searched for (kg, or Pa) after each iteration, and the cost."""
 
-    start_kg: float
-    end_kg: float
+    start: float
+    end: float
     cost: float
     agrees: bool
-    mass_kg: np.ndarray
+    values: np.ndarray
     path_cost: np.ndarray
-    scheduled_kg: float | None = None  # profile `paper`: where the authors' schedule stops
+    scheduled: float | None = None  # profile `paper`: where the authors' schedule stops
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,9 @@ class SolverSummary:
             "integrator": self.integrator,
             "step_s": self.step_s,
         }
-        if any(path.scheduled_kg is not None for path in self.paths):
+        if any(path.scheduled is not None for path in self.paths):
             record["start_results"] = [
-                {"start_kg": p.start_kg, "scheduled_kg": p.scheduled_kg, "least_error_kg": p.end_kg} for p in self.paths
+                {"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end} for p in self.paths
             ]
         return record
 
@@ -141,14 +141,14 @@ class UnknownRow:
 
 @dataclass(frozen=True)
 class Scan:
-    """Cost against mass, everything else at the estimate's values.
+    """Cost against what was searched for, everything else at the estimate's values.
 
     Attributes:
-        mass_kg, cost: shape (M,).
+        values: of what was searched for [kg, or Pa]; cost: shape (M,).
         measure: what the cost is, in words.
     """
 
-    mass_kg: np.ndarray
+    values: np.ndarray
     cost: np.ndarray
     measure: str = "reduced chi-square"
 
@@ -216,7 +216,7 @@ class Estimate:
     runs: int
     run_fits: tuple[RunFit, ...] = ()
     unknowns: tuple[UnknownRow, ...] = ()
-    budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the mass [kg])
+    budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the first value, in its unit)
     scan: Scan | None = None
     paths: tuple[SpherePath, ...] = ()
     curves: tuple[SqueezeCurve, ...] = ()

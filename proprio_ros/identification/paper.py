@@ -101,7 +101,7 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
             bool(abs(extended.internal[s, 0] - best) <= 0.005 * best),
             extended.path[:, s, 0],
             extended.path_cost[:, s],
-            scheduled_kg=float(scheduled.internal[s, 0]),
+            scheduled=float(scheduled.internal[s, 0]),
         )
         for s in range(len(starts))
     )

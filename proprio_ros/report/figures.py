@@ -161,11 +161,11 @@ def convergence_figure(estimate: Estimate) -> str:
     with drawn(7.4, 3.4) as (figure, axes):
         for path in solver.paths:
             color = ACCENT if path.agrees else MUTED
-            axes.plot(factor * np.maximum(path.mass_kg, 1e-6), color=color, linewidth=1.3)
-            axes.plot(0, factor * path.start_kg, "o", color=color, markersize=4)
-            if path.scheduled_kg is not None:
-                axes.plot(solver.iterations, factor * path.scheduled_kg, "X", color=SIMULATED, markersize=7)
-        if any(path.scheduled_kg is not None for path in solver.paths):
+            axes.plot(factor * np.maximum(path.values, 1e-6), color=color, linewidth=1.3)
+            axes.plot(0, factor * path.start, "o", color=color, markersize=4)
+            if path.scheduled is not None:
+                axes.plot(solver.iterations, factor * path.scheduled, "X", color=SIMULATED, markersize=7)
+        if any(path.scheduled is not None for path in solver.paths):
             axes.axvline(solver.iterations, color=SIMULATED, linewidth=0.8, linestyle=":")
             axes.annotate(
                 "the schedule stops here (x)", (solver.iterations, axes.get_ylim()[1]), color=SIMULATED, va="bottom"
@@ -182,12 +182,12 @@ def scan_figure(estimate: Estimate) -> str:
     scan = estimate.scan
     assert scan is not None
     with drawn(7.4, 3.2) as (figure, axes):
-        axes.plot(factor * scan.mass_kg, np.maximum(scan.cost, 1e-4), color=INK, linewidth=1.5)
+        axes.plot(factor * scan.values, np.maximum(scan.cost, 1e-4), color=INK, linewidth=1.5)
         value = estimate.values[0]
         if isinstance(value.value, float):
             axes.axvline(factor * value.value, color=SIMULATED, linewidth=1.2)
             if value.ci95 is not None:
-                low, high = max(value.ci95[0], scan.mass_kg[0]), value.ci95[1]
+                low, high = max(value.ci95[0], scan.values[0]), value.ci95[1]
                 axes.axvspan(factor * low, factor * high, color=SIMULATED, alpha=0.1, linewidth=0)
         axes.set_xscale("log")
         axes.set_yscale("log")

@@ -131,7 +131,7 @@ def _convergence(estimate: Estimate) -> list[str]:
         f"{len(solver.paths)} starts agree (blue); {solver.iterations} iterations, {escape(solver.integrator)}.</p>",
         framed(figures.convergence_figure(estimate)),
     ]
-    scheduled = any(path.scheduled_kg is not None for path in solver.paths)
+    scheduled = any(path.scheduled is not None for path in solver.paths)
     factor, unit = figures.shown_unit(estimate.values[0].unit)
     header = [
         f"start ({unit})",
@@ -141,9 +141,9 @@ def _convergence(estimate: Estimate) -> list[str]:
     ]
     rows = [
         [
-            f"{factor * path.start_kg:.3g}",
-            *([f"{factor * (path.scheduled_kg or 0.0):.1f}"] * scheduled),
-            f"{factor * path.end_kg:.3f}",
+            f"{factor * path.start:.3g}",
+            *([f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled),
+            f"{factor * path.end:.3f}",
             f"{path.cost:.3g}",
         ]
         for path in solver.paths

@@ -50,9 +50,9 @@ def test_a_random_sphere_is_found_from_every_start(robot: Robot, case: Case) -> 
     assert estimate.values[0].name == "sphere_mass"
     assert estimate.values[0].value == pytest.approx(case.mass_kg, rel=WORST)
     assert estimate.solver is not None
-    starts = {path.start_kg for path in estimate.solver.paths}
+    starts = {path.start for path in estimate.solver.paths}
     assert min(starts) < 0.5 * case.mass_kg and max(starts) > 1.5 * case.mass_kg
-    ends = np.array([path.end_kg for path in estimate.solver.paths])
+    ends = np.array([path.end for path in estimate.solver.paths])
     np.testing.assert_allclose(ends, case.mass_kg, rtol=WORST)
 
 

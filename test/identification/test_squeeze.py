@@ -207,7 +207,7 @@ def test_gradient_of_the_cost(
 def test_starts_over_two_orders_of_magnitude(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     estimate = squeezed(calibrated("friction_s00"), recordings / "friction_s00" / "squeeze_heavy")
     assert estimate.solver is not None
-    starts = [path.start_kg for path in estimate.solver.paths]
+    starts = [path.start for path in estimate.solver.paths]
     assert max(starts) / min(starts) >= 100.0
     assert estimate.solver.starts_agreeing == len(starts)
 
