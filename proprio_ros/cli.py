@@ -153,7 +153,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--full",
         action="store_true",
-        help="calibrate all joints, as on a real arm (a minute more); a container needs them",
+        help="calibrate all joints, as on a real arm (a minute more)",
     )
     demo.add_argument("--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs")
     _add_robot(demo)

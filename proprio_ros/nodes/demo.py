@@ -95,7 +95,10 @@ def demo(
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
         kinds = {"robot_sequence": "empty_hand", "reference_sequence": "reference", "payload_sequence": "payload"}
-        sequences = kinds if full or probe == "container" else {kind: f"{name}_elbow" for kind, name in kinds.items()}
+        quick = {kind: f"{name}_elbow" for kind, name in kinds.items()}
+        if probe == "container":  # the wrist moves it, too
+            quick["robot_sequence"] = "empty_hand_container"
+        sequences = kinds if full else quick
         reference = {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
         held = mass_kg if probe == "payload" else f"container:{SHELL_KG:g},sphere={mass_kg:g}"
         graph.start("virtual", {"robot": robot, "link": link, "object": held, "seed": seed})

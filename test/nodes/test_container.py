@@ -56,7 +56,12 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     with running(
         folder,
         virtual={"object": container(MASSES_KG[0])},
-        identifier={"reference_mass": 0.1, "reference_wait": 0.5},
+        identifier={
+            "reference_mass": 0.1,
+            "reference_wait": 0.5,
+            "robot_sequence": "empty_hand_container",
+            "reference_sequence": "reference_elbow",
+        },
     ) as (_, client):
         held: list[str] = []
         markers: list[MarkerArray] = []
