@@ -38,6 +38,7 @@ from proprio_ros.identification.estimate import (
     StartPath,
     Value,
     Verdict,
+    no_answer,
 )
 from proprio_ros.identification.gates import (
     MIN_USED,
@@ -171,7 +172,7 @@ def find_sphere(
         tuple(track for _, _, track in usable),
     )
     if not any(data.rolling):
-        return _no_answer(robot, len(runs), found)
+        return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     if options.signals == "camera" and not any(data.tracks):
         raise ConfigurationError("solver.signals=camera needs what a camera saw: state sphere.camera")
     doubt = ""
@@ -200,7 +201,7 @@ def find_sphere(
             found.reasons.insert(
                 0, "the sphere bounces too chaotically to tell its mass: tilt instead of shaking, or use less current"
             )
-            return _no_answer(robot, len(runs), found)
+            return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
         nominal = _solve(robot, data, facts, options, Role.FROZEN)
         opened = _solve(robot, data, facts, options, Role.FREE, nominal)
     return _conclude(robot, data, facts, options, nominal, opened, found, len(runs), doubt)
@@ -615,18 +616,4 @@ def _assumptions(
         f"law of contact {facts.law}: {constants}, friction {facts.friction.value:g} +- {facts.friction.std:g}",
         f"integrator {options.integrator}, steps of at most {1e3 * problem.contact_step_s:.3g} ms, as the contact needs them",
         f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
-    )
-
-
-def _no_answer(robot: Robot, run_count: int, found: Findings) -> Estimate:
-    return Estimate(
-        probe="container",
-        robot=robot.name,
-        verdict=Verdict.NOT_IDENTIFIABLE,
-        reasons=tuple(found.reasons),
-        values=(Value("sphere_mass", "kg", None, reason="no run of this recording can tell"),),
-        fit=None,
-        solver=None,
-        runs=run_count,
-        notes=tuple(found.notes),
     )

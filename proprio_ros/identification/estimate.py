@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -257,6 +258,16 @@ class Estimate:
                 "timing_s": self.timing_s,
             }
         )
+
+
+def no_answer(
+    probe: str, name: str, unit: str, robot: str, runs: int, reasons: Sequence[str], notes: Sequence[str]
+) -> Estimate:
+    """What is said where no run can be used: the value is not told, and the reasons are the runs' own."""
+    untold = Value(name, unit, None, reason="no run of this recording can tell")
+    return Estimate(
+        probe, robot, Verdict.NOT_IDENTIFIABLE, tuple(reasons), (untold,), None, None, runs, notes=tuple(notes)
+    )
 
 
 def plain(value: Any) -> Any:

@@ -25,6 +25,7 @@ from proprio_ros.identification.estimate import (
     StartPath,
     Value,
     Verdict,
+    no_answer,
 )
 from proprio_ros.identification.gates import (
     MIN_USED,
@@ -125,7 +126,7 @@ def find_softness(
         look_at_run(robot, prepared, found)
     data = _Recorded(tuple(run for run, _ in usable), tuple(squeezes for _, squeezes in usable))
     if not any(data.squeezing):
-        return _no_answer(robot, len(runs), found)
+        return no_answer("softness", "youngs_modulus", "Pa", robot.name, len(runs), found.reasons, found.notes)
     nominal = _solve(robot, data, facts, options, Role.FROZEN)
     fit = _solve(robot, data, facts, options, Role.FREE, nominal)
     if not fit.explains:
@@ -358,17 +359,3 @@ def _assumptions(robot: Robot, facts: BlockFacts, options: SqueezeOptions, large
 
 def _slides(robot: Robot) -> list[str]:
     return [name for name in robot.drive_trains if robot.model.joint(name).kind == "prismatic"]
-
-
-def _no_answer(robot: Robot, run_count: int, found: Findings) -> Estimate:
-    return Estimate(
-        probe="softness",
-        robot=robot.name,
-        verdict=Verdict.NOT_IDENTIFIABLE,
-        reasons=tuple(found.reasons),
-        values=(Value("youngs_modulus", "Pa", None, reason="no run of this recording can tell"),),
-        fit=None,
-        solver=None,
-        runs=run_count,
-        notes=tuple(found.notes),
-    )

@@ -30,6 +30,7 @@ from proprio_ros.identification.estimate import (
     UnknownRow,
     Value,
     Verdict,
+    no_answer,
 )
 from proprio_ros.identification.gates import (
     LITTLE_TRAVEL,
@@ -156,7 +157,7 @@ def weigh(
             weighing += load is None
         look_at_run(robot, prepared, found)
     if not weighing:
-        return _no_answer(robot, len(runs), Verdict.NOT_IDENTIFIABLE, found)
+        return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     drift = _drift(robot, usable[weighing:], facts, options)
 
     nominal = solve_payload(robot, usable, facts, options, Role.FROZEN, rough=is_calibrated(robot, usable))
@@ -591,18 +592,4 @@ def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, no
         ),
         f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
         f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
-    )
-
-
-def _no_answer(robot: Robot, run_count: int, verdict: Verdict, found: Findings) -> Estimate:
-    return Estimate(
-        probe="payload",
-        robot=robot.name,
-        verdict=verdict,
-        reasons=tuple(found.reasons),
-        values=(Value("payload_mass", "kg", None, reason="no run of this recording can tell"),),
-        fit=None,
-        solver=None,
-        runs=run_count,
-        notes=tuple(found.notes),
     )
