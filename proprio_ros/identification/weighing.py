@@ -58,6 +58,8 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MOVING_START = 0.1
 """rad/s: a probe that starts faster has not started from rest."""
+ALIKE_KG, ALIKE_SHARE = 5e-4, 0.02
+"""Masses that differ by less, or by this share, do not contradict each other."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
 
@@ -210,16 +212,19 @@ def _contradiction_reason(
     name = runs[odd].run.name
     if runs[odd].load is not None:
         return f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
-    masses = []
+    masses: list[float] = []
     for group in ([runs[odd]], [run for row, run in enumerate(runs) if row != odd]):
         if any(run.load is None for run in group):
             nominal = solve_payload(robot, group, facts, options, Role.FROZEN)
             fit = solve_payload(robot, group, facts, options, Role.FREE, start=nominal)
-            masses.append(f"{1e3 * float(fit.values[fit.problem.index['payload_mass']]):.1f} g")
+            masses.append(float(fit.values[fit.problem.index["payload_mass"]]))
     if len(masses) < 2:
         return f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
+    one, others = masses
+    if abs(one - others) < max(ALIKE_KG, ALIKE_SHARE * abs(mass)):
+        return ""  # they say the same: the run is coarser than the others, and the fit's residuals tell by how much
     return (
-        f"{name} contradicts the other runs: it says {masses[0]}, they say {masses[1]}; "
+        f"{name} contradicts the other runs: it says {1e3 * one:.1f} g, they say {1e3 * others:.1f} g; "
         "was the same object held in the same place?"
     )
 
@@ -304,9 +309,13 @@ def _conclude(
     elif drift:
         verdict, withheld = Verdict.REJECTED, "the robot has changed since its calibration"
         found.reasons.insert(0, drift)
-    elif len(runs) > 1 and (odd := contradicting(Posterior(opened.problem, opened.values))) is not None:
+    elif (
+        len(runs) > 1
+        and (odd := contradicting(Posterior(opened.problem, opened.values))) is not None
+        and (told := _contradiction_reason(robot, runs, facts, options, odd, mass))
+    ):
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
-        found.reasons.insert(0, _contradiction_reason(robot, runs, facts, options, odd, mass))
+        found.reasons.insert(0, told)
     elif on_bound(fit):
         verdict, withheld = Verdict.REJECTED, "the mass ended on a bound of the search"
         found.reasons.insert(
