@@ -704,11 +704,21 @@ class JointSimulator:
     def _kernel(self, size: int, stribeck: bool) -> Any:
         return _tangent_kernel(size, self.integrator, stribeck)
 
+    def _schedule_kernel(self) -> Any:
+        return _schedule_kernel(self.integrator)
+
+    def _taped_kernel(self) -> Any:
+        return _taped_kernels(self.integrator)[0]
+
+    def _object_data(self) -> list[wp.array]:
+        """What kernels are told beside that about something that moves by itself in the hand: here is nothing."""
+        return []
+
     def _run_data(self, counts: wp.array) -> list[wp.array]:
         """What every kernel is told about the runs, in its order."""
         return [
             self._samples, counts, self._switch_times, self._switch_current, self._switch_load, self._input_counts,
-            self._constants,
+            self._constants, *self._object_data(),
         ]  # fmt: skip
 
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
@@ -718,7 +728,7 @@ class JointSimulator:
     def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
         plan = Schedule.empty(len(p), capacity, self._width, self.device)
         wp.launch(
-            _schedule_kernel(self.integrator),
+            self._schedule_kernel(),
             dim=len(p),
             inputs=[*self._run_data(self._full_counts), runs, p, capacity],
             outputs=[*plan.inputs(), plan.sample_step],
@@ -730,9 +740,9 @@ class JointSimulator:
         """Launch the taped rollout; every position, shape (W, N + 1)."""
         q, v = (wp.zeros((len(p), capacity + 1), dtype=FLOAT, device=self.device, requires_grad=True) for _ in range(2))
         wp.launch(
-            _taped_kernels(self.integrator)[0],
+            self._taped_kernel(),
             dim=len(p),
-            inputs=[self._constants, runs, p, delay_at, *plan.inputs()],
+            inputs=[self._constants, *self._object_data(), runs, p, delay_at, *plan.inputs()],
             outputs=[q, v],
             device=self.device,
         )

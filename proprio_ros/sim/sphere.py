@@ -1040,8 +1040,8 @@ class SphereSimulator(JointSimulator):
     def _kernel(self, size: int, stribeck: bool) -> Any:
         return _tangent_kernel(size, self.integrator, stribeck, self.enclosure.shape, self.law)
 
-    def _run_data(self, counts: wp.array) -> list[wp.array]:
-        return [*super()._run_data(counts), self._geometry]
+    def _object_data(self) -> list[wp.array]:
+        return [self._geometry]
 
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
         mat = wp.types.matrix(shape=(3, size), dtype=FLOAT)
@@ -1090,7 +1090,7 @@ class SphereSimulator(JointSimulator):
         wp.launch(
             _taped_kernel(self.integrator, self.enclosure.shape, self.law),
             dim=len(p),
-            inputs=[self._constants, self._geometry, runs, p, delay_at, *plan.inputs()],
+            inputs=[self._constants, *self._object_data(), runs, p, delay_at, *plan.inputs()],
             outputs=states,
             device=self.device,
         )

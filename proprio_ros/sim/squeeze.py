@@ -32,7 +32,6 @@ from proprio_ros.sim.joint import (
     TIME_EPS,
     JointRun,
     JointSimulator,
-    Schedule,
     _acceleration,
     linearised_law,
 )
@@ -590,29 +589,11 @@ class SqueezeSimulator(JointSimulator):
     def _kernel(self, size: int, stribeck: bool) -> Any:
         return _tangent_kernel(size, self.integrator, stribeck)
 
-    def _run_data(self, counts: wp.array) -> list[wp.array]:
-        return [*super()._run_data(counts), self._block, self._grid, self._nodes]
+    def _schedule_kernel(self) -> Any:
+        return _schedule_kernel(self.integrator)
 
-    def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
-        plan = Schedule.empty(len(p), capacity, self._width, self.device)
-        wp.launch(
-            _schedule_kernel(self.integrator),
-            dim=len(p),
-            inputs=[*self._run_data(self._full_counts), runs, p, capacity],
-            outputs=[*plan.inputs(), plan.sample_step],
-            device=self.device,
-        )
-        return plan
+    def _taped_kernel(self) -> Any:
+        return _taped_kernel(self.integrator)
 
-    def _roll(self, runs: wp.array, p: wp.array, delay_at: wp.array, plan: Schedule, capacity: int) -> wp.array:
-        q, v = (wp.zeros((len(p), capacity + 1), dtype=FLOAT, device=self.device, requires_grad=True) for _ in range(2))
-        wp.launch(
-            _taped_kernel(self.integrator),
-            dim=len(p),
-            inputs=[
-                self._constants, self._block, self._grid, self._nodes, runs, p, delay_at, *plan.inputs(),
-            ],
-            outputs=[q, v],
-            device=self.device,
-        )  # fmt: skip
-        return q
+    def _object_data(self) -> list[wp.array]:
+        return [self._block, self._grid, self._nodes]
