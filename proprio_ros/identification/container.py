@@ -32,7 +32,6 @@ from proprio_ros.identification.estimate import (
     Z95,
     Estimate,
     Fit,
-    Scan,
     SolverSummary,
     SpherePath,
     StartPath,
@@ -56,6 +55,7 @@ from proprio_ros.identification.weighing import (
     WeighingOptions,
     error_budget,
     is_calibrated,
+    misfit_over,
     misfit_reason,
     other_suspects,
     say_if_uncalibrated,
@@ -156,9 +156,9 @@ def find_sphere(
         )
     found = Findings()
     usable: list[tuple[PreparedRun, bool, SphereTrack | None]] = []
-    seen = [*tracks, *[None] * (len(runs) - len(tracks))]
-    recorded = [*((run, True, track) for run, track in zip(runs, seen, strict=True))]
-    for run, rolls, track in [*recorded, *((run, False, None) for run in baseline)]:
+    seen = tracks or [None] * len(runs)
+    with_sphere = [(run, True, track) for run, track in zip(runs, seen, strict=True)]
+    for run, rolls, track in [*with_sphere, *((run, False, None) for run in baseline)]:
         prepared = prepare_run(robot, run, None, facts.shell)
         problem = unusable(prepared)
         if problem:
@@ -269,8 +269,7 @@ def _solve(
 
 def _distinct(fit: FitResult) -> list[int]:
     """The best ends of a search, each mass once."""
-    column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
-    masses = fit.problem.coordinates.physical(fit.solution.internal)[:, column]
+    masses = fit.physical("sphere_mass")
     kept: list[int] = []
     for end in np.argsort(fit.solution.cost):
         if not np.isfinite(fit.solution.cost[end]) or len(kept) == MOST_ENDS:
@@ -292,14 +291,13 @@ def _look_at_baseline(
     weighing = WeighingOptions(integrator=options.integrator, step_s=options.step_s)
     nominal = solve_payload(robot, empty, facts.shell, weighing, Role.FROZEN)
     still = solve_payload(robot, empty, facts.shell, weighing, Role.FREE, start=nominal)
+    if not still.explains:  # far from the file's values, as a robot that was never calibrated may be
+        again = solve_payload(robot, empty, facts.shell, weighing, Role.FREE)
+        still = again if again.chi2 < still.chi2 else still
     row = still.problem.index["payload_mass"]
     mass = float(still.values[row])
     std = float(np.sqrt(Posterior(still.problem, still.values).whole_covariance()[row, row]))
     names = ", ".join(run.run.name for run in empty)
-    if not still.explains:  # far from the file's values, as a robot that was never calibrated may be
-        again = solve_payload(robot, empty, facts.shell, weighing, Role.FREE)
-        still = again if again.chi2 < still.chi2 else still
-        mass = float(still.values[row])
     if not still.explains:
         untold = replace(facts, mass=mass, mass_std=np.inf)
         rolled = replace(baseline, rolling=(True,) * len(empty))
@@ -387,8 +385,7 @@ def _stiffness_shift(
     hard, _, _ = other.simulate(values[None], other.free[:1])
     seen = fit.problem.weight > 0.0
     off = ((soft - hard)[0] * fit.problem.weight)[seen]
-    column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
-    return float((posterior.covariance @ posterior.sensitivity.T @ off)[column])
+    return float((posterior.covariance @ posterior.sensitivity.T @ off)[fit.column("sphere_mass")])
 
 
 def _conclude(
@@ -480,6 +477,7 @@ def _conclude(
             )
         say_if_uncalibrated(robot, runs, budget, found)
     shown = {"payload_mass": "container_mass"}
+    grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.1, 30), max(mass, 1e-3) * np.linspace(0.5, 1.5, 21)]))
     return Estimate(
         probe="container",
         robot=robot.name,
@@ -495,7 +493,7 @@ def _conclude(
         run_fits=fits,
         unknowns=tuple(replace(u, name=shown.get(u.name, u.name)) for u in unknown_rows(fit, covariance)),
         budget=tuple((shown.get(name, name), share) for name, share in budget),
-        scan=_scan(fit, mass),
+        scan=misfit_over(fit, "sphere_mass", grid),
         paths=paths,
         assumptions=_assumptions(robot, facts, options, fit, not all(data.rolling)),
         notes=tuple(found.notes),
@@ -512,7 +510,7 @@ def _value(name: str, mass: float, std: float, withheld: str) -> Value:
 
 def _rivals(fit: FitResult, mass: float, std: float) -> list[float]:
     """Masses of other ends that explain the recording as well but lie elsewhere."""
-    ends, cost = _ends(fit), fit.solution.cost
+    ends, cost = fit.physical("sphere_mass"), fit.solution.cost
     near = cost < cost[fit.solution.best] + 2.0
     apart = np.abs(ends - mass) > max(3.0 * std, DISTINCT * abs(mass), 5e-4)
     rivals: list[float] = []
@@ -522,15 +520,10 @@ def _rivals(fit: FitResult, mass: float, std: float) -> list[float]:
     return rivals
 
 
-def _ends(fit: FitResult, internal: np.ndarray | None = None) -> np.ndarray:
-    column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
-    return fit.problem.coordinates.physical(fit.solution.internal if internal is None else internal)[..., column]
-
-
 def _summary(nominal: FitResult, fit: FitResult, options: ContainerOptions, std: float) -> SolverSummary:
     """What the starts of the first search did, and whether they found the same sphere."""
     solution = nominal.solution
-    ends, history = _ends(nominal), _ends(nominal, solution.path)
+    ends, history = nominal.physical("sphere_mass"), nominal.physical("sphere_mass", solution.path)
     best = float(ends[solution.best])
     paths = []
     for s, end in enumerate(ends):
@@ -543,20 +536,6 @@ def _summary(nominal: FitResult, fit: FitResult, options: ContainerOptions, std:
     assert isinstance(problem, ContainerProblem)
     iterations = solution.iterations + fit.solution.iterations
     return SolverSummary("lm", "default", iterations, tuple(paths), options.integrator, problem.contact_step_s)
-
-
-def _scan(fit: FitResult, mass: float) -> Scan:
-    """The data's misfit over the sphere's mass."""
-    problem = fit.problem
-    grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.1, 30), max(mass, 1e-3) * np.linspace(0.5, 1.5, 21)]))
-    values = np.tile(fit.values, (len(grid), 1))
-    values[:, problem.index["sphere_mass"]] = grid
-    q, _, _ = problem.simulate(values, problem.free[:1])
-    residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        cost = np.einsum("srt,srt->s", residual, residual)
-    good = np.isfinite(cost)
-    return Scan(grid[good], cost[good] / fit.dof)
 
 
 def _paths(robot: Robot, fit: FitResult, covariance: np.ndarray) -> tuple[SpherePath, ...]:

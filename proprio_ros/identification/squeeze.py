@@ -19,7 +19,6 @@ from proprio_ros.identification.estimate import (
     Z95,
     Estimate,
     Fit,
-    Scan,
     SolverSummary,
     SqueezeCurve,
     StartPath,
@@ -47,6 +46,7 @@ from proprio_ros.identification.weighing import (
     FitResult,
     error_budget,
     is_calibrated,
+    misfit_over,
     other_suspects,
     say_if_uncalibrated,
     unknown_rows,
@@ -233,7 +233,7 @@ def _conclude(
         run_fits=fits,
         unknowns=unknown_rows(fit, covariance),
         budget=tuple(budget),
-        scan=_scan(fit, modulus),
+        scan=misfit_over(fit, "youngs_modulus", modulus * np.geomspace(0.1, 10.0, 61)),
         curves=curves,
         assumptions=_assumptions(robot, facts, options, largest),
         notes=tuple(found.notes),
@@ -298,14 +298,9 @@ def _curves(problem: SqueezeProblem, values: np.ndarray, facts: BlockFacts) -> t
     return tuple(curves)
 
 
-def _ends(fit: FitResult, internal: np.ndarray | None = None) -> np.ndarray:
-    column = list(fit.problem.free).index(fit.problem.index["youngs_modulus"])
-    return fit.problem.coordinates.physical(fit.solution.internal if internal is None else internal)[..., column]
-
-
 def _summary(nominal: FitResult, fit: FitResult, options: SqueezeOptions, std: float) -> SolverSummary:
     solution = nominal.solution
-    ends, history = _ends(nominal), _ends(nominal, solution.path)
+    ends, history = nominal.physical("youngs_modulus"), nominal.physical("youngs_modulus", solution.path)
     best = float(ends[solution.best])
     paths = tuple(
         StartPath(
@@ -316,20 +311,6 @@ def _summary(nominal: FitResult, fit: FitResult, options: SqueezeOptions, std: f
     )  # fmt: skip
     iterations = solution.iterations + fit.solution.iterations
     return SolverSummary("lm", "default", iterations, paths, options.integrator, options.step_s)
-
-
-def _scan(fit: FitResult, modulus: float) -> Scan:
-    """The data's misfit over Young's modulus."""
-    problem = fit.problem
-    grid = modulus * np.geomspace(0.1, 10.0, 61)
-    values = np.tile(fit.values, (len(grid), 1))
-    values[:, problem.index["youngs_modulus"]] = grid
-    q, _, _ = problem.simulate(values, problem.free[:1])
-    residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        cost = np.einsum("srt,srt->s", residual, residual)
-    good = np.isfinite(cost)
-    return Scan(grid[good], cost[good] / fit.dof)
 
 
 def _misfit(rms: float, expected: float, modulus: float, reduced_chi2: float) -> str:

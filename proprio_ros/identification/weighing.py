@@ -119,6 +119,15 @@ class FitResult:
     def reduced_chi2(self) -> float:
         return self.chi2 / self.dof
 
+    def column(self, name: str) -> int:
+        """Place of an unknown among the free ones."""
+        return list(self.problem.free).index(self.problem.index[name])
+
+    def physical(self, name: str, internal: np.ndarray | None = None) -> np.ndarray:
+        """A free unknown at every start's end, shape (S,), or at other solver coordinates of shape (..., F)."""
+        given = self.solution.internal if internal is None else internal
+        return self.problem.coordinates.physical(given)[..., self.column(name)]
+
     @property
     def explains(self) -> bool:
         return self.chi2 <= chi2_limit(self.dof)
@@ -379,7 +388,7 @@ def _conclude(
         run_fits=fits,
         unknowns=unknown_rows(opened, covariance),
         budget=tuple(budget),
-        scan=_scan(fit),
+        scan=misfit_over(fit, "payload_mass", scan_masses(float(fit.values[fit.problem.index["payload_mass"]]))),
         assumptions=_assumptions(robot, facts, options, fit is nominal),
         notes=tuple(found.notes),
     )
@@ -571,12 +580,11 @@ def scan_masses(mass: float) -> np.ndarray:
     return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
 
 
-def _scan(fit: FitResult) -> Scan:
-    """The data's misfit over mass."""
+def misfit_over(fit: FitResult, name: str, grid: np.ndarray) -> Scan:
+    """The data's misfit over the unknown called ``name``, at the values of ``grid`` (shape (M,)), all others as fitted."""
     problem = fit.problem
-    grid = scan_masses(float(fit.values[problem.index["payload_mass"]]))
     values = np.tile(fit.values, (len(grid), 1))
-    values[:, problem.index["payload_mass"]] = grid
+    values[:, problem.index[name]] = grid
     q, _, _ = problem.simulate(values, problem.free[:3])
     residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
