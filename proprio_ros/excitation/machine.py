@@ -92,7 +92,7 @@ class Guards:
         follow_error_rad, follow_time_s: A joint may be off its goal by so much, for so long, while no current is on.
         lookahead_s: A run ends when its joint would reach a limit or the table within this time at its present speed.
         held_joint_error_rad: A joint that is held during a run may be off its goal by so much.
-        max_jump_rad: A position may change by so much from one sample to the next.
+        max_jump_rad: A position may change by so much from one sample to the next, or as far as the largest velocity takes it.
     """
 
     limit_margin_rad: float = 0.05
@@ -384,7 +384,7 @@ class ExcitationMachine:
                 self._now_s = now_s
                 return "stale", f"the control loop paused for {self._tick_s:.2f} s: is the computer overloaded?"
         self._now_s = now_s
-        self._seen_s = 0.0
+        self._seen_s = gap_s = 0.0
         if sample is not None:
             problem = self._unfit(sample)
             if problem:
@@ -395,9 +395,8 @@ class ExcitationMachine:
             # goals wait for joints that were not seen for a while: the servos may not have been told to move either
             self._seen_s = min(gap_s, LONGEST_STEP_S)
             if gap_s > 0.0:
-                # after a pause of the loop a joint may have gone on as fast as it may
-                unseen_s = max(gap_s - self.guards.stale_after_s, 0.0)
-                allowed = self.guards.max_jump_rad + self.guards.max_velocity_rad_s * unseen_s
+                # between samples that are far apart a joint may have gone on as fast as it may
+                allowed = max(self.guards.max_jump_rad, self.guards.max_velocity_rad_s * gap_s)
                 for name in self.joints:
                     jump = abs(sample.position[name] - self._sample.position[name]) / self._per_rad[name]
                     if jump > allowed:
@@ -412,6 +411,8 @@ class ExcitationMachine:
             return "stale", f"no new joint positions for {age_s:.2f} s: is the driver alive?"
         if age_s < -longest_s:
             return "clock", f"a sample is stamped {-age_s:.2f} s ahead of the time: both need the same clock"
+        if gap_s > longest_s:
+            return "stale", f"two samples are {gap_s:.2f} s apart: is the computer overloaded?"
         return None
 
     # -------------------------------------------------------------------------------------------------- what goes wrong

@@ -485,6 +485,29 @@ def test_no_sample_any_more() -> None:
     assert ready.machine.phase is Phase.ABORTED and "is the driver alive?" in ready.machine.abort_reason
 
 
+def test_samples_far_apart_lose_the_run_however_far_a_fast_joint_went_meanwhile() -> None:
+    """A computer that stood still for a moment is no slipped encoder: at 4 rad/s a joint goes 0.44 rad in 0.11 s."""
+    ready = pushed()
+    start = ready.sample.position["joint3"]
+    assert ready.machine.tick(ready.sample.time_s + 0.06, None).current_A
+    position = {**ready.sample.position, "joint3": start - 0.44}
+    late = JointSample(ready.sample.time_s + 0.11, position, {**ready.sample.velocity, "joint3": -4.4})
+    command = ready.machine.tick(late.time_s, late)
+    assert_lost(ready, command, "two samples are 0.11 s apart")
+    assert command.position["joint3"] == start - 0.44, "held where it is now, not where it was"
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "jump", "accepted"), [(0.02, 0.29, True), (0.02, 0.31, False), (0.09, 0.5, True), (0.09, 0.6, False)]
+)
+def test_a_jump_is_what_no_joint_can_do(gap_s: float, jump: float, accepted: bool) -> None:
+    ready = pushed()
+    moved = {**ready.sample.position, "joint3": ready.sample.position["joint3"] - jump}
+    sample = JointSample(ready.sample.time_s + gap_s, moved, dict.fromkeys(JOINTS, 0.0))
+    assert bool(ready.machine.tick(sample.time_s, sample).current_A) is accepted
+    assert accepted or ready.machine.outcomes[-1].ended_by == "jump"
+
+
 def test_a_sample_that_is_repeated_grows_stale() -> None:
     ready = pushed()
     frozen = ready.sample
