@@ -144,6 +144,27 @@ def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: R
     assert said == pytest.approx(50.0, abs=2.5) and others == pytest.approx(22.0, abs=2.0)
 
 
+def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
+    bags: Path, calibrated: Robot, robot: Robot
+) -> None:
+    """Torque that is 2 or 3 % off in one of three runs, on a robot that allows for none: the interval carries it, or not."""
+    sure = replace(calibrated, residual_scale=0.5, torque_disturbance=1e-4, onset_jitter_s=0.0, stamp_jitter_s=1e-5)
+    runs = [
+        run_of(bags, f"realistic_s00_fixed_reference_100g_{name}", robot)
+        for name in ("joint2_x2", "joint2_x3", "joint3_x1")
+    ]
+    weaker = [runs[0], replace(runs[1], input_current_A=1.02 * runs[1].input_current_A), runs[2]]
+    nearly = weigh(sure, weaker)
+    (sentence,) = (reason for reason in nearly.reasons if "differs from the other runs" in reason)
+    one, others = (float(word.split(" g")[0]) for word in sentence.split("it says ")[1].split("they say "))
+    mass = nearly.value("payload_mass")
+    assert nearly.verdict is Verdict.ACCEPTED and 2.0 < abs(one - others) < 5.0
+    assert mass.std > 0.5e-3 * abs(one - others) and mass.ci95[0] < 0.1 < mass.ci95[1]
+    stronger = [replace(runs[0], input_current_A=1.03 * runs[0].input_current_A), *runs[1:]]
+    other = weigh(sure, stronger)
+    assert other.verdict is Verdict.REJECTED and "contradicts the other runs" in other.reasons[0]
+
+
 def test_an_empty_run_that_was_not_empty_is_named(bags: Path, calibrated: Robot, robot: Robot, lift: Run) -> None:
     intruder = run_of(bags, "realistic_s00_fixed_light_cube_10g_joint3", robot)
     estimate = weigh(calibrated, [lift], baseline=[intruder])
