@@ -285,6 +285,9 @@ class ExcitationMachine:
         check_sequence(sequence, self.robot)
         self._check_start(sample)
         pose = self._pose(sample)
+        if sequence.from_here:
+            sequence = sequence.begun_at(pose)
+            check_sequence(sequence, self.robot)
         ways: list[_Way] = []
         expected_s: list[tuple[float, ...]] = []
         before = pose

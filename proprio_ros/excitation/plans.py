@@ -96,6 +96,8 @@ class ProbeSequence:
         settle_s: Rest before each run; the identification uses up to 1 s of it.
         brake_s: The joint is held so long after its run before it goes anywhere.
         home: Where to go at the end [rad or m]; empty: stay.
+        from_here: Joints that go back, before each run and at the end, to where they stood when the sequence began: the fingers
+            beside a block that was put between them.
         min_clearance_m: Nothing that can be lowered comes closer to the base's plane than this.
     """
 
@@ -107,7 +109,18 @@ class ProbeSequence:
     settle_s: float = 1.2
     brake_s: float = 0.4
     home: Mapping[str, float] = field(default_factory=dict)
+    from_here: tuple[str, ...] = ()
     min_clearance_m: float = 0.03
+
+    def begun_at(self, pose: Mapping[str, float]) -> ProbeSequence:
+        """The sequence with numbers for the joints of `from_here`.
+
+        Args:
+            pose: Where all joints are [rad or m].
+        """
+        here = {name: pose[name] for name in self.from_here}
+        runs = tuple(replace(run, start={**here, **run.start}) for run in self.runs)
+        return replace(self, runs=runs, home={**here, **self.home}) if here else self
 
 
 def sequence_names() -> tuple[str, ...]:
@@ -156,6 +169,11 @@ def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
         value = getattr(sequence, key)
         if not math.isfinite(value) or value < 0.0 or (key == "approach_velocity" and value == 0.0):
             raise ConfigurationError(f"{sequence.name}: {key}={value} must be a positive number")
+    for name in sequence.from_here:
+        if name not in robot.drive_trains:
+            raise ConfigurationError(
+                f"{sequence.name}: from_here: {name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
+            )
     _check_pose(sequence.home, sequence, robot, f"{sequence.name}: home")
     pose: dict[str, float] = {}
     for number, run in enumerate(sequence.runs, 1):
@@ -282,6 +300,11 @@ def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequenc
             values[key] = _number(values[key], f"{where}.{key}")
     if "home" in values:
         values["home"] = _pose(values["home"], f"{where}.home")
+    if "from_here" in values:
+        names = values["from_here"]
+        if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
+            raise ConfigurationError(f"{where}.from_here: expected a list of joints, got {names!r}")
+        values["from_here"] = tuple(names)
     runs = values["runs"]
     if not isinstance(runs, list) or not runs:
         raise ConfigurationError(f"{where}.runs: expected a list of runs, each with joint, current_A and duration_s")

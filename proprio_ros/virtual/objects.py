@@ -17,6 +17,8 @@ HEAVIEST_KG = 5.0
 """An arm on a desk holds less; a larger number was meant in grams."""
 LONGEST_M = 1.0
 """A larger number was meant in millimetres."""
+FLATTEST = 0.02
+"""A block is as stiff as one that is squeezed to this share of its length, however much further."""
 
 
 @dataclass(frozen=True)
@@ -108,17 +110,18 @@ class Container:
 
 @dataclass(frozen=True)
 class SoftBlock:
-    """A weightless elastic block between the fingers.
+    """A weightless elastic block between the fingers: its pressed faces slip, the others are free.
 
-    Both sides are pressed with ``E A strain (1 + stiffening strain) + damping rate``, where ``A`` is the pressed face and
-    ``strain`` the compression over the width; it never pulls.
+    Both sides are pressed with ``A P + damping rate``, where ``A`` is the pressed face and ``P`` what a compressible
+    neo-Hookean solid (J. Bonet and R. D. Wood, Nonlinear Continuum Mechanics, section 6.4.3; the paper's equation (4)) answers
+    to a uniaxial stretch. It never pulls.
 
     Attributes:
         youngs_modulus_Pa: E, for small strains.
-        size_m: Length along the fingers, width between them, height; shape (3,).
+        size_m: Along the squeeze, and of the pressed face; shape (3,).
         damping: Per rate of compression [N s/m].
         gap_m: How far each finger closes, from where it was when the block was put between them, until it touches.
-        stiffening: How the modulus grows with the strain.
+        poissons_ratio: For small strains.
 
     Raises:
         ConfigurationError: A number is negative, or in another unit.
@@ -128,7 +131,7 @@ class SoftBlock:
     size_m: Vector = (0.03, 0.03, 0.03)
     damping: float = 0.0
     gap_m: float = 0.0
-    stiffening: float = 0.0
+    poissons_ratio: float = 0.25
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.youngs_modulus_Pa <= 1e9:
@@ -137,22 +140,33 @@ class SoftBlock:
             )
         _check_lengths("size", self.size_m, 0.001)
         _check_lengths("gap", (self.gap_m,), 0.0)
-        for name in ("damping", "stiffening"):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf:
-                raise ConfigurationError(f"{name}={value:g}: give a number that is not negative")
+        if not 0.0 <= self.damping < math.inf:
+            raise ConfigurationError(f"damping={self.damping:g}: give a number that is not negative")
+        if not 0.0 <= self.poissons_ratio < 0.5:
+            raise ConfigurationError(f"nu={self.poissons_ratio:g}: Poisson's ratio is from 0 to below 0.5")
 
     def force_N(self, compression_m: float, rate_m_s: float) -> float:
         """Force on each of the two sides.
 
         Args:
-            compression_m: By how much the block is narrower than it is free.
+            compression_m: By how much the block is shorter than it is free.
             rate_m_s: Its time derivative.
         """
         if compression_m <= 0.0:
             return 0.0
-        strain = compression_m / self.size_m[1]
-        elastic = self.youngs_modulus_Pa * self.size_m[0] * self.size_m[2] * strain * (1.0 + self.stiffening * strain)
+        nu = self.poissons_ratio
+        mu = self.youngs_modulus_Pa / (2.0 * (1.0 + nu))
+        ratio = 2.0 * nu / (1.0 - 2.0 * nu)  # lambda over mu
+        stretch = max(1.0 - compression_m / self.size_m[0], FLATTEST)
+        # the free faces carry nothing: x - 1 + ratio log(stretch x) = 0 for the square x of the stretch across. The left side is
+        # concave and rising, so Newton's method from below it never overshoots
+        square = 1.0
+        for _ in range(50):
+            step = (square - 1.0 + ratio * math.log(stretch * square)) / (1.0 + ratio / square)
+            square -= step
+            if abs(step) < 1e-13 * square:
+                break
+        elastic = self.size_m[1] * self.size_m[2] * mu * (square / stretch - stretch)
         return max(elastic + self.damping * rate_m_s, 0.0)
 
 
@@ -160,7 +174,7 @@ HandObject = Payload | Container | SoftBlock
 
 OBJECT_FORMS = (
     "none | 0.05 | payload:0.05,size=0.03,com=[0.01,0,0] | container:0.03,sphere=0.012,inner=[0.06,0.04,0.04],radius=0.01 "
-    "| block:12000,size=[0.03,0.03,0.03],gap=0.004 (kg, m, Pa)"
+    "| block:12000,size=[0.03,0.03,0.03],gap=0.004,nu=0.25 (kg, m, Pa)"
 )
 _KINDS: Mapping[str, tuple[Any, Mapping[str, str]]] = {
     # the first key is the number behind the colon
@@ -186,7 +200,7 @@ _KINDS: Mapping[str, tuple[Any, Mapping[str, str]]] = {
             "size": "size_m",
             "gap": "gap_m",
             "damping": "damping",
-            "stiffening": "stiffening",
+            "nu": "poissons_ratio",
         },
     ),
 }

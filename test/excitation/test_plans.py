@@ -53,6 +53,8 @@ def test_the_packages_own_sequences(robot: Robot) -> None:
 )
 def test_starts_are_high_and_inside_the_limits(robot: Robot, name: str) -> None:
     for run in load_sequence(name, robot).runs:
+        if run.joint == "gripper_left_joint":
+            continue  # the arm stays where it is
         assert set(run.start) == {"joint2", "joint3", "joint4"}
         for joint, position in run.start.items():
             limits = robot.model.joint(joint)
@@ -62,11 +64,25 @@ def test_starts_are_high_and_inside_the_limits(robot: Robot, name: str) -> None:
 
 def test_a_calibration_moves_each_joint_both_ways(robot: Robot) -> None:
     runs = load_sequence("empty_hand", robot).runs
-    assert len(runs) == 12
-    for joint in ("joint2", "joint3", "joint4"):
+    assert len(runs) == 16
+    for joint in ("joint2", "joint3", "joint4", "gripper_left_joint"):
         own = [run for run in runs if run.joint == joint]
         assert len(own) == 4 and min(run.current_A for run in own) < 0.0 < max(run.current_A for run in own)
-        assert all(run.min_travel == 0.3 for run in own)
+        assert all(run.min_travel == (0.003 if "gripper" in joint else 0.3) for run in own)
+    assert load_sequence("empty_hand_gripper", robot).runs == runs[-4:]
+
+
+def test_a_squeeze_begins_where_the_fingers_stand_and_cannot_crush(robot: Robot) -> None:
+    sequence = load_sequence("softness", robot)
+    assert sequence.from_here == ("gripper_left_joint",) and not any(run.start for run in sequence.runs)
+    least = [run.min_travel for run in sequence.runs]
+    assert len(least) == 3 and least == sorted(set(least)), "three levels"
+    assert all(2.0 * run.max_travel / 0.03 < 0.4 for run in sequence.runs), "two fingers, a block of 30 mm"
+    begun = sequence.begun_at({"joint1": 0.2, "gripper_left_joint": 0.008})
+    assert all(run.start == {"gripper_left_joint": 0.008} for run in begun.runs)
+    assert begun.home == {"gripper_left_joint": 0.008}
+    stated = replace(sequence, runs=(replace(sequence.runs[0], start={"gripper_left_joint": 0.01}),))
+    assert stated.begun_at({"gripper_left_joint": 0.008}).runs[0].start == {"gripper_left_joint": 0.01}
 
 
 def test_a_container_is_tilted_up_and_left_alone_before_each_run(robot: Robot) -> None:

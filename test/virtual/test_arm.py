@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from proprio_ros.errors import ConfigurationError, SimulationError
 from proprio_ros.identification.weighing import weigh
@@ -344,7 +345,7 @@ def test_a_shaken_sphere_stays_inside(robot: Robot) -> None:
 
 
 def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
-    block = SoftBlock(12000.0, (0.03, 0.025, 0.02), damping=200.0, gap_m=0.003, stiffening=0.8)
+    block = SoftBlock(12000.0, (0.025, 0.03, 0.02), damping=200.0, gap_m=0.003, poissons_ratio=0.3)
     arm = VirtualArm(robot, truth_of(robot, JointTruth(1.8, armature=0.012)), position={GRIPPER: 0.015})
     arm.hold(block)
     current_A = -0.03
@@ -357,16 +358,21 @@ def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
     compression = 2.0 * (travel - 0.003)
     strain = compression / 0.025
     assert strain > 0.1
-    force = 12000.0 * 0.03 * 0.02 * strain * (1.0 + 0.8 * strain)
+    # the side faces carry nothing: the stretch across them solves the law's other component
+    mu, lam, stretch = 12000.0 / 2.6, 12000.0 * 0.3 / (1.3 * 0.4), 1.0 - strain
+    across = brentq(lambda l2: mu * (l2 - 1.0 / l2) + lam * np.log(stretch * l2**2) / l2, 1.0, 2.0, xtol=1e-14)
+    force = 0.03 * 0.02 * -(mu * (stretch - 1.0 / stretch) + lam * np.log(stretch * across**2) / stretch)
     # the motor's work 1.8 i d(shaft) is the force's work on both sides, force d(compression)
     assert 1.8 * -current_A == pytest.approx(2.0 * 0.01149 * force, rel=1e-4)
 
 
 def test_a_block_never_pulls() -> None:
-    block = SoftBlock(1e4, (0.03, 0.02, 0.03), damping=10.0)
-    assert block.force_N(0.002, 0.0) == pytest.approx(0.9)
-    assert block.force_N(0.002, 0.01) == pytest.approx(1.0)
+    block = SoftBlock(1e4, (0.02, 0.03, 0.03), damping=10.0, poissons_ratio=0.0)
+    elastic = 0.5e4 * 0.03 * 0.03 * (1.0 / 0.9 - 0.9)  # without a Poisson's ratio the sides stay as they are
+    assert block.force_N(0.002, 0.0) == pytest.approx(elastic)
+    assert block.force_N(0.002, 0.01) == pytest.approx(elastic + 0.1)
     assert block.force_N(0.002, -1.0) == 0.0
+    assert block.force_N(0.03, 0.0) == block.force_N(0.1, 0.0) < 1e3, "no block is infinitely hard"
     assert block.force_N(-0.001, 1.0) == 0.0
 
 
@@ -393,7 +399,10 @@ def test_the_walls_of_a_container() -> None:
             "container:0.03,sphere=0.011,inner=[0.06,0.05,0.04],radius=0.01",
             Container(0.03, (0.06, 0.05, 0.04), sphere_mass_kg=0.011, sphere_radius_m=0.01),
         ),
-        ("block:12000,size=[0.03,0.02,0.03],gap=0.004", SoftBlock(12000.0, (0.03, 0.02, 0.03), gap_m=0.004)),
+        (
+            "block:12000,size=[0.03,0.02,0.03],gap=0.004,nu=0.1",
+            SoftBlock(12000.0, (0.03, 0.02, 0.03), gap_m=0.004, poissons_ratio=0.1),
+        ),
     ],
 )
 def test_objects_as_users_type_them(text: str, expected: HandObject | None) -> None:
@@ -416,6 +425,7 @@ def test_objects_as_users_type_them(text: str, expected: HandObject | None) -> N
         ("container:0.03,radius=0.03", "does not fit"),
         ("block:0.1", "in Pa"),
         ("block:12000,gap=-0.001", "lengths are in m"),
+        ("block:12000,nu=0.5", "below 0.5"),
     ],
 )
 def test_wrong_objects_are_refused_in_one_line(text: str, said: str) -> None:

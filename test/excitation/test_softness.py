@@ -1,0 +1,105 @@
+"""The squeeze on the virtual arm, from the machine's first command to the modulus; the block obeys a law in closed form.
+
+MuJoCo moves the fingers, and nothing of the identification's simulator is in it. Real time and the bus are left out: what they
+add is in test/nodes.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.excitation.machine import ExcitationMachine, Phase
+from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.squeeze import find_softness
+from proprio_ros.identification.squeeze_problem import BlockFacts
+from proprio_ros.records import InputRecord, JointRecord, Recording, Run
+from proprio_ros.robot import Robot
+from proprio_ros.runs import cut_runs
+from proprio_ros.virtual.objects import SoftBlock
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from hand import COUNT_A, JOINTS, ROBOT, Hand
+
+GRIPPER = "gripper_left_joint"
+EDGE_M, GAP_M = 0.03, 0.0005
+
+
+def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
+    """The machine at its end, the runs of the recording, and how far the fingers closed from where they began [m]."""
+    machine, sample = ExcitationMachine(ROBOT), hand.sample()
+    machine.start(load_sequence(name, ROBOT), sample)
+    began = closed = hand.arm.position()[GRIPPER]
+    times, places, currents = [], [], []
+    while machine.busy:
+        command = machine.tick(hand.time_s, sample)
+        times.append(round(1e9 * sample.time_s))
+        places.append([sample.position[joint] for joint in JOINTS])
+        # the driver's echo at every sample, in steps of the servo
+        currents.append([COUNT_A * round(command.current_A.get(joint, 0.0) / COUNT_A) for joint in JOINTS])
+        sample = hand.step(command)
+        closed = min(closed, hand.arm.position()[GRIPPER])
+    stamps = np.array(times)
+    inputs = InputRecord(stamps, JOINTS, np.array(currents), "/applied_effort")
+    runs = cut_runs(Recording(name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS))
+    return machine, runs, began - closed
+
+
+def calibrated(seed: int) -> Robot:
+    """The robot after its gripper was closed and opened with nothing between the fingers."""
+    machine, runs, _ = played("empty_hand_gripper", Hand(seed, None))
+    assert machine.phase is Phase.DONE and all(outcome.used for outcome in machine.outcomes[-4:]), machine.message
+    estimate = calibrate(ROBOT, [LoadedRun(run) for run in runs], advice=0)
+    assert estimate.calibration is not None, estimate.reasons
+    return ROBOT.with_calibration(estimate.calibration)
+
+
+def squeezed(robot: Robot, seed: int, block: SoftBlock) -> tuple[ExcitationMachine, Estimate, float]:
+    hand = Hand(seed, block)
+    machine, runs, closed = played("softness", hand)
+    assert machine.phase is Phase.DONE, machine.message
+    return machine, find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))), closed
+
+
+@pytest.mark.parametrize("modulus", [1.5e3, 12e3, 100e3, 1e6])
+def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
+    """From foam to hard rubber, with a gripper of little friction: 45 % is never reached, and the block is let go."""
+    hand = Hand(3, SoftBlock(modulus, gap_m=GAP_M), coulomb=0.015)
+    began = hand.arm.position()[GRIPPER]
+    machine, _, closed = played("softness", hand)
+    assert machine.phase is Phase.DONE, machine.message
+    assert 2.0 * (closed - GAP_M) / EDGE_M < 0.45
+    assert abs(hand.arm.position()[GRIPPER] - began) < 0.0005
+    if modulus <= 1e5:
+        assert machine.message == "softness is done: all 3 runs are good"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_moduli_within_their_intervals(seed: int) -> None:
+    """Hidden torque constant, friction, armature, delay and encoder error; three squeezes of each of three blocks."""
+    robot = calibrated(seed)
+    for modulus, ratio in ((8e3, 0.3), (30e3, 0.13), (150e3, 0.4)):
+        block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
+        machine, estimate, _ = squeezed(robot, seed, block)
+        assert estimate.verdict is Verdict.ACCEPTED, (machine.message, estimate.reasons)
+        told = estimate.value("youngs_modulus")
+        assert told.ci95[0] <= modulus <= told.ci95[1], (modulus, told)
+        assert told.value == pytest.approx(modulus, rel=0.2)
+        told_ratio = estimate.value("poissons_ratio")
+        if told_ratio.value is not None:
+            assert told_ratio.ci95[0] - 0.02 <= ratio <= told_ratio.ci95[1] + 0.02
+
+
+def test_no_block_is_told() -> None:
+    robot = calibrated(1)
+    machine, runs, _ = played("softness", Hand(1, None))
+    assert machine.phase is Phase.DONE
+    estimate = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M)))
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("youngs_modulus").value is None
+    assert "is it between the fingers" in estimate.reasons[0]
