@@ -17,6 +17,7 @@ import copy
 import difflib
 import functools
 import hashlib
+import itertools
 import json
 import math
 import xml.etree.ElementTree as ElementTree
@@ -681,6 +682,42 @@ class Motor:
 
 
 @dataclass(frozen=True)
+class FingerTravel:
+    """How far one finger is open at some angles of its motor, as measured: linkages do not open evenly.
+
+    Attributes:
+        at_rad: Of the motor's output shaft, rising, length 2 or more.
+        open_m: Of one finger, from anywhere [m], rising with the angle.
+    """
+
+    at_rad: tuple[float, ...]
+    open_m: tuple[float, ...]
+
+    @functools.cached_property
+    def coefficients(self) -> tuple[float, float, float]:
+        """Travel of the finger by the first three powers of the angle [m/rad, m/rad^2, m/rad^3], by least squares.
+
+        Two measurements give a line, three or four a parabola, more a cubic.
+        """
+        degree = {2: 1, 3: 2, 4: 2}.get(len(self.at_rad), 3)
+        fitted = np.polynomial.Polynomial.fit(self.at_rad, self.open_m, degree).convert().coef
+        slopes = [*map(float, fitted[1:]), 0.0, 0.0]
+        return slopes[0], slopes[1], slopes[2]
+
+    @property
+    def mean_ratio(self) -> float:
+        """From the first angle to the last [m/rad]."""
+        return (self.open_m[-1] - self.open_m[0]) / (self.at_rad[-1] - self.at_rad[0])
+
+    def ratio_at(self, angle_rad: ArrayLike) -> FloatArray:
+        """How far the finger moves per rad at some angles [m/rad]."""
+        angle = np.asarray(angle_rad, dtype=np.float64)
+        first, second, third = self.coefficients
+        ratio: FloatArray = first + angle * (2.0 * second + 3.0 * third * angle)
+        return ratio
+
+
+@dataclass(frozen=True)
 class DriveTrain:
     """Motor and gears of a joint, all seen at the motor's output shaft.
 
@@ -708,6 +745,7 @@ class DriveTrain:
             error, which a magnet off the axis makes [rad].
         stribeck: By how much of itself dry friction is greater at rest.
         stribeck_velocity: Speed at which 1/e of that is left [rad/s].
+        finger_travel: What was measured of a finger's travel, for squeezes alone: published positions count with `transmission`.
     """
 
     torque_constant: Quantity
@@ -727,6 +765,12 @@ class DriveTrain:
     encoder_once_per_turn: float = 0.0
     stribeck: Quantity = field(default_factory=lambda: Quantity(0.0))
     stribeck_velocity: Quantity = field(default_factory=lambda: Quantity(0.1))
+    finger_travel: FingerTravel | None = None
+
+    @property
+    def travel_coefficients(self) -> tuple[float, float, float]:
+        """What a squeeze takes for the finger's travel, as `FingerTravel.coefficients` are."""
+        return (self.transmission, 0.0, 0.0) if self.finger_travel is None else self.finger_travel.coefficients
 
     @property
     def nominal_effort_per_current(self) -> float:
@@ -896,6 +940,30 @@ def _vector3(value: Any, where: str) -> FloatArray:
     return _frozen([_real(component, where) for component in value])
 
 
+def _finger_travel(value: Any, where: str) -> FingerTravel:
+    parts = _section(value, {"at_rad": _Field(_rising), "open_m": _Field(_rising)}, where)
+    at_rad, open_m = parts["at_rad"], parts["open_m"]
+    if len(at_rad) != len(open_m):
+        raise RobotError(f"{where}: {len(at_rad)} angles and {len(open_m)} openings; give one opening for each angle")
+    if max(map(abs, open_m)) > 1.0:
+        raise RobotError(f"{where}: open_m={list(open_m)} is over 1 m: openings are in m, not mm")
+    if max(map(abs, at_rad)) > 10.0:
+        raise RobotError(f"{where}: at_rad={list(at_rad)} is over a full turn: angles are in rad, not degrees")
+    travel = FingerTravel(at_rad, open_m)
+    if travel.ratio_at(np.linspace(at_rad[0], at_rad[-1], 101)).min() <= 0.0:
+        raise RobotError(f"{where}: by these openings the finger turns back in between; measure them again")
+    return travel
+
+
+def _rising(value: Any, where: str) -> tuple[float, ...]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:
+        raise RobotError(f"{where}: expected a list of two or more numbers, got {value!r}")
+    numbers = tuple(_real(entry, where) for entry in value)
+    if any(after <= before for before, after in itertools.pairwise(numbers)):
+        raise RobotError(f"{where}: expected rising numbers, got {list(numbers)}")
+    return numbers
+
+
 def _quantity(read: Callable[[Any, str], float]) -> Callable[[Any, str], Quantity]:
     def quantity(value: Any, where: str) -> Quantity:
         if not isinstance(value, Mapping):
@@ -932,6 +1000,7 @@ _DRIVE_TRAIN = {
 _JOINT = {
     "usable_velocity_rad_s": _Field(_positive, math.inf),
     "transmission_m_per_rad": _Field(_positive, None),
+    "finger_travel": _Field(_finger_travel, None),
 }
 _ROBOT = {
     "name": _Field(_text),
@@ -1173,6 +1242,13 @@ def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, M
         raise RobotError(
             f"{where}: transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
         )
+    travel = parts["finger_travel"]
+    if travel is not None and (transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0):
+        nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
+        raise RobotError(
+            f"{where}: finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
+            f"{nominal}: one of them is wrong, or not of one finger"
+        )
     if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
         raise RobotError(
             f"{where}: motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
@@ -1200,6 +1276,7 @@ def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, M
             encoder_noise=motor["encoder_noise_rad"],
             encoder_once_per_turn=motor["encoder_once_per_turn_rad"],
             transmission=1.0 if transmission is None else transmission,
+            finger_travel=travel,
         ),
         Motor(model=motor["model"], id=motor["id"], current_limit_A=motor["current_limit_A"]),
     )

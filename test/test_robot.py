@@ -690,6 +690,49 @@ def test_sliding_joint_needs_its_transmission(folder: Path) -> None:
     assert load_robot(folder / "arm.yaml").drive_trains["a"].transmission == 0.02
 
 
+TRAVELS = "    transmission_m_per_rad: 0.012\n    finger_travel: {at_rad: %s, open_m: %s}\n"
+
+
+def test_a_fingers_travel_as_measured(folder: Path) -> None:
+    """A crank closes slower at its ends; the measurements' own curve comes back, and two of them are a straight line."""
+    (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
+    angle = np.linspace(-0.8, 1.2, 7)
+
+    def crank(at: np.ndarray) -> np.ndarray:
+        return 0.0125 * np.sin(at) + 0.003
+
+    (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (angle.tolist(), crank(angle).tolist()))
+    drive = load_robot(folder / "arm.yaml").drive_trains["a"]
+    assert drive.finger_travel is not None and drive.transmission == 0.012
+    np.testing.assert_allclose(drive.finger_travel.ratio_at(angle[1:-1]), 0.0125 * np.cos(angle[1:-1]), rtol=0.01)
+    powers = angle[:, None] ** np.arange(1, 4)
+    np.testing.assert_allclose(powers @ drive.travel_coefficients, crank(angle) - 0.003, atol=5e-5)
+    (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % ([-0.5, 0.5], [0.001, 0.0125]))
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == pytest.approx((0.0115, 0.0, 0.0))
+    (folder / "arm.yaml").write_text(MINIMAL + "    transmission_m_per_rad: 0.012\n")
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == (0.012, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("at_rad", "open_m", "message"),
+    [
+        ([0.0, 1.0], [0.0, 12.0], "openings are in m, not mm"),
+        ([0.0, 57.3], [0.0, 0.7], "angles are in rad, not degrees"),
+        ([0.0, 0.5, 1.0], [0.0, 0.01], "3 angles and 2 openings"),
+        ([0.0, 1.0, 0.5], [0.0, 0.01, 0.02], "expected rising numbers"),
+        ([0.0], [0.0], "two or more numbers"),
+        ([0.0, 1.0], [0.0, 0.03], "opens by 30 mm per rad of the motor, transmission_m_per_rad is 12 mm per rad"),
+        ([0.0, 0.1, 0.2, 1.0], [0.0, 0.006, 0.0061, 0.0062], "turns back in between"),
+    ],
+)
+def test_a_fingers_travel_that_cannot_be(folder: Path, at_rad: list[float], open_m: list[float], message: str) -> None:
+    (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
+    (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (at_rad, open_m))
+    with pytest.raises(RobotError) as caught:
+        load_robot(folder / "arm.yaml")
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
 def test_extends_gives_only_what_differs(folder: Path) -> None:
     below = folder / "calibrations"
     below.mkdir()

@@ -327,7 +327,7 @@ def check_against_truth(folder: Path) -> int:
 
 def test_the_recordings_of_this_repository() -> None:
     folders = [truth.parent for truth in BAGS.glob("*/truth.json")]
-    assert len(folders) == 39
+    assert len(folders) == 42
     for folder in folders:
         assert check_against_truth(folder)
 

@@ -185,6 +185,23 @@ class SpherePath:
 
 
 @dataclass(frozen=True)
+class BlockShape:
+    """A block at one instant of a squeeze, by finite elements.
+
+    Attributes:
+        time_s: after the current came on.
+        squeeze: relative to the length, below 0 while it is not touched.
+        points: x along the squeeze, in lengths of the block from its middle, shape (N, 3).
+        triangles: of its surface, seen from outside, shape (F, 3).
+    """
+
+    time_s: float
+    squeeze: float
+    points: np.ndarray
+    triangles: np.ndarray
+
+
+@dataclass(frozen=True)
 class SqueezeCurve:
     """What a block did in one closing of the gripper, as simulated at the estimate.
 
@@ -194,6 +211,7 @@ class SqueezeCurve:
         times_s: shape (K,).
         squeeze: relative to the length, below 0 while it is not touched, shape (K,).
         force_N: on each finger, by the law of elasticity alone, shape (K,).
+        shapes: of the block from the first sample to the largest squeeze, where they are to be shown.
     """
 
     run: str
@@ -201,6 +219,38 @@ class SqueezeCurve:
     times_s: np.ndarray
     squeeze: np.ndarray
     force_N: np.ndarray
+    shapes: tuple[BlockShape, ...] = ()
+
+
+@dataclass(frozen=True)
+class JointInterval:
+    """Two values that are known better together than each alone.
+
+    Attributes:
+        names: Of the two values.
+        unit: Of both.
+        value: Shape (2,).
+        covariance: Shape (2, 2).
+        outline: Of the region that holds both with 95 %, shape (M, 2); no ellipse where the values are no linear functions of what
+            was fitted.
+        told: Whether both values are the recording's rather than the prior's.
+    """
+
+    names: tuple[str, str]
+    unit: str
+    value: np.ndarray
+    covariance: np.ndarray
+    outline: np.ndarray
+    told: bool
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "names": list(self.names),
+            "unit": self.unit,
+            "value": self.value.tolist(),
+            "covariance": self.covariance.tolist(),
+            "outline95": self.outline.tolist(),
+        }
 
 
 @dataclass(frozen=True)
@@ -221,6 +271,7 @@ class Estimate:
     scan: Scan | None = None
     paths: tuple[SpherePath, ...] = ()
     curves: tuple[SqueezeCurve, ...] = ()
+    joint: JointInterval | None = None
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
@@ -243,6 +294,7 @@ class Estimate:
                 "reduced_chi2": self.fit.reduced_chi2,
                 "condition": self.fit.condition,
             }
+        together = {} if self.joint is None or not self.joint.told else {"joint_interval": self.joint.as_json()}
         return plain(
             {
                 "probe": self.probe,
@@ -251,9 +303,11 @@ class Estimate:
                 "verdict": self.verdict.value,
                 "reasons": list(self.reasons),
                 "estimates": [value.as_json() for value in self.values],
+                **together,
                 "fit": fit,
                 "solver": None if self.solver is None else self.solver.as_json(),
                 "uncertainty_budget": [{"source": s, "std": v, "unit": self.values[0].unit} for s, v in self.budget],
+                "assumptions": list(self.assumptions),
                 "notes": list(self.notes),
                 "timing_s": self.timing_s,
             }

@@ -18,9 +18,10 @@ from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.mesh import TetMesh
 from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.payload import PayloadFacts
-from proprio_ros.sim.response import response
+from proprio_ros.sim.response import Response, response, response_of_mesh
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SqueezeRun, SqueezeSimulator
 
 SOFTEST_PA, STIFFEST_PA = 1e2, 1e8
@@ -36,13 +37,14 @@ class BlockFacts:
     """What is told about the block and how it is held (``config/probes/softness.yaml`` and ``--set``).
 
     Attributes:
-        size: of the block, x along the squeeze [m], shape (3,).
+        size: of the block, x along the squeeze [m], shape (3,); of a mesh its extent.
         law: of elasticity, one of ``energies.LAWS``.
         contact: of its faces with the fingers, one of ``quasistatic.CONTACTS``.
-        fingers: how many move, each by the joint's transmission.
+        fingers: how many move, each by the joint's transmission or measured travel.
         gap: how far the fingers together close before they touch it [m].
         poissons_ratio: prior.
         relaxation_s: viscosity over Young's modulus, prior [s].
+        mesh: of a block that is no box.
     """
 
     size: np.ndarray
@@ -52,18 +54,40 @@ class BlockFacts:
     gap: Quantity = field(default_factory=lambda: Quantity(0.001, 0.002))
     poissons_ratio: Quantity = field(default_factory=lambda: Quantity(0.3, 0.12))
     relaxation_s: Quantity = field(default_factory=lambda: Quantity(0.0, 0.01))
+    mesh: TetMesh | None = None
+
+    @property
+    def length(self) -> float:
+        """Along the squeeze [m]."""
+        return float(self.size[0])
 
     @property
     def area(self) -> float:
         """Of the face that is pressed [m^2]."""
-        return float(self.size[1] * self.size[2])
+        return float(self.size[1] * self.size[2]) if self.mesh is None else self.mesh.area
+
+    def table(self, rebuild: bool = False) -> Response:
+        """What finite elements say about this block: from the cache, or built and put there.
+
+        Args:
+            rebuild: even where the cache has it.
+
+        Raises:
+            SimulationError: a block of such a shape cannot be squeezed as far as the table goes.
+        """
+        if self.mesh is not None:
+            return response_of_mesh(self.mesh, self.law, self.contact, rebuild)
+        return response(self.size, self.law, self.contact, rebuild=rebuild, far=True)
 
 
-def travel_of(run: PreparedRun, facts: BlockFacts) -> float:
-    """How fast the fingers close on each other per rad at the motor's shaft [m/rad]; the current says which way is closing."""
+def closing_of(run: PreparedRun, facts: BlockFacts) -> np.ndarray:
+    """By how much the fingers close on each other, by the first three powers of the angle of the motor's shaft; shape (3,).
+
+    The current says which way is closing.
+    """
     current = run.run.input_current_A
     towards = float(np.sign(current[np.argmax(np.abs(current))]))
-    return towards * facts.fingers * abs(run.drive.transmission)
+    return towards * facts.fingers * np.array(run.drive.travel_coefficients)
 
 
 def block_unknowns(
@@ -123,15 +147,16 @@ class SqueezeProblem(PayloadProblem):
                 raise RecordingError(
                     f"{runs[row].run.name}: {runs[row].run.joint} was driven, which slides no finger: squeeze with the gripper"
                 )
-        self._travel = [travel_of(run, facts) for run in runs]
+        self._closing = [closing_of(run, facts) for run in runs]
         super().__init__(robot, runs, PayloadFacts(), unknowns, integrator, step_s)
         self._affine = False  # viscosity is a product of two unknowns
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SqueezeSimulator]:
-        table = response(self.block.size, self.block.law, self.block.contact, far=True)
+        table = self.block.table()
         squeezed = [
-            SqueezeRun(runs[row], float(self.block.size[0]), self.block.area, self._travel[row], table)
+            SqueezeRun(runs[row], self.block.length, self.block.area, first, table, (second, third))
             for row in np.flatnonzero(self.squeezing)
+            for first, second, third in [self._closing[row].tolist()]
         ]
         special = SqueezeSimulator(squeezed, integrator)
         return MixedSimulator(
@@ -155,7 +180,8 @@ class SqueezeProblem(PayloadProblem):
             dp[:, row, to["block_viscosity"], at["youngs_modulus"]] = relaxation
             dp[:, row, to["block_viscosity"], at["block_relaxation"]] = modulus
             # the fingers touch where they have closed by the gap from where they stood
-            p[:, row, to["gap"]] = self._travel[row] * self.runs[row].rest.value + values[:, at[f"gap[{row}]"]]
+            rest = self.runs[row].rest.value
+            p[:, row, to["gap"]] = self._closing[row] @ rest ** np.arange(1, 4) + values[:, at[f"gap[{row}]"]]
             dp[:, row, to["gap"], at[f"gap[{row}]"]] = 1.0
         return p, dp
 

@@ -47,6 +47,9 @@ def _page(estimate: Estimate, command: str, sources: Sequence[str]) -> str:
     parts += _sphere(estimate)
     if estimate.curves:
         parts += ["<h2>The block</h2>", framed(figures.squeeze_figure(estimate))]
+    if estimate.joint is not None:
+        told = "" if estimate.joint.told else "Poisson's ratio is the prior's here, and so is how long the region is."
+        parts += ["<h3>Both Lam\u00e9 parameters together</h3>", framed(figures.joint_figure(estimate), told)]
     if estimate.scan is not None:
         mass = escape(figures.searched_in_words(estimate))
         parts += [f"<h2>Misfit over {mass}</h2>", framed(figures.scan_figure(estimate))]

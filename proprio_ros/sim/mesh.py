@@ -137,6 +137,13 @@ class TetMesh:
         faces, counts = self._face_counts
         return faces[counts == 1]
 
+    @cached_property
+    def outside(self) -> np.ndarray:
+        """The same triangles, counter-clockwise seen from outside, shape (B, 3)."""
+        faces = self.tets[:, _TET_CORNERS].reshape(-1, 3)
+        _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return faces[first[counts == 1]]
+
     def end_area(self, high: bool) -> float:
         """Of the flat face that a finger pushes [m^2]; 0 where the solid ends in an edge or a tip."""
         flat = np.isin(self.surface, self.end(0, high)).all(axis=1)

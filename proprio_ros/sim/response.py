@@ -26,6 +26,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from proprio_ros.errors import SimulationError
@@ -77,7 +78,7 @@ class Response:
         (s0, s1), (n0, n1) = self.squeeze[:2], self.ratio[:2]
         return np.array([s0, s1 - s0, n0, n1 - n0])
 
-    def __call__(self, squeeze: np.ndarray, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def __call__(self, squeeze: ArrayLike, ratio: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """phi, dphi/ds and dphi/dnu; arguments are broadcast."""
         s, nu = np.broadcast_arrays(np.asarray(squeeze, dtype=np.float64), np.asarray(ratio, dtype=np.float64))
         at_s, rows, by_s, beyond_s = self._place(s, 0)
@@ -237,8 +238,13 @@ def response_of_mesh(mesh: TetMesh, law: str = "log", contact: str = "bonded", r
     return _kept(made_of, rebuild, lambda: _tabulate(solver, mesh.area, mesh.length, made_of))
 
 
+def kept_at(made_of: str) -> Path:
+    """Where the table that is made of this is kept."""
+    return cache_folder() / f"response-{hashlib.sha256(made_of.encode()).hexdigest()[:16]}.npz"
+
+
 def _kept(made_of: str, rebuild: bool, make: Callable[[], Response]) -> Response:
-    path = cache_folder() / f"response-{hashlib.sha256(made_of.encode()).hexdigest()[:16]}.npz"
+    path = kept_at(made_of)
     table = None if rebuild else _load(path, made_of)
     if table is None:
         table = make()

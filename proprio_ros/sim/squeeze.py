@@ -2,11 +2,12 @@
 
 The joint of ``joint.py`` (armature, friction, supply limits, delay) with the block as a load that depends on its position:
 
-    s = (travel q - gap) / L                                  squeeze relative to the block's length
+    s = (c(q) - gap) / L                                      squeeze relative to the block's length
     P = A (E phi(s, nu) + eta ds/dt min(s / s_r, 1))          where s > 0, and never below 0: a block that is let go does not pull
-    J a = tau_m - friction - gravity - travel P
+    J a = tau_m - friction - gravity - c'(q) P
 
-``travel`` is how fast the fingers close on each other per unit of the joint: twice the ratio of one finger, by virtual work.
+``c`` is how far the fingers have closed on each other: ``travel`` times the joint's coordinate, twice the ratio of one finger;
+with ``bend``, where it was measured that a gripper's linkage does not close evenly. ``c'`` stands in both lines by virtual work.
 ``phi`` is the table of ``response.py``, E and nu are those at small strain, whatever the law. ``eta`` is the block's viscosity
 (Kelvin and Voigt), which sets in over the first ``RAMP`` of squeeze, so that the force has no jump where the fingers touch.
 
@@ -60,6 +61,7 @@ class SqueezeRun:
         travel: how fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0; negative where the joint's
             coordinate falls when closing.
         response: of the block in this run's orientation and contact.
+        bend: what the second and the third power of the joint's coordinate add to that closing [m/rad^2, m/rad^3].
 
     Raises:
         SimulationError: a length or area that is not above 0, or no travel.
@@ -70,6 +72,7 @@ class SqueezeRun:
     area: float
     travel: float
     response: Response
+    bend: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not (self.length > 0.0 and self.area > 0.0 and np.isfinite(self.travel) and self.travel != 0.0):
@@ -94,8 +97,10 @@ def _push(
     zero = FLOAT(0.0)
     length = block[run, 0]
     area = block[run, 1]
-    travel = block[run, 2]
-    s = (travel * q - p[world, _GAP]) / length
+    closed = q * (block[run, 2] + q * (block[run, 4] + q * block[run, 5]))
+    travel = block[run, 2] + q * (FLOAT(2.0) * block[run, 4] + FLOAT(3.0) * q * block[run, 5])
+    bend = FLOAT(2.0) * block[run, 4] + FLOAT(6.0) * q * block[run, 5]
+    s = (closed - p[world, _GAP]) / length
     load = zero
     by_q = zero
     by_v = zero
@@ -114,7 +119,7 @@ def _push(
         if push > zero:
             load = travel * push
             slope = travel * area * (modulus * by_s + eta * rate * rise) / length
-            by_q = slope * travel
+            by_q = slope * travel + bend * (push + travel * area * eta * ramp * v / length)
             by_v = travel * area * eta * ramp * travel / length
             by_p = _VEC4(travel * area * phi, travel * area * modulus * by_nu, travel * area * rate * ramp, -slope)
     return load, by_q, by_v, by_p
@@ -568,7 +573,7 @@ class SqueezeSimulator(JointSimulator):
             raise SimulationError("the runs' tables are over different grids: use one law of elasticity for all runs")
         which = {table.made_of: row for row, table in enumerate(tables)}
         self._block = self._array(
-            np.array([[run.length, run.area, run.travel, which[run.response.made_of]] for run in runs])
+            np.array([[run.length, run.area, run.travel, which[run.response.made_of], *run.bend] for run in runs])
         )
         self._grid = self._array(tables[0].grid)
         self._nodes = wp.array(np.stack([table.nodes for table in tables]), dtype=_VEC4, device=device)
@@ -583,8 +588,8 @@ class SqueezeSimulator(JointSimulator):
         Returns:
             shape (W, T), below 0 where the block is not touched.
         """
-        length, _, travel, _ = self._block.numpy()[np.asarray(world_run)].T
-        return (travel[:, None] * q - p[:, _GAP : _GAP + 1]) / length[:, None]
+        length, _, travel, _, second, third = self._block.numpy()[np.asarray(world_run)].T[:, :, None]
+        return (q * (travel + q * (second + q * third)) - p[:, _GAP : _GAP + 1]) / length
 
     def _kernel(self, size: int, stribeck: bool) -> Any:
         return _tangent_kernel(size, self.integrator, stribeck)
@@ -597,3 +602,14 @@ class SqueezeSimulator(JointSimulator):
 
     def _object_data(self) -> list[wp.array]:
         return [self._block, self._grid, self._nodes]
+
+
+def compile_kernels(response: Response, integrator: str = "rk4") -> None:
+    """Compile and load the kernels that a fit needs, for whoever cannot wait for them later; again it costs nothing."""
+    run = SqueezeRun(JointRun(np.array([0.01]), np.zeros(1), np.zeros(1)), 1.0, 1.0, 1.0, response)
+    simulator = SqueezeSimulator([run], integrator)
+    for size in _SIZES:
+        for stribeck in (0.0, 1.0):
+            p = SqueezeSimulator.harmless[None].copy()
+            p[:, SQUEEZE_INDEX["stribeck"]] = stribeck
+            simulator.jacobian(np.zeros(1, dtype=np.int32), p, np.zeros((1, len(SQUEEZE_PARAMETERS), size)))

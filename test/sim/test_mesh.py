@@ -125,3 +125,12 @@ def test_bad_mesh_files(tmp_path: Path) -> None:
     meshio.write(tip, meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3]]))]))
     with pytest.raises(ConfigurationError, match="highest x"):
         read_mesh(tip)
+
+
+def test_the_surface_seen_from_outside_encloses_the_volume() -> None:
+    """Gauss: a third of the flux of x through the outward triangles."""
+    cube = box(np.array([0.03, 0.02, 0.01]), (2, 3, 2))
+    corners = cube.points[cube.outside]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
+    assert (corners.mean(axis=1) * normals).sum() / 3.0 == pytest.approx(6e-6, rel=1e-12)
+    assert {tuple(sorted(face)) for face in cube.outside.tolist()} == {tuple(face) for face in cube.surface.tolist()}

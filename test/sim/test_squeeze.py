@@ -66,7 +66,11 @@ def squeeze_run(table: Response, times: np.ndarray, torque: float, **options: fl
     return SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table)
 
 
-def simulator(table: Response, integrator: str) -> SqueezeSimulator:
+BENDS = [(0.0, 0.0), (0.006, -0.003)]
+"""m/rad^2 and m/rad^3: none, and one that changes the ratio by half over the squeeze."""
+
+
+def simulator(table: Response, integrator: str, bend: tuple[float, float] = BENDS[0]) -> SqueezeSimulator:
     times = np.sort(np.random.default_rng(7).uniform(0.0, 0.6, 24))
     joint = JointRun(
         times,
@@ -78,7 +82,7 @@ def simulator(table: Response, integrator: str) -> SqueezeSimulator:
         fine_step_s=1 / 4000 if integrator == "rk4" else 1 / 1000,
         input_load=np.array([[0.001, 0.02], [-0.002, 0.03], [0.0015, -0.01]]),
     )
-    return SqueezeSimulator([SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table)], integrator)
+    return SqueezeSimulator([SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table, bend)], integrator)
 
 
 def point(seed: int) -> np.ndarray:
@@ -90,9 +94,12 @@ def point(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
-def test_sensitivities_against_central_differences(bonded: Response, integrator: str, seed: int) -> None:
+@pytest.mark.parametrize("bend", BENDS)
+def test_sensitivities_against_central_differences(
+    bonded: Response, integrator: str, seed: int, bend: tuple[float, float]
+) -> None:
     """Where the fingers touch within a step, the rollout has a kink: differences see it, by 1e-4 of the largest."""
-    sim, p = simulator(bonded, integrator), point(seed)
+    sim, p = simulator(bonded, integrator, bend), point(seed)
     q, _, exact = (array.copy() for array in sim.jacobian(ONE, p, np.eye(len(SCALES))[None]))
     assert sim.squeeze(ONE, p, q).max() > 0.1
     touched = p[0, SQUEEZE_INDEX["gap"]] < 0.0
@@ -110,8 +117,9 @@ def test_sensitivities_against_central_differences(bonded: Response, integrator:
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
-def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int) -> None:
-    sim, p = simulator(bonded, integrator), point(seed)
+@pytest.mark.parametrize("bend", BENDS)
+def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int, bend: tuple[float, float]) -> None:
+    sim, p = simulator(bonded, integrator, bend), point(seed)
     q, _, exact = sim.jacobian(ONE, p, np.eye(len(SCALES))[None])
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
@@ -122,7 +130,8 @@ def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int
     np.testing.assert_array_equal(tape.gradient(weights), gradient)
 
 
-def test_against_another_integrator_and_the_closed_form(sliding: Response) -> None:
+@pytest.mark.parametrize("bend", BENDS)
+def test_against_another_integrator_and_the_closed_form(sliding: Response, bend: tuple[float, float]) -> None:
     """scipy's DOP853 with the free block's force solved by hand, in place of table and RK4."""
     modulus, ratio, eta, coulomb, viscous, gap, torque = 12000.0, 0.258, 60.0, 0.01, 0.02, 0.001, 0.06
     mu, lam = lame(modulus, ratio)
@@ -133,19 +142,25 @@ def test_against_another_integrator_and_the_closed_form(sliding: Response) -> No
         side = brentq(lambda b: mu * (b - 1 / b) + lam * np.log(stretch * b * b) / b, 0.9, 1.6, xtol=1e-14)
         return -(EDGE**2) * (mu * (stretch - 1 / stretch) + lam * np.log(stretch * side * side) / stretch)
 
+    def closed(q: float) -> float:
+        return TRAVEL * q + bend[0] * q**2 + bend[1] * q**3
+
     def rate(_: float, y: np.ndarray) -> list[float]:
         q, v = y
-        s = max(TRAVEL * q - gap, 0.0) / EDGE
-        push = force(1.0 - s) + EDGE**2 * eta * TRAVEL * v / EDGE * min(s / 1e-3, 1.0)
-        load = TRAVEL * max(push, 0.0) if s > 0.0 else 0.0
+        ratio_here = TRAVEL + 2.0 * bend[0] * q + 3.0 * bend[1] * q**2
+        s = max(closed(q) - gap, 0.0) / EDGE
+        push = force(1.0 - s) + EDGE**2 * eta * ratio_here * v / EDGE * min(s / 1e-3, 1.0)
+        load = ratio_here * max(push, 0.0) if s > 0.0 else 0.0
         return [v, (torque - coulomb * np.tanh(v / 0.01) - viscous * v - load) / 0.005]
 
     times = np.linspace(0.05, 1.0, 20)
     exact = solve_ivp(rate, (0.0, 1.0), [0.0, 0.0], "DOP853", times, rtol=1e-9, atol=1e-11, max_step=2e-3).y[0]
-    run = squeeze_run(sliding, times, torque, friction_velocity=0.01, step_s=1e-3, fine_step_s=2e-4)
+    run = replace(squeeze_run(sliding, times, torque, friction_velocity=0.01, step_s=1e-3, fine_step_s=2e-4), bend=bend)
     p = parameters(coulomb=coulomb, viscous=viscous, poissons_ratio=ratio, block_viscosity=eta, gap=gap)
-    q = SqueezeSimulator([run]).rollout(ONE, p)[0][0]
-    assert TRAVEL * exact.max() - gap > 0.2 * EDGE
+    sim = SqueezeSimulator([run])
+    q = sim.rollout(ONE, p)[0][0]
+    assert closed(exact.max()) - gap > 0.2 * EDGE
+    assert sim.squeeze(ONE, p, exact[None])[0] == pytest.approx([(closed(each) - gap) / EDGE for each in exact])
     np.testing.assert_allclose(q, exact, atol=2e-2 * COUNT)
 
 
