@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,8 +20,12 @@ from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 _SHOWN = {"kg": (1e3, 2, " g"), "Pa": (1e-3, 2, " kPa"), "1": (1.0, 3, ""), "N/m": (1.0, 0, " N/m")}
-_DEMO_KG = {"payload": 0.05, "container": 0.012}
-_DEMO_TRUTH = {"payload": "the virtual hand held", "container": "the sphere in the virtual container weighed"}
+_DEMO = {
+    "payload": (0.05, "the virtual hand held"),
+    "container": (0.012, "the sphere in the virtual container weighed"),
+    "softness": (12e3, "Young's modulus of the virtual block was"),
+}
+"""What the object is when nobody says, in kg or Pa; and how that is said at the end."""
 
 
 def run() -> NoReturn:
@@ -132,20 +137,37 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--json", action="store_true", help="print one JSON object")
     plan.set_defaults(command=_plan)
 
+    table = commands.add_parser(
+        "table",
+        help="compute anew how a soft block answers a squeeze",
+        description="The softness probe reads a block's force from a table that finite elements made. It is made when it is first "
+        "needed, and again when the code or the block has changed; this makes it now. `--set block...` as for `replay`.",
+    )
+    _add_set(table)
+    table.add_argument("--json", action="store_true", help="print one JSON object")
+    table.set_defaults(command=_table)
+
     demo = commands.add_parser(
         "demo",
         help="a virtual robot weighs itself and an object, live",
-        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object or a sphere.",
+        description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object or a sphere, or "
+        "squeeze a block.",
         epilog="Exit code: 0 accepted, 2 could not run, 3 rejected or not identifiable. Ctrl-C ends everything.",
     )
     demo.add_argument(
-        "--probe", default="payload", choices=tuple(_DEMO_KG), help="payload: under a minute; container: two minutes"
+        "--probe",
+        default="payload",
+        choices=tuple(_DEMO),
+        help="payload, softness: under a minute; container: two minutes",
     )
     demo.add_argument(
         "--mass",
         type=float,
         metavar="KG",
         help="of the object in the virtual hand (0.05), or of the sphere in it (0.012)",
+    )
+    demo.add_argument(
+        "--modulus", type=float, metavar="PA", help="Young's modulus of the block, --probe softness (12000)"
     )
     demo.add_argument(
         "--seed", type=int, default=1, metavar="N", help="draws the arm's hidden friction, torque constants .."
@@ -297,10 +319,45 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     return EXIT_OK
 
 
+def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
+    settings = parse_settings(options.set)
+    from proprio_ros.replay import ReplayOptions, rebuild_table
+
+    started = time.monotonic()
+    facts, table, path = rebuild_table(ReplayOptions(probe="softness", settings=settings))
+    elapsed = time.monotonic() - started
+    squeezes, ratios = (0.1, 0.2, 0.3), (0.1, 0.3, 0.45)
+    # force over E A: what a Young's modulus has to be multiplied with
+    phi = [table(squeezes, ratio)[0].tolist() for ratio in ratios]
+    if options.json:
+        content = {
+            "file": str(path), "size_m": facts.size.tolist(), "area_m2": facts.area, "law": facts.law, "contact": facts.contact,
+            "reach": table.reach, "squeeze": squeezes, "poissons_ratio": ratios, "force_per_E_A": phi, "elapsed_s": elapsed,
+        }  # fmt: skip
+        print(json.dumps(content, indent=1))
+        return EXIT_OK
+    edges = " x ".join(f"{1e3 * edge:.4g}" for edge in facts.size)
+    print(f"block of {edges} mm, faces {facts.contact}, law {facts.law}, squeezed by up to {100.0 * table.reach:.0f} %")
+    print("force over E A at a squeeze of" + "".join(f"{100.0 * squeeze:8.0f} %" for squeeze in squeezes))
+    for ratio, row in zip(ratios, phi, strict=True):
+        print(f"  Poisson's ratio {ratio:<12g}" + "".join(f"{value:10.4f}" for value in row))
+    print(f"{path}, {elapsed:.1f} s")
+    return EXIT_OK
+
+
 def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
-    mass = _DEMO_KG[options.probe] if options.mass is None else options.mass
-    if not 0.0 < mass <= 2.0:
-        raise ConfigurationError(f"--mass {mass:g}: masses are in kg, so 50 g is 0.05")
+    squeezes = options.probe == "softness"
+    if (options.mass if squeezes else options.modulus) is not None:
+        raise ConfigurationError(
+            f"--{'mass' if squeezes else 'modulus'} says nothing about --probe {options.probe}; leave it out"
+        )
+    default, was = _DEMO[options.probe]
+    stated = options.modulus if squeezes else options.mass
+    truth = default if stated is None else stated
+    if not squeezes and not 0.0 < truth <= 2.0:
+        raise ConfigurationError(f"--mass {truth:g}: masses are in kg, so 50 g is 0.05")
+    if squeezes and not 100.0 <= truth <= 1e7:
+        raise ConfigurationError(f"--modulus {truth:g}: moduli are in Pa, foam has 1e3 to 1e5")
     # while libraries are loaded there is nothing to end yet, and an exception could land anywhere inside them
     signal.signal(signal.SIGINT, _leave_at_once)
     try:
@@ -310,7 +367,7 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
             f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
         ) from error
     result = demo(
-        mass,
+        truth,
         probe=options.probe,
         folder=Path(options.output),
         seed=options.seed,
@@ -319,10 +376,9 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
         tell=lambda words: print(f"proprio: {words}", file=sys.stderr),
     )
     print(result.sentence)
-    if result.mass_kg is not None:
-        print(
-            f"{_DEMO_TRUTH[options.probe]} {1e3 * result.true_mass_kg:.1f} g, a hidden robot; {result.elapsed_s:.0f} s in all"
-        )
+    if result.value is not None:
+        factor, unit = (1e-3, "kPa") if squeezes else (1e3, "g")
+        print(f"{was} {factor * result.truth:.1f} {unit}, a hidden robot; {result.elapsed_s:.0f} s in all")
     if result.report is not None:
         print(f"report: {result.report}")
     return EXIT_OK if result.accepted else EXIT_NO_ANSWER
@@ -366,8 +422,8 @@ def _as_text(estimate: Any) -> str:
     if estimate.solver is not None:
         solver = estimate.solver
         lines.append(f"  solver: {solver.name}, {solver.starts_agreeing} of {len(solver.paths)} starts agree")
-    for note in estimate.notes:
-        lines.append(f"  note: {note}")
+    lines += [f"  assumed: {assumption}" for assumption in estimate.assumptions]
+    lines += [f"  note: {note}" for note in estimate.notes]
     return "\n".join(lines)
 
 

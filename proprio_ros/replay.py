@@ -36,6 +36,7 @@ from proprio_ros.sim.sphere import LAWS, Enclosure
 
 if TYPE_CHECKING:
     from proprio_ros.identification.squeeze_problem import BlockFacts
+    from proprio_ros.sim.response import Response
 
 PROBES = ("payload", "container", "softness")
 PROFILES = ("default", "paper")
@@ -531,12 +532,27 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     """
     from proprio_ros.identification.squeeze_problem import HIGHEST_RATIO, BlockFacts
     from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
+    from proprio_ros.sim.mesh import read_mesh
     from proprio_ros.sim.quasistatic import CONTACTS
 
     def take(name: str) -> Any:
         return settings.take(f"block.{name}", defaults.get(name))
 
+    path, scale = take("mesh"), _number("block.mesh_scale", take("mesh_scale"))
+    if path is not None and not isinstance(path, str):
+        raise ConfigurationError(f"block.mesh={path!r} must be the name of a file with tetrahedra")
+    if scale <= 0.0:
+        raise ConfigurationError(
+            f"block.mesh_scale={scale:g} must be above 0: metres per unit of the mesh, 0.001 for mm"
+        )
+    mesh = None if path is None else read_mesh(Path(path).expanduser(), scale)
     size = take("size")
+    if mesh is not None:
+        size = mesh.size.tolist()
+        if max(size) > 0.5:
+            raise ConfigurationError(
+                f"block.mesh={path}: is {max(size):g} m long; if it is in mm, state block.mesh_scale=0.001"
+            )
     size = _vector("block.size", [size] * 3 if isinstance(size, (int, float)) and not isinstance(size, bool) else size)
     if np.any(size <= 0.0) or np.any(size > 0.5):
         raise ConfigurationError(f"block.size={size.tolist()} must be lengths in m above 0, so 30 mm is 0.03")
@@ -559,7 +575,29 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
         Quantity(_number("block.gap", take("gap")), _std(take, "gap_std")),
         ratio,
         Quantity(_not_negative("block.relaxation_s", take("relaxation_s")), _std(take, "relaxation_std_s")),
+        mesh,
     )
+
+
+def rebuild_table(options: ReplayOptions) -> tuple[BlockFacts, Response, Path]:
+    """Compute a block's response anew, whatever the cache has.
+
+    Args:
+        options: whose settings describe the block.
+
+    Returns:
+        The block, its table, and where that is kept.
+
+    Raises:
+        ConfigurationError, SimulationError: in one line, what is wrong with the block.
+    """
+    from proprio_ros.sim.response import kept_at
+
+    settings = Settings(options.settings)
+    facts = block_facts(settings, probe_file("softness")["block"])
+    settings.refuse_rest()
+    table = facts.table(rebuild=True)
+    return facts, table, kept_at(table.made_of)
 
 
 def _std(take: Callable[[str], Any], name: str) -> float:

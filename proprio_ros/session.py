@@ -10,11 +10,11 @@ import json
 import shlex
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.replay import (
     ReplayOptions,
     Settings,
+    block_facts,
     configured_robot,
     container_facts,
     held_positions,
@@ -41,9 +42,14 @@ from proprio_ros.sim.joint import compile_kernels
 from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.sim.sphere import compile_kernels as compile_sphere_kernels
 
+if TYPE_CHECKING:
+    from proprio_ros.identification.squeeze_problem import BlockFacts
+
+_Facts = TypeVar("_Facts")
+
 LIVE_STARTS_KG = (0.01, 0.1)
 """A live estimate need not find its way from two orders of magnitude."""
-_FACTS = {"payload": ("payload.",), "container": ("container.", "sphere.", "contact.")}
+_FACTS = {"payload": ("payload.",), "container": ("container.", "sphere.", "contact."), "softness": ("block.",)}
 """What the keys about a probe's object begin with; `payload.frame` is where every object sits."""
 
 
@@ -128,17 +134,12 @@ def settings_for(probe: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_settings(options: ReplayOptions) -> None:
-    """Look at settings that may be about a payload, a container, or both.
+    """Look at settings that may be about a payload, a container, a block, or several of them.
 
     Raises:
         ConfigurationError, RobotError: In one line, what is wrong with them.
     """
-    settings = Settings(options.settings)
-    held_positions(configured_robot(options.robot, options.calibration, settings), settings)
-    settings.take_prefix("solver.")
-    payload_facts(settings, probe_file("payload")["payload"])
-    _recorded_container(settings)
-    settings.refuse_rest()
+    _setting(options, lambda settings: (_payload(settings), _recorded_container(settings), _block(settings)))
 
 
 def container_setting(options: ReplayOptions) -> tuple[Robot, ContainerFacts]:
@@ -147,13 +148,26 @@ def container_setting(options: ReplayOptions) -> tuple[Robot, ContainerFacts]:
     Raises:
         ConfigurationError, RobotError: In one line, what is wrong with them.
     """
+    return _setting(options, _recorded_container)
+
+
+def _setting(options: ReplayOptions, read: Callable[[Settings], _Facts]) -> tuple[Robot, _Facts]:
+    """The robot, and what `read` takes from the settings; whatever then is left is refused."""
     settings = Settings(options.settings)
     robot = configured_robot(options.robot, options.calibration, settings)
     held_positions(robot, settings)
     settings.take_prefix("solver.")
-    facts = _recorded_container(settings)
+    facts = read(settings)
     settings.refuse_rest()
     return robot, facts
+
+
+def _payload(settings: Settings) -> PayloadFacts:
+    return payload_facts(settings, probe_file("payload")["payload"])
+
+
+def _block(settings: Settings) -> BlockFacts:
+    return block_facts(settings, probe_file("softness")["block"])
 
 
 def _recorded_container(settings: Settings) -> ContainerFacts:
@@ -162,6 +176,58 @@ def _recorded_container(settings: Settings) -> ContainerFacts:
             "sphere.camera: the identifier records no camera; record its topic beside it and give both to `proprio replay`"
         )
     return container_facts(settings, probe_file("container"))
+
+
+def block_setting(options: ReplayOptions) -> tuple[Robot, BlockFacts]:
+    """The robot and the block as the options have them.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with them.
+    """
+    return _setting(options, _block)
+
+
+def prepare_squeeze(options: ReplayOptions) -> None:
+    """Kernels and the table of the block's response, so that neither is made in a probe: half a minute for a shape of block whose
+    faces stick, the first time.
+
+    Raises:
+        ConfigurationError, RobotError, SimulationError: In one line, what is wrong with the options.
+    """
+    # finite elements bring half of SciPy along, which the other probes need not wait for
+    from proprio_ros.identification.squeeze import SqueezeOptions
+    from proprio_ros.sim.squeeze import compile_kernels as compile_squeeze_kernels
+
+    _, facts = block_setting(options)
+    integrator = str(options.settings.get("solver.integrator", SqueezeOptions.integrator))
+    compile_squeeze_kernels(facts.table(), integrator)
+
+
+def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:
+    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by `travel_m`.
+
+    Args:
+        robot: Whose `joint` slides the finger.
+        joint: Of the probe.
+        travel_m: As positions are published.
+        facts: Of the block.
+    """
+    drive = robot.drive_trains[joint]
+    measured = drive.finger_travel
+    steepest = 1.0 if measured is None else float(measured.ratio_at(measured.at_rad).max()) / drive.transmission
+    return facts.fingers * steepest * travel_m / facts.length
+
+
+def block_rotation(robot: Robot, joint: str) -> np.ndarray:
+    """How a block lies between the fingers: its x along the joint's axis; in the payload's frame, shape (3, 3)."""
+    pose = dict.fromkeys(robot.model.independent_joints, 0.0)
+    moved = robot.model.joint(joint)
+    hand = robot.model.frame_transform(robot.payload_frame, pose)[:3, :3]
+    carrier = robot.model.frame_transform(moved.parent, pose)[:3, :3] @ moved.origin[:3, :3]
+    along = hand.T @ carrier @ moved.axis
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across /= np.linalg.norm(across)
+    return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
 def empty_container_options(options: ReplayOptions, facts: ContainerFacts) -> ReplayOptions:
@@ -221,12 +287,7 @@ class LiveWeighing:
     """
 
     def __init__(self, options: ReplayOptions) -> None:
-        settings = Settings(options.settings)
-        self.robot: Robot = configured_robot(options.robot, options.calibration, settings)
-        held_positions(self.robot, settings)
-        settings.take_prefix("solver.")
-        self.facts: PayloadFacts = payload_facts(settings, probe_file(options.probe)["payload"])
-        settings.refuse_rest()
+        self.robot, self.facts = _setting(options, _payload)
         self._weighing = replace(WeighingOptions(), starts_kg=LIVE_STARTS_KG)
         self._lock = threading.Lock()
         self.reset()

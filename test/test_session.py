@@ -18,21 +18,25 @@ from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.records import Recording
 from proprio_ros.replay import ReplayOptions, replay
-from proprio_ros.robot import load_robot
+from proprio_ros.robot import FingerTravel, load_robot
 from proprio_ros.session import (
     LiveWeighing,
     Session,
+    block_rotation,
+    block_setting,
     check_settings,
     container_setting,
     empty_container_options,
     inertia_tensor,
     keep_result,
+    largest_squeeze,
     live_interval,
     prepare_container,
+    prepare_squeeze,
     replay_command,
     settings_for,
 )
-from proprio_ros.sim import sphere
+from proprio_ros.sim import sphere, squeeze
 
 ROBOT = load_robot("open_manipulator_x")
 CONSTANTS = {n: d.nominal_torque_constant / d.transmission for n, d in ROBOT.drive_trains.items()}
@@ -194,8 +198,10 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "payload.frame": "link5",
         "sphere.radius": 0.01,
         "container.mass": 0.03,
+        "block.contact": "bonded",
         "held.joint1": 0.1,
     }
+    assert set(settings_for("softness", stated)) == {"payload.frame", "block.contact", "held.joint1"}
     assert set(settings_for("payload", stated)) == {"payload.size", "payload.frame", "held.joint1"}
     assert set(settings_for("container", stated)) == {"payload.frame", "sphere.radius", "container.mass", "held.joint1"}
     check_settings(ReplayOptions(settings=stated))
@@ -205,6 +211,8 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         check_settings(ReplayOptions(settings={"sphere.radius": 0.03}))
     with pytest.raises(ConfigurationError, match="records no camera"):
         check_settings(ReplayOptions(settings={"sphere.camera": "/sphere"}))
+    with pytest.raises(ConfigurationError, match="lengths in m"):
+        check_settings(ReplayOptions(settings={"block.size": 30}))
 
 
 def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> None:
@@ -264,3 +272,32 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     assert compiled_in_replay(options) == 0
     other = replace(options, settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]})
     assert compiled_in_replay(other) > 0
+
+
+def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
+    options = ReplayOptions(probe="softness", settings={"block.size": 0.03})
+    squeeze._tangent_kernel.cache_clear()
+    prepare_squeeze(options)
+    before = squeeze._tangent_kernel.cache_info().misses
+    replay([bags / "realistic_s00_squeeze_heavy" / "bag_mcap"], options)
+    assert squeeze._tangent_kernel.cache_info().misses == before
+
+
+def test_how_far_a_block_may_be_squeezed() -> None:
+    """Two fingers; where their linkage was measured to close faster than the ratio says, by that much more."""
+    robot, facts = block_setting(ReplayOptions(probe="softness", settings={"block.size": [0.02, 0.03, 0.03]}))
+    gripper = "gripper_left_joint"
+    assert largest_squeeze(robot, gripper, 0.005, facts) == pytest.approx(0.5)
+    _, one = block_setting(ReplayOptions(probe="softness", settings={"block.size": 0.02, "block.fingers": 1}))
+    assert largest_squeeze(robot, gripper, 0.005, one) == pytest.approx(0.25)
+    drive = robot.drive_trains[gripper]
+    faster = replace(drive, finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)))
+    other = replace(robot, drive_trains={**robot.drive_trains, gripper: faster})
+    assert largest_squeeze(other, gripper, 0.005, facts) == pytest.approx(0.5 * 0.015 / 0.01149)
+
+
+def test_a_block_lies_along_the_way_of_the_fingers() -> None:
+    rotation = block_rotation(ROBOT, "gripper_left_joint")
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    np.testing.assert_allclose(np.abs(rotation[:, 0]), [0.0, 1.0, 0.0], atol=1e-12)

@@ -3,7 +3,8 @@
 Then ``ros2 service call /identifier/calibrate_payload std_srvs/srv/Trigger``; for a container with a sphere in it first
 ``/identifier/record_container_baseline`` without the sphere, then ``/identifier/calibrate_container``. With ``virtual:=true`` the
 robot's helper takes the sphere out and puts it back; ``object:=container:0.03,sphere=0.012`` is the container that
-`config/probes/container.yaml` expects.
+`config/probes/container.yaml` expects. For a soft block between the fingers call ``/identifier/calibrate_softness``
+(``object:=block:12000,gap=0.0005`` is one of 30 mm).
 
 End it with Ctrl-C or SIGINT: `ros2 launch` passes SIGINT on to the nodes, which release the arm. A launch that is killed or gets
 SIGTERM (systemd, docker stop) does not (ros2/launch issue 666): then the kernel tells them, through `setpriv`.
@@ -141,8 +142,9 @@ def _nodes(context: LaunchContext) -> list[Any]:
             )
         )
     base = f"/{namespace}" if namespace else ""
-    container = virtual and given["object"].strip().startswith("container")
-    for service in ("record_container_baseline", "calibrate_container") if container else ("calibrate_payload",):
+    services = {"container": ("record_container_baseline", "calibrate_container"), "block": ("calibrate_softness",)}
+    kind = given["object"].strip().partition(":")[0] if virtual else ""
+    for service in services.get(kind, ("calibrate_payload",)):
         actions.append(LogInfo(msg=f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger"))
     return actions
 

@@ -1,6 +1,7 @@
 """`proprio demo`: a virtual robot and three nodes in processes of their own, one calibration, one object, the result.
 
-The object is a payload, or a container with a sphere in it, which is recorded without its sphere first.
+The object is a payload, a soft block between the fingers, or a container with a sphere in it, which is recorded without its sphere
+first.
 """
 
 from __future__ import annotations
@@ -33,6 +34,12 @@ READY_S = 40.0
 ROBOT_S, OBJECT_S = 240.0, 120.0
 REFERENCE_KG = 0.1
 SHELL_KG = 0.03
+GAP_M = 0.0005
+_NOW = {
+    "payload": "now something is in its hand",
+    "container": "now there is a sphere in the container",
+    "softness": "now a block of 30 mm is between its fingers",
+}
 _interrupted = threading.Event()
 
 
@@ -43,23 +50,24 @@ class DemoResult:
     Attributes:
         accepted: Whether the robot and the object were identified.
         sentence: The service's own words.
-        mass_kg, ci95_kg: Of the object, or of the sphere in it; None when not told.
-        true_mass_kg: What that really was.
+        value: Mass of the object, or of the sphere in it [kg], or the block's Young's modulus [Pa]; None when not told.
+        ci95: Its interval, as published.
+        truth: What that really was.
         report: The HTML page.
         elapsed_s: From start to result.
     """
 
     accepted: bool
     sentence: str
-    mass_kg: float | None
-    ci95_kg: str
-    true_mass_kg: float
+    value: float | None
+    ci95: str
+    truth: float
     report: Path | None
     elapsed_s: float
 
 
 def demo(
-    mass_kg: float = 0.05,
+    truth: float = 0.05,
     *,
     probe: str = "payload",
     folder: Path = Path("proprio_demo"),
@@ -68,15 +76,16 @@ def demo(
     full: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> DemoResult:
-    """Weigh an object with a virtual arm that first weighs itself.
+    """Weigh an object, or squeeze it, with a virtual arm that first weighs itself.
 
     Args:
-        mass_kg: Of the object; for a container of the sphere in it.
-        probe: ``payload`` or ``container``.
+        truth: Mass of the object, for a container of the sphere in it [kg]; for a block Young's modulus [Pa].
+        probe: ``payload``, ``container`` or ``softness``.
         folder: For recordings, calibration, report and the nodes' logs.
         seed: Draws the arm's hidden numbers.
         robot: Its name or file.
-        full: All joints, as on a real arm, instead of the elbow alone; a container is always moved with the wrist, too.
+        full: All joints, as on a real arm, instead of the elbow alone; a container is always moved with the wrist, too, and a block
+            by the gripper.
         tell: Told what is going on, a sentence at a time.
 
     Raises:
@@ -98,9 +107,17 @@ def demo(
         quick = {kind: f"{name}_elbow" for kind, name in kinds.items()}
         if probe == "container":  # the wrist moves it, too
             quick["robot_sequence"] = "empty_hand_container"
+        if probe == "softness":
+            quick["robot_sequence"] = "empty_hand_gripper"
         sequences = kinds if full else quick
         reference = {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
-        held = mass_kg if probe == "payload" else f"container:{SHELL_KG:g},sphere={mass_kg:g}"
+        if probe == "softness" and not full:
+            reference = {}  # nothing that the gripper does moves a weight
+        held = {
+            "payload": truth,
+            "container": f"container:{SHELL_KG:g},sphere={truth:g}",
+            "softness": f"block:{truth:g},gap={GAP_M:g}",
+        }[probe]
         graph.start("virtual", {"robot": robot, "link": link, "object": held, "seed": seed})
         graph.start("driver", {"robot": robot, "port": link})
         graph.start("excitation", {"robot": robot})
@@ -111,7 +128,8 @@ def demo(
         with _Client(graph, tell) as client:
             _obey_interrupt()
             client.wait_until_ready(READY_S)
-            tell(f"the robot weighs itself: with nothing in its hand, then with a weight of {1e3 * REFERENCE_KG:.0f} g")
+            weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if reference else ""
+            tell(f"the robot {'weighs' if weight else 'learns'} itself: with nothing in its hand{weight}")
             accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
             while sentence.startswith("not ready") and time.monotonic() - started < READY_S:  # a slow computer
                 accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
@@ -121,19 +139,19 @@ def demo(
                 accepted, sentence = client.call("/identifier/record_container_baseline", OBJECT_S)
                 tell(sentence)
             if accepted:
-                tell("now something is in its hand" if probe == "payload" else "now there is a sphere in the container")
+                tell(_NOW[probe])
                 accepted, sentence = client.call(f"/identifier/calibrate_{probe}", OBJECT_S)
             final = client.final_estimate(probe, 3.0) if accepted else {}
             elapsed = time.monotonic() - started
             tell("done; the nodes are ending")
-    name = "payload_mass" if probe == "payload" else "sphere_mass"
+    name = {"payload": "payload_mass", "container": "sphere_mass", "softness": "youngs_modulus"}[probe]
     reports = sorted(folder.glob(f"*_{probe}/report.html"))
     return DemoResult(
         accepted,
         sentence,
         float(final[name]) if name in final else None,
         final.get(f"{name}.ci95", ""),
-        mass_kg,
+        truth,
         reports[-1] if accepted and reports else None,
         elapsed,
     )

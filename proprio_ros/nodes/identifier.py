@@ -1,8 +1,9 @@
 """The identifier node: asks for a probe, listens, keeps the recording, says what it tells.
 
 A job has a thread of its own, so that neither the arm's motion nor the identification ever blocks the executor; a second thread
-weighs what has come so far while a payload is probed (not a sphere: where it rolls shows only when a run is over). The recording
-is written before anything is identified, and what is identified is the recording, by the function that `proprio replay` calls.
+weighs what has come so far while a payload is probed (not a sphere: where it rolls shows only when a run is over; nor a block,
+which takes several runs). The recording is written before anything is identified, and what is identified is the recording, by the
+function that `proprio replay` calls.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
@@ -29,9 +30,9 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from proprio_ros import __version__
 from proprio_ros.calibrate import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.container_problem import ContainerFacts
 from proprio_ros.identification.estimate import Z95, Estimate, Verdict
@@ -45,18 +46,25 @@ from proprio_ros.session import (
     LiveWeighing,
     Session,
     as_diagnostics,
+    block_rotation,
+    block_setting,
     check_settings,
     container_setting,
     empty_container_options,
     inertia_tensor,
     keep_result,
+    largest_squeeze,
     live_interval,
     prepare_container,
     prepare_identification,
+    prepare_squeeze,
     replay_command,
     settings_for,
 )
 from proprio_ros.settings import parse_settings
+
+if TYPE_CHECKING:
+    from proprio_ros.identification.squeeze_problem import BlockFacts
 
 STALE_S = 0.5
 READY_S = 4.0
@@ -112,6 +120,10 @@ class IdentifierNode(ManagedNode):
                   "Probe sequence of calibrate_container and record_container_baseline."),
         Parameter("container_baseline", "",
                   "Bag of the empty container; empty: what record_container_baseline kept last; none: without.", dynamic=True),
+        Parameter("softness_sequence", "softness", "Probe sequence of calibrate_softness.", dynamic=True),
+        Parameter("largest_squeeze", 0.4,
+                  "A softness_sequence that may squeeze the block further, as a share of its length, is refused.", 0.01, 0.95,
+                  dynamic=True),
         Parameter("reference_sequence", "reference", "Probe sequence of calibrate_robot with the reference object."),
         Parameter("reference_mass", 0.0, "Mass of a weighed object for calibrate_robot [kg]; 0: none.", 0.0, 5.0, dynamic=True),
         Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
@@ -285,8 +297,6 @@ class IdentifierNode(ManagedNode):
         """Begin a job, or answer why there can be none now."""
         if not self.active:
             return answer(False, "the identifier node is not active")
-        if kind == "softness":
-            return answer(False, f"the {kind} probe is not available in version {__version__}")
         if self._job is not None:
             return answer(False, f"busy: {self._job.service} is under way; wait for it, or call ~/cancel")
         self._job = job = Job(kind)
@@ -310,7 +320,7 @@ class IdentifierNode(ManagedNode):
             self._await_others()
             works = {
                 "robot": self._calibrate, "payload": self._weigh, "container": self._find_sphere,
-                "container_baseline": self._record_baseline,
+                "container_baseline": self._record_baseline, "softness": self._squeeze,
             }  # fmt: skip
             job.success, job.message = works[job.kind](job)
             level = "ok" if job.success else "warning"
@@ -413,6 +423,44 @@ class IdentifierNode(ManagedNode):
         if not told:
             return False, f"{_refusal_of(estimate)}{against}; recording: {bag}"
         return True, f"sphere {told}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}"
+
+    def _squeeze(self, job: Job) -> tuple[bool, str]:
+        options = self._options("softness")
+        robot, facts = block_setting(options)
+        sequence = load_sequence(value_of(self, "softness_sequence"), robot)
+        joints = {run.joint for run in sequence.runs}
+        joint = joints.pop()
+        if joints or robot.model.joint(joint).kind != "prismatic":
+            raise JobError(
+                f"{sequence.name} drives {joint}{', ..' * bool(joints)}: squeeze with a joint that slides a finger"
+            )
+        limit = float(value_of(self, "largest_squeeze"))
+        squeeze = largest_squeeze(robot, joint, max(run.max_travel for run in sequence.runs), facts)
+        if squeeze > limit:
+            raise JobError(
+                f"{sequence.name} may squeeze a block of {1e3 * facts.length:g} mm by {100.0 * squeeze:.0f} %, more than "
+                f"largest_squeeze={limit:g}: state its size (settings: block.size=[x,y,z]), lower max_travel in the sequence, or "
+                "raise largest_squeeze"
+            )
+        self._live = None
+        self._tell(job.kind, "preparing the simulation of a block: a shape is tabulated once, up to half a minute")
+        prepare_squeeze(options)
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
+        self._tell(job.kind, "the block has to be between the fingers")
+        bag = self._record(job, job.kind, value_of(self, "softness_sequence"))
+        estimate = self._identify(
+            job, bag, options, partial(self._publish_block, robot=robot, facts=facts, joint=joint)
+        )
+        told = _interval_of(estimate)
+        if not told:
+            return False, f"{_refusal_of(estimate)}; recording: {bag}"
+        ratio = estimate.value("poissons_ratio")
+        if isinstance(ratio.value, float) and isinstance(ratio.std, float):
+            told += f", Poisson's ratio {ratio.value:.2f} +- {Z95 * ratio.std:.2f}"
+        else:
+            told += ", Poisson's ratio not told"
+        return True, f"block {told}, {estimate.runs} runs{self._uncalibrated}; recording: {bag}"
 
     def _about_baseline(self, bag: Path) -> str:
         """How old the recording of the empty container is, and whether that is a reason to doubt it."""
@@ -606,6 +654,22 @@ class IdentifierNode(ManagedNode):
             )
         )  # fmt: skip
 
+    def _publish_block(self, estimate: Estimate, robot: Robot, facts: BlockFacts, joint: str) -> None:
+        self._publish_final(estimate, estimate.probe)
+        modulus = estimate.values[0]
+        if estimate.verdict is not Verdict.ACCEPTED or not isinstance(modulus.value, float):
+            return
+        assert isinstance(modulus.std, float)
+        for value in estimate.values:
+            if value.name in self._numbers and isinstance(value.value, float):
+                self._numbers[value.name].publish(messages.number(value.value))
+        self._markers.publish(
+            messages.block_markers(
+                self.get_clock().now().nanoseconds, robot.payload_frame, block_rotation(robot, joint), facts.size.tolist(),
+                modulus.value, modulus.std,
+            )
+        )  # fmt: skip
+
     def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
         told: dict[str, Any] = {
             "probe": "robot",
@@ -642,8 +706,9 @@ def _interval_of(estimate: Estimate) -> str:
     value = estimate.values[0]
     if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
         return ""
-    low, high = (1e3 * end for end in value.ci95)
-    return f"{1e3 * value.value:.1f} g, 95 % interval {low:.1f} .. {high:.1f} g"
+    factor, unit = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}[value.unit]
+    low, high = (factor * end for end in value.ci95)
+    return f"{factor * value.value:.1f} {unit}, 95 % interval {low:.1f} .. {high:.1f} {unit}"
 
 
 def _refusal_of(estimate: Estimate) -> str:

@@ -121,7 +121,7 @@ def payload_markers(stamp_ns: int, frame: str, com_m: Sequence[float], mass_kg: 
     """A ball of the payload's weight in the hand, and its mass in words."""
     # the ball of water that weighs as much
     size = max((6.0 * max(mass_kg, 1e-4) / (1000.0 * math.pi)) ** (1.0 / 3.0), 0.01)
-    return _markers(stamp_ns, frame, com_m, [(Marker.SPHERE, [size] * 3, np.eye(3), 0.7)], mass_kg, std_kg)
+    return _markers(stamp_ns, frame, com_m, [(Marker.SPHERE, [size] * 3, np.eye(3), 0.7)], _grams(mass_kg, std_kg))
 
 
 def container_markers(
@@ -138,7 +138,19 @@ def container_markers(
     """A container (`box`, `cylinder`, `sphere`), a sphere in its middle, and the sphere's mass in words."""
     kind = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}[shape]
     bodies = [(Marker.SPHERE, [2.0 * radius_m] * 3, np.eye(3), 0.9), (kind, inner_size_m, rotation, 0.25)]
-    return _markers(stamp_ns, frame, centre_m, bodies, mass_kg, std_kg)
+    return _markers(stamp_ns, frame, centre_m, bodies, _grams(mass_kg, std_kg))
+
+
+def block_markers(
+    stamp_ns: int, frame: str, rotation: np.ndarray, size_m: Sequence[float], modulus_Pa: float, std_Pa: float
+) -> MarkerArray:
+    """A block between the fingers, and its Young's modulus in words."""
+    words = f"{1e-3 * modulus_Pa:.1f} kPa +- {1.96e-3 * std_Pa:.1f} kPa"
+    return _markers(stamp_ns, frame, [0.0, 0.0, 0.0], [(Marker.CUBE, size_m, rotation, 0.6)], words)
+
+
+def _grams(mass_kg: float, std_kg: float) -> str:
+    return f"{1e3 * mass_kg:.1f} g +- {1.96e3 * std_kg:.1f} g"
 
 
 def _markers(
@@ -146,13 +158,12 @@ def _markers(
     frame: str,
     place_m: Sequence[float],
     bodies: Sequence[tuple[int, Sequence[float], np.ndarray, float]],
-    mass_kg: float,
-    std_kg: float,
+    words: str,
 ) -> MarkerArray:
-    """Bodies (kind, size [m], rotation, opacity) at one place with a mass in words above; whatever was shown before goes."""
+    """Bodies (kind, size [m], rotation, opacity) at one place with words above; whatever was shown before goes."""
     markers = [Marker(action=Marker.DELETEALL)]
-    words = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
-    for number_, (kind, size, rotation, opacity) in enumerate((*bodies, words)):
+    written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
+    for number_, (kind, size, rotation, opacity) in enumerate((*bodies, written)):
         marker = Marker(ns="proprio", id=number_, type=kind, action=Marker.ADD)
         marker.header.stamp = time_message(stamp_ns)
         marker.header.frame_id = frame
@@ -163,7 +174,7 @@ def _markers(
         marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.1, 0.5, 0.9, opacity
         if kind == Marker.TEXT_VIEW_FACING:
             position.z += 0.06
-            marker.text = f"{1e3 * mass_kg:.1f} g +- {1.96e3 * std_kg:.1f} g"
+            marker.text = words
         markers.append(marker)
     return MarkerArray(markers=markers)
 

@@ -136,11 +136,6 @@ def test_what_the_driver_publishes_is_the_contract(arm: Calibrated) -> None:
     assert wait_for(lambda: abs(client.states[-1].effort[1] - constant * client.motor("joint2")) < 0.05, 5.0)
 
 
-def test_what_is_not_there_yet_says_so(arm: Calibrated) -> None:
-    answer = arm.client.call("/identifier/calibrate_softness")
-    assert not answer.success and "not available" in answer.message
-
-
 def test_the_recording_reads_like_any_bag(arm: Calibrated) -> None:
     bag = sorted(arm.data.glob("*_robot/bag"))[-1]
     constants = {
