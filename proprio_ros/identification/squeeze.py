@@ -71,8 +71,8 @@ SHOWN_SHAPES, SHOWN_CELLS, MOST_SHOWN_TETS = 6, 4, 2000
 CHI2_95_OF_TWO = 5.991464547107979
 """What the square of a standard normal vector of two components stays below in 95 %."""
 RATIO_SPREAD = 1.3
-"""Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is told, it is
-told so much wider."""
+"""Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is told,
+it is told so much wider."""
 TOLD = 0.7
 """Posterior over prior standard deviation above which a value is the prior's."""
 
