@@ -49,6 +49,10 @@ RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
 """The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
 LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
 """How a link may differ from the URDF: relative mass, shift of its centre of mass [m], relative inertia about it."""
+REST_S = 0.2
+"""Where a joint rests is told by so much of what was recorded before the onset [s]."""
+AWAY_READINGS = 4.0
+"""Farther from there than this, in counts with their noise, it was still on its way."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
@@ -296,12 +300,11 @@ def prepare_run(
     # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none
     jitter = min(robot.stamp_jitter_s, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
     sigma = np.hypot(reading, velocity[:used] * jitter)
-    if len(run.before_position):
+    resting = _at_rest(run, drive)
+    if len(resting):
         # at rest the rounding error repeats, so only the noise averages out
-        noise = drive.encoder_noise / np.sqrt(len(run.before_position))
-        rest = Quantity(
-            float(np.mean(run.before_position)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise))
-        )
+        noise = drive.encoder_noise / np.sqrt(len(resting))
+        rest = Quantity(float(np.mean(resting)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)))
     else:
         rest = Quantity(float(run.position[0]), 3.0 * reading)
     yielding_times_s = yielding_load = None
@@ -344,6 +347,23 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
     off = np.abs(run.reported_effort / unit - command)
     noise = 1.4826 * float(np.median(off[slow]))
     return off <= np.maximum(0.05 * np.abs(command), 4.0 * noise)
+
+
+def _at_rest(run: Run, drive: DriveTrain) -> np.ndarray:
+    """Positions before the onset from where the joint had come to rest; all of them where it had not.
+
+    A recording holds up to a second of what was before, and a probe may settle for less after its way there.
+    """
+    position = run.before_position
+    last = position[run.before_times_s >= -REST_S]
+    if len(last) == 0:
+        return position
+    off = np.abs(position - np.median(last)) > AWAY_READINGS * float(
+        np.hypot(drive.encoder_resolution, drive.encoder_noise)
+    )
+    if off[-len(last) :].any() or not off.any():
+        return position
+    return position[np.flatnonzero(off)[-1] + 1 :]
 
 
 def _usable_window(

@@ -80,7 +80,7 @@ def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
         assert machine.message == "softness is done: all 3 runs are good"
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_moduli_within_their_intervals(seed: int) -> None:
     """Hidden torque constant, friction, armature, delay and encoder error; three squeezes of each of three blocks."""
     robot = calibrated(seed)
@@ -90,7 +90,7 @@ def test_moduli_within_their_intervals(seed: int) -> None:
         assert estimate.verdict is Verdict.ACCEPTED, (machine.message, estimate.reasons)
         told = estimate.value("youngs_modulus")
         assert told.ci95[0] <= modulus <= told.ci95[1], (modulus, told)
-        assert told.value == pytest.approx(modulus, rel=0.2)
+        assert told.value == pytest.approx(modulus, rel=0.15)
         told_ratio = estimate.value("poissons_ratio")
         if told_ratio.value is not None:
             assert told_ratio.ci95[0] - 0.02 <= ratio <= told_ratio.ci95[1] + 0.02
