@@ -80,3 +80,20 @@ def test_the_installed_command() -> None:
     process.stdout.close()
     assert "Traceback" not in process.stderr.read()
     process.wait(timeout=120)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--probe", "softness", "--mass", "0.1"], "--mass says nothing about --probe softness"),
+        (["--modulus", "12000"], "--modulus says nothing about --probe payload"),
+        (["--probe", "softness", "--modulus", "12"], "moduli are in Pa"),
+        (["--mass", "50"], "masses are in kg"),
+    ],
+)
+def test_a_demo_of_something_else_is_refused(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["demo", *words, "--output", str(tmp_path / "demo")]) == 2
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1 and not (tmp_path / "demo").exists()

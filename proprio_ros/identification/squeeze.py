@@ -265,11 +265,8 @@ def _values(
     names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
     if withheld:
         return tuple(Value(name, unit, None, reason=withheld) for name, unit in names.items())
-    modulus, ratio, both = _moduli(fit, covariance)
-    std_e, std_nu = (float(np.sqrt(both[k, k])) for k in (0, 1))
-    untold = _why_untold(ratio, std_nu, facts)
-    if not untold:
-        both, std_nu = _wider(both), RATIO_SPREAD * std_nu
+    modulus, ratio, both, untold = _moduli(fit, covariance, facts)
+    std_e, std_nu = np.sqrt(np.diag(both)).tolist()
     mu, lam = lame(modulus, ratio)
     std_mu, std_lambda = np.sqrt(np.diag(_lame_covariance(modulus, ratio, both))).tolist()
     force, strain, length = max(
@@ -290,33 +287,29 @@ def _values(
     )
 
 
-def _moduli(fit: FitResult, covariance: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """Young's modulus, Poisson's ratio and the covariance of both, shape (2, 2)."""
+def _moduli(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> tuple[float, float, np.ndarray, str]:
+    """Young's modulus and Poisson's ratio as they are told.
+
+    Returns:
+        both, their covariance, shape (2, 2), and why the ratio, with what goes with it, is not the recording's: empty where it is.
+    """
     rows = [fit.problem.index["youngs_modulus"], fit.problem.index["poissons_ratio"]]
     modulus, ratio = fit.values[rows].tolist()
-    return modulus, ratio, covariance[np.ix_(rows, rows)]
-
-
-def _wider(both: np.ndarray) -> np.ndarray:
-    """The covariance of modulus and ratio as it is told."""
+    both, prior = covariance[np.ix_(rows, rows)], facts.poissons_ratio
+    std = float(np.sqrt(both[1, 1]))
+    if prior.std == 0.0:
+        return modulus, ratio, both, ""
+    better = "squeeze further, with several currents, or state block.poissons_ratio"
+    if not 1e-3 < ratio < HIGHEST_RATIO - 1e-3:
+        # the fit could go no further, so it tells no interval either: what is known is the prior
+        known = np.diag([both[0, 0], prior.std**2])
+        untold = f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not tell; {better}"
+        return modulus, prior.value, known, untold
+    if std > TOLD * prior.std:
+        untold = f"prior_dominated: the squeeze tells Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
+        return modulus, ratio, both, untold
     spread = np.array([1.0, RATIO_SPREAD])
-    return both * np.outer(spread, spread)
-
-
-def _why_untold(ratio: float, std_ratio: float, facts: BlockFacts) -> str:
-    """Why Poisson's ratio, and what goes with it, is not the recording's; empty where it is."""
-    prior = facts.poissons_ratio.std
-    if prior > 0.0 and std_ratio > TOLD * prior:
-        return (
-            f"prior_dominated: the squeeze tells Poisson's ratio to +-{std_ratio:.2f}, the prior to +-{prior:.2f}; squeeze "
-            "further, with several currents, or state block.poissons_ratio"
-        )
-    if prior > 0.0 and not 1e-3 < ratio < HIGHEST_RATIO - 1e-3:
-        return (
-            f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not tell; squeeze further, with several "
-            "currents, or state block.poissons_ratio"
-        )
-    return ""
+    return modulus, ratio, both * np.outer(spread, spread), ""
 
 
 def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarray:
@@ -328,18 +321,18 @@ def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarr
 
 def _joint(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> JointInterval:
     """Mu and lambda together: the ellipse of Young's modulus and Poisson's ratio, as it bends on the way to them."""
-    modulus, ratio, both = _moduli(fit, covariance)
-    told = not _why_untold(ratio, float(np.sqrt(both[1, 1])), facts)
-    if told:
-        both = _wider(both)
+    modulus, ratio, both, untold = _moduli(fit, covariance, facts)
     turn = np.linspace(0.0, 2.0 * np.pi, 121)
-    # a singular covariance (a ratio that is stated exactly) has a root all the same
-    scale, axes = np.linalg.eigh(both)
-    ellipse = axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ np.stack([np.cos(turn), np.sin(turn)])
+    # in standard deviations: pascals and a ratio differ by orders of magnitude, and a ratio that is stated exactly has none
+    std = np.sqrt(np.diag(both))
+    sizes = np.where(std > 0.0, std, 1.0)
+    scale, axes = np.linalg.eigh(both / np.outer(sizes, sizes))
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    ellipse = sizes[:, None] * (axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ circle)
     around = np.maximum(modulus + ellipse[0], 0.0), np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO)
     return JointInterval(
         ("lame_mu", "lame_lambda"), "Pa", np.array(lame(modulus, ratio)), _lame_covariance(modulus, ratio, both),
-        np.stack(lame(*around), axis=1), told,
+        np.stack(lame(*around), axis=1), not untold,
     )  # fmt: skip
 
 

@@ -170,6 +170,9 @@ def squeeze_figure(estimate: Estimate) -> str:
                 100.0 * curve.squeeze[order], curve.force_N[order], "-o", markersize=3, linewidth=1.2, label=curve.run
             )
         below.set_xlabel("squeeze (% of the block's length)")
+        percent_mm = 10.0 * estimate.curves[0].length
+        travel = below.secondary_xaxis("top", functions=(lambda p: p * percent_mm, lambda mm: mm / percent_mm))
+        travel.set_xlabel("travel of the fingers after the touch (mm)")
         below.set_ylabel("force on a finger (N)")
         if len(estimate.curves) > 1:
             below.legend(fontsize=7.5)

@@ -77,6 +77,7 @@ def squeezed(robot: Robot, folder: Path, **facts: Any) -> Estimate:
         ("friction_s00", 0.05),
         ("realistic_s00", 0.1),
         ("realistic_s01", 0.1),
+        ("hard_s00", 0.1),
     ],
 )
 def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], level: str, worst: float) -> None:
@@ -90,6 +91,9 @@ def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], le
         assert value.ci95[0] <= modulus <= value.ci95[1], name
         # no gripper can tell its torque constant from its armature, so nothing is known better than the torque constant
         assert value.std > 0.045 * modulus
+        ratio = estimate.value("poissons_ratio")
+        if ratio.value is not None:
+            assert ratio.ci95[0] <= cube_of(folder)[2] <= ratio.ci95[1], name
 
 
 def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
@@ -97,6 +101,15 @@ def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated:
         folder = recordings / "ideal_s00" / f"squeeze_{name}"
         value = squeezed(calibrated("ideal_s00"), folder).value("poissons_ratio")
         assert value.value == pytest.approx(cube_of(folder)[2], abs=0.01)
+
+
+def test_a_ratio_at_the_end_of_the_search_is_not_told(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+    """Two of the recordings press a stiff block by a fifth, too little for a curve; the fit then goes as far as it may."""
+    for name in ("heavy", "random"):
+        estimate = squeezed(calibrated("realistic_s01"), recordings / "realistic_s01" / f"squeeze_{name}")
+        ratio, lam = estimate.value("poissons_ratio"), estimate.value("lame_lambda")
+        assert ratio.value is None and lam.value is None and "the squeeze does not tell" in ratio.reason
+        assert estimate.value("lame_mu").value is not None and estimate.joint is not None and not estimate.joint.told
 
 
 def test_what_the_squeeze_cannot_tell_is_not_told(recordings: Path, calibrated: Callable[[str], Robot]) -> None:

@@ -167,3 +167,20 @@ def test_a_sphere_in_a_container(tmp_path: Path) -> None:
         assert "sphere" in Path(report[1]).read_text()
     finally:
         end(demo)
+
+
+@pytest.mark.skipif("PROPRIO_LONG" not in os.environ, reason="takes half a minute: set PROPRIO_LONG=1")
+def test_a_block_between_the_fingers(tmp_path: Path) -> None:
+    """The whole of it; its parts are in test_softness.py."""
+    demo = start(tmp_path / "block", "--probe", "softness", "--modulus", "30000")
+    try:
+        assert demo.process.wait(2.0 * LONGEST_S) == 0, demo.result + demo.told
+        assert not demo.alive()
+        told = re.search(r"^block ([\d.]+) kPa, 95 % interval ([\d.]+) \.\. ([\d.]+) kPa", demo.result)
+        truth = re.search(r"of the virtual block was 30\.0 kPa, a hidden robot; (\d+) s in all", demo.result)
+        report = re.search(r"report: (.+_softness/report\.html)", demo.result)
+        assert told and truth and report, demo.result
+        assert float(told[2]) <= 30.0 <= float(told[3])
+        assert "Both Lamé parameters together" in Path(report[1]).read_text()
+    finally:
+        end(demo)
