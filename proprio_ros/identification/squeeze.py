@@ -74,7 +74,7 @@ RATIO_SPREAD = 1.3
 """Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is told,
 it is told so much wider."""
 TOLD = 0.7
-"""Posterior over prior standard deviation above which a value is the prior's."""
+"""Standard deviation as told over that of the prior above which a value is the prior's."""
 
 
 @dataclass(frozen=True)
@@ -305,7 +305,7 @@ def _moduli(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> tuple[
         known = np.diag([both[0, 0], prior.std**2])
         untold = f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not tell; {better}"
         return modulus, prior.value, known, untold
-    if std > TOLD * prior.std:
+    if RATIO_SPREAD * std > TOLD * prior.std:
         untold = f"prior_dominated: the squeeze tells Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
         return modulus, ratio, both, untold
     spread = np.array([1.0, RATIO_SPREAD])

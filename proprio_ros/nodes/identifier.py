@@ -410,11 +410,9 @@ class IdentifierNode(ManagedNode):
                 "the empty container has not been recorded: put it into the hand without its sphere and call "
                 "~/record_container_baseline, or tell its mass (settings: container.mass=KG)"
             )
-        self._live = None
-        self._tell(job.kind, "preparing the simulation of a sphere: once on a computer it is compiled, half a minute")
-        prepare_container(options)
-        if job.cancelled.is_set():
-            raise JobError("cancelled")
+        self._prepare(
+            job, "a sphere: once on a computer it is compiled, half a minute", lambda: prepare_container(options)
+        )
         self._tell(job.kind, "the container has to be in the hand with its sphere")
         bag = self._record(job, job.kind, value_of(self, "container_sequence"))
         estimate = self._identify(job, bag, options, partial(self._publish_sphere, robot=robot, facts=facts))
@@ -427,26 +425,8 @@ class IdentifierNode(ManagedNode):
     def _squeeze(self, job: Job) -> tuple[bool, str]:
         options = self._options("softness")
         robot, facts = block_setting(options)
-        sequence = load_sequence(value_of(self, "softness_sequence"), robot)
-        joints = {run.joint for run in sequence.runs}
-        joint = joints.pop()
-        if joints or robot.model.joint(joint).kind != "prismatic":
-            raise JobError(
-                f"{sequence.name} drives {joint}{', ..' * bool(joints)}: squeeze with a joint that slides a finger"
-            )
-        limit = float(value_of(self, "largest_squeeze"))
-        squeeze = largest_squeeze(robot, joint, max(run.max_travel for run in sequence.runs), facts)
-        if squeeze > limit:
-            raise JobError(
-                f"{sequence.name} may squeeze a block of {1e3 * facts.length:g} mm by {100.0 * squeeze:.0f} %, more than "
-                f"largest_squeeze={limit:g}: state its size (settings: block.size=[x,y,z]), lower max_travel in the sequence, or "
-                "raise largest_squeeze"
-            )
-        self._live = None
-        self._tell(job.kind, "preparing the simulation of a block: a shape is tabulated once, up to half a minute")
-        prepare_squeeze(options)
-        if job.cancelled.is_set():
-            raise JobError("cancelled")
+        joint = self._squeezing_joint(robot, facts)
+        self._prepare(job, "a block: a shape is tabulated once, up to half a minute", lambda: prepare_squeeze(options))
         self._tell(job.kind, "the block has to be between the fingers")
         bag = self._record(job, job.kind, value_of(self, "softness_sequence"))
         estimate = self._identify(
@@ -461,6 +441,40 @@ class IdentifierNode(ManagedNode):
         else:
             told += ", Poisson's ratio not told"
         return True, f"block {told}, {estimate.runs} runs{self._uncalibrated}; recording: {bag}"
+
+    def _squeezing_joint(self, robot: Robot, facts: BlockFacts) -> str:
+        """The joint that softness_sequence drives.
+
+        Raises:
+            JobError: That slides no finger, or could crush the block.
+        """
+        sequence = load_sequence(value_of(self, "softness_sequence"), robot)
+        joint, *others = {run.joint for run in sequence.runs}
+        if others or robot.model.joint(joint).kind != "prismatic":
+            raise JobError(
+                f"{sequence.name} drives {', '.join([joint, *others])}: squeeze with a joint that slides a finger"
+            )
+        limit = float(value_of(self, "largest_squeeze"))
+        squeeze = largest_squeeze(robot, joint, max(run.max_travel for run in sequence.runs), facts)
+        if squeeze > limit:
+            raise JobError(
+                f"{sequence.name} may squeeze a block of {1e3 * facts.length:g} mm by {100.0 * squeeze:.0f} %, more than "
+                f"largest_squeeze={limit:g}: state its size (settings: block.size=[x,y,z]), lower max_travel in the sequence, or "
+                "raise largest_squeeze"
+            )
+        return joint
+
+    def _prepare(self, job: Job, what: str, prepare: Callable[[], None]) -> None:
+        """Have a simulation ready before anything moves.
+
+        Raises:
+            JobError: Cancelled meanwhile.
+        """
+        self._live = None
+        self._tell(job.kind, f"preparing the simulation of {what}")
+        prepare()
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
 
     def _about_baseline(self, bag: Path) -> str:
         """How old the recording of the empty container is, and whether that is a reason to doubt it."""

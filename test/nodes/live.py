@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import shlex
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -95,6 +99,12 @@ class Client:
     def call(self, service: str, seconds: float = 10.0) -> Any:
         return self.answer(self.begin(service), seconds)
 
+    def calibrate_robot(self, seconds: float) -> Any:
+        answer = self.call("/identifier/calibrate_robot", seconds)
+        if "aborted" in answer.message:  # a computer that was too busy, as a user would try again
+            answer = self.call("/identifier/calibrate_robot", seconds)
+        return answer
+
     def torque(self, on: bool) -> Any:
         return self.answer(self.begin("/driver/torque", SetBool, SetBool.Request(data=on)))
 
@@ -122,6 +132,21 @@ class Client:
 
     def wait_for_phase(self, phase: str, seconds: float = 20.0) -> None:
         assert wait_for(lambda: self.excitation.get("phase") == phase, seconds), (phase, self.excitation)
+
+
+def replayed_alike(result: Path) -> dict[str, Any]:
+    """What an `estimate.json` says, after its own command gave the same numbers again, bit for bit."""
+    live: dict[str, Any] = json.loads(result.read_text())
+    words = shlex.split(live["command"])
+    assert words[0] == "proprio"
+    run = subprocess.run(
+        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"], capture_output=True, text=True, timeout=120
+    )
+    assert run.returncode == 0, run.stderr
+    again = json.loads(run.stdout)
+    for key in ("estimates", "fit", "verdict", "reasons", "runs", "uncertainty_budget"):
+        assert again[key] == live[key], key
+    return live
 
 
 def wait_for(ready: Callable[[], bool], seconds: float) -> bool:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
-from live import Client, running, wait_for
+from live import Client, replayed_alike, running, wait_for
 
 from proprio_ros.bags import read_recording
 from proprio_ros.nodes.graph import Graph
@@ -47,9 +45,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: empty hands tell torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     with running(folder, identifier={"reference_mass": 0.1, "reference_wait": 0.5}) as (graph, client):
-        answer = client.call("/identifier/calibrate_robot", 240.0)
-        if "aborted" in answer.message:  # a computer that was too busy, as a user would try again
-            answer = client.call("/identifier/calibrate_robot", 240.0)
+        answer = client.calibrate_robot(240.0)
         yield Calibrated(graph, client, folder / "data", answer)
     domain.undo()
 
@@ -94,16 +90,7 @@ def test_five_objects_within_a_gram(arm: Calibrated, mass_kg: float) -> None:
 
 def test_replaying_the_bag_gives_the_same_numbers_bit_for_bit(arm: Calibrated) -> None:
     result = sorted(arm.data.glob("*_payload/estimate.json"))[-1]
-    live = json.loads(result.read_text())
-    words = shlex.split(live["command"])
-    assert words[0] == "proprio"
-    run = subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"], capture_output=True, text=True, timeout=120
-    )
-    assert run.returncode == 0, run.stderr
-    again = json.loads(run.stdout)
-    for key in ("estimates", "fit", "verdict", "reasons", "runs", "uncertainty_budget"):
-        assert again[key] == live[key], key
+    live = replayed_alike(result)
     assert live["estimates"][0]["value"] == arm.client.masses[-1]
     bag = result.parent / "bag"
     assert list(bag.glob("*.mcap")) and bag.stat().st_mtime <= result.stat().st_mtime
