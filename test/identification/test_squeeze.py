@@ -96,6 +96,17 @@ def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], le
             assert ratio.ci95[0] <= cube_of(folder)[2] <= ratio.ci95[1], name
 
 
+def test_squeezes_of_two_blocks_contradict_each_other(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+    robot, level = calibrated("friction_s00"), recordings / "friction_s00"
+    runs = [*runs_of(level / "squeeze_light", robot), *runs_of(level / "squeeze_heavy", robot)]
+    estimate = find_softness(robot, runs, BlockFacts(np.full(3, 0.03)))
+    assert estimate.verdict is Verdict.REJECTED and estimate.value("youngs_modulus").value is None
+    sentence = estimate.reasons[0]
+    assert "contradicts the other runs" in sentence and "was the same block held" in sentence
+    said = sorted(float(word.split(" kPa")[0]) for word in sentence.split("it says ")[1].split("they say "))
+    assert said == pytest.approx([45.2, 201.2], rel=0.05)
+
+
 def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     for name in ("light", "random"):
         folder = recordings / "ideal_s00" / f"squeeze_{name}"

@@ -148,6 +148,7 @@ def test_cancelled_in_the_middle_of_a_squeeze(arm: Calibrated) -> None:
 
 
 def test_replaying_the_bag_gives_the_same_numbers_bit_for_bit(arm: Calibrated) -> None:
-    folder = next(each for each in arm.folders() if (each / "estimate.json").is_file())
+    told = [each for each in arm.folders() if (each / "estimate.json").is_file()]
+    folder = next(each for each in told if '"accepted"' in (each / "estimate.json").read_text())
     assert replayed_alike(folder / "estimate.json")["probe"] == "softness"
     assert "Both Lamé parameters" in (folder / "report.html").read_text()
