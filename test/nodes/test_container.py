@@ -70,6 +70,8 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
         )
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, LATCHED)
         refused = client.call("/identifier/calibrate_container", OBJECT_S)
+        if "not ready" in refused.message:  # nodes that start beside each other may lose the bus for a moment
+            refused = client.call("/identifier/calibrate_container", OBJECT_S)
         recorded = list((folder / "data").glob("*"))
         robot = client.calibrate_robot(ROBOT_S)
         held.clear()
