@@ -118,14 +118,29 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
         sources.extend([Path(path)] * (len(runs) - len(sources)))
     settings.refuse_rest()
     read = time.perf_counter()
-    estimate = identify(robot, runs, baseline, text, sources)
+    estimate = identify(robot, _Recorded(runs, baseline, text, sources))
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
     return replace(estimate, timing_s=timing)
 
 
-_Identify = Callable[[Robot, Sequence[Run], Sequence[Run], "TextRecording | None", Sequence[Path]], Estimate]
-"""Robot, runs, baseline, the text recording among them, and where each run comes from."""
+@dataclass(frozen=True)
+class _Recorded:
+    """What was read.
+
+    Attributes:
+        runs, baseline: of the object, and made with them without it.
+        text: the text recording among them.
+        sources: where each run comes from.
+    """
+
+    runs: Sequence[Run]
+    baseline: Sequence[Run]
+    text: TextRecording | None
+    sources: Sequence[Path]
+
+
+_Identify = Callable[[Robot, _Recorded], Estimate]
 
 
 def _payload(options: ReplayOptions, settings: Settings) -> _Identify:
@@ -134,17 +149,11 @@ def _payload(options: ReplayOptions, settings: Settings) -> _Identify:
     weighing = replace(_options(WeighingOptions, settings, "solver.", probe["solver"]), solver=options.solver)
     paper = _options(PaperOptions, settings, "paper.", probe["paper"])
 
-    def identify(
-        robot: Robot,
-        runs: Sequence[Run],
-        baseline: Sequence[Run],
-        text: TextRecording | None,
-        sources: Sequence[Path],
-    ) -> Estimate:
+    def identify(robot: Robot, recorded: _Recorded) -> Estimate:
         if options.profile == "paper":
-            stated = paper if text is None else _text_paper(paper, text, settings)
-            return weigh_as_paper(robot, runs, facts, stated)
-        return weigh(robot, runs, facts, weighing, baseline)
+            stated = paper if recorded.text is None else _text_paper(paper, recorded.text, settings)
+            return weigh_as_paper(robot, recorded.runs, facts, stated)
+        return weigh(robot, recorded.runs, facts, weighing, recorded.baseline)
 
     return identify
 
@@ -164,14 +173,8 @@ def _softness(options: ReplayOptions, settings: Settings) -> _Identify:
     facts = block_facts(settings, probe["block"])
     solving = _options(SqueezeOptions, settings, "solver.", probe["solver"])
 
-    def identify(
-        robot: Robot,
-        runs: Sequence[Run],
-        baseline: Sequence[Run],
-        text: TextRecording | None,
-        sources: Sequence[Path],
-    ) -> Estimate:
-        return find_softness(robot, runs, facts, solving, baseline)
+    def identify(robot: Robot, recorded: _Recorded) -> Estimate:
+        return find_softness(robot, recorded.runs, facts, solving, recorded.baseline)
 
     return identify
 
@@ -190,15 +193,10 @@ def _container(options: ReplayOptions, settings: Settings) -> _Identify:
     if camera_std == 0.0:
         raise ConfigurationError("sphere.camera_std must be above 0 m")
 
-    def identify(
-        robot: Robot,
-        runs: Sequence[Run],
-        baseline: Sequence[Run],
-        text: TextRecording | None,
-        sources: Sequence[Path],
-    ) -> Estimate:
-        tracks = [_track(run, source, camera, camera_std) for run, source in zip(runs, sources, strict=True)]
-        return find_sphere(robot, runs, facts, solving, baseline, tracks)
+    def identify(robot: Robot, recorded: _Recorded) -> Estimate:
+        sources = zip(recorded.runs, recorded.sources, strict=True)
+        tracks = [_track(run, source, camera, camera_std) for run, source in sources]
+        return find_sphere(robot, recorded.runs, facts, solving, recorded.baseline, tracks)
 
     return identify
 
