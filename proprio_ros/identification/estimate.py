@@ -11,6 +11,13 @@ import numpy as np
 
 Z95 = 1.959963984540054
 """Half width of a 95 % interval in standard deviations (normal)."""
+SHOWN = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}
+"""Units in which a reader wants a number, and the factor to them."""
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and name of the unit in which a value is shown."""
+    return SHOWN.get(unit, (1.0, unit))
 
 
 class Verdict(str, Enum):

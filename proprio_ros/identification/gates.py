@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from proprio_ros.identification.estimate import shown_unit
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import PreparedRun
 from proprio_ros.robot import Robot
@@ -32,6 +33,44 @@ class Findings:
 
     reasons: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A run that the others foretell badly.
+
+    Attributes:
+        sentence: what it says, and what they say; empty where that is the same.
+        half: half of the difference between two values that are nearly alike; None where they are not.
+    """
+
+    sentence: str
+    half: float | None = None
+
+
+def contradiction(
+    name: str, unit: str, one: float, others: float, alike: float, same: float, doubt: str
+) -> Contradiction:
+    """What to make of a run that says another value than the others.
+
+    Args:
+        name: of the run.
+        unit: of the values.
+        one, others: what it says, and what they say.
+        alike: values that differ by less do not contradict each other; half of the difference then counts as uncertainty.
+        same: values that differ by less are not worth a sentence.
+        doubt: a question to the user where they do.
+    """
+    factor, shown = shown_unit(unit)
+    said = f"it says {factor * one:.1f} {shown}, they say {factor * others:.1f} {shown}"
+    apart = abs(one - others)
+    if apart < same:
+        return Contradiction("", 0.5 * apart)
+    if apart < alike:
+        return Contradiction(
+            f"{name} differs from the other runs: {said}; the interval carries half of that", 0.5 * apart
+        )
+    return Contradiction(f"{name} contradicts the other runs: {said}; {doubt}")
 
 
 def chi2_limit(dof: int) -> float:

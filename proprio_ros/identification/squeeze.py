@@ -32,8 +32,10 @@ from proprio_ros.identification.estimate import (
 from proprio_ros.identification.gates import (
     MIN_USED,
     MISFIT_LIMIT,
+    Contradiction,
     Findings,
     contradicting,
+    contradiction,
     look_at_run,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
@@ -180,28 +182,23 @@ def _solve(
 
 def _apart(
     robot: Robot, data: _Recorded, facts: BlockFacts, options: SqueezeOptions, odd: int, std_Pa: float
-) -> tuple[str, float | None]:
+) -> Contradiction:
     """What a run says that the others foretell badly.
 
     Args:
         std_Pa: with which all runs together tell the modulus.
-
-    Returns:
-        a sentence, and half the difference of two moduli that are nearly alike [Pa]; None where they are not.
     """
     name = data.runs[odd].run.name
     moduli = []
     for rows in ([odd], [row for row in range(len(data.runs)) if row != odd]):
         part = _Recorded(tuple(data.runs[row] for row in rows), tuple(data.squeezing[row] for row in rows))
         if not any(part.squeezing):
-            return f"{name} contradicts the other runs: was the gripper empty where it should be?", None
+            return Contradiction(f"{name} contradicts the other runs: was the gripper empty where it should be?")
         nominal = _solve(robot, part, facts, options, Role.FROZEN)
         moduli.append(float(_solve(robot, part, facts, options, Role.FREE, nominal).physical("youngs_modulus")[0]))
     one, others = moduli
-    said = f"it says {1e-3 * one:.1f} kPa, they say {1e-3 * others:.1f} kPa"
-    if abs(one - others) > max(ALIKE_SHARE * others, std_Pa):
-        return f"{name} contradicts the other runs: {said}; was the same block held in the same way?", None
-    return f"{name} differs from the other runs: {said}; the interval carries half of that", 0.5 * abs(one - others)
+    doubt = "was the same block held in the same way?"
+    return contradiction(name, "Pa", one, others, max(ALIKE_SHARE * others, std_Pa), 0.0, doubt)
 
 
 def _conclude(
@@ -225,8 +222,9 @@ def _conclude(
     row = at["youngs_modulus"]
     odd = contradicting(Posterior(problem, fit.values)) if len(data.runs) > 1 and not fit.explains else None
     std = float(np.sqrt(covariance[row, row]))
-    apart, half_Pa = ("", 0.0) if odd is None else _apart(robot, data, facts, options, odd, std)
-    covariance[row, row] += (half_Pa or 0.0) ** 2
+    apart = None if odd is None else _apart(robot, data, facts, options, odd, std)
+    if apart is not None and apart.half is not None:
+        covariance[row, row] += apart.half**2
     modulus, std = float(fit.values[row]), float(np.sqrt(covariance[row, row]))
     budget = error_budget(fit, covariance, "youngs_modulus")
     curves = _curves(problem, fit.values, facts)
@@ -236,9 +234,9 @@ def _conclude(
     if not np.isfinite(fit.chi2):
         verdict, withheld = Verdict.REJECTED, "no guess of the modulus could be simulated"
         found.reasons.insert(0, withheld + ": check block.size and the robot file")
-    elif half_Pa is None:
+    elif apart is not None and apart.half is None:
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
-        found.reasons.insert(0, apart)
+        found.reasons.insert(0, apart.sentence)
     elif fit.reduced_chi2 > MISFIT_LIMIT:
         verdict, withheld = Verdict.REJECTED, "the model does not explain the recording"
         found.reasons[:0] = [_misfit(rms, expected, modulus, fit.reduced_chi2), *other_suspects(robot)]
@@ -257,8 +255,8 @@ def _conclude(
             + ("squeeze with other currents, too" if known else "calibrate the gripper on closings without the block"),
         )
     if verdict is Verdict.ACCEPTED:
-        if apart:
-            found.reasons.append(apart)
+        if apart is not None:
+            found.reasons.append(apart.sentence)
         if inflation > 1.0 and not fit.explains:
             found.reasons.append(
                 f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "

@@ -35,9 +35,11 @@ from proprio_ros.identification.estimate import (
 from proprio_ros.identification.gates import (
     LITTLE_TRAVEL,
     MISFIT_LIMIT,
+    Contradiction,
     Findings,
     chi2_limit,
     contradicting,
+    contradiction,
     look_at_run,
     never_reversed,
     unusable,
@@ -216,25 +218,12 @@ def on_bound(fit: FitResult) -> bool:
     return mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6)
 
 
-@dataclass(frozen=True)
-class _Contradiction:
-    """A run that the others foretell badly.
-
-    Attributes:
-        sentence: what it says, and what they say; empty where that is the same.
-        half_kg: half of the difference between two masses that are nearly alike; None where they are not.
-    """
-
-    sentence: str
-    half_kg: float | None = None
-
-
 def _contradiction(
     robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, odd: int, mass: float
-) -> _Contradiction:
+) -> Contradiction:
     name = runs[odd].run.name
     if runs[odd].load is not None:
-        return _Contradiction(
+        return Contradiction(
             f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
         )
     masses: list[float] = []
@@ -244,17 +233,13 @@ def _contradiction(
             fit = solve_payload(robot, group, facts, options, Role.FREE, start=nominal)
             masses.append(float(fit.values[fit.problem.index["payload_mass"]]))
     if len(masses) < 2:
-        return _Contradiction(
+        return Contradiction(
             f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
         )
+    # where they say the same, the run is coarser than the others, and the fit's residuals tell by how much
+    doubt = "was the same object held in the same place?"
     one, others = masses
-    half = 0.5 * abs(one - others)
-    said = f"it says {1e3 * one:.1f} g, they say {1e3 * others:.1f} g"
-    if 2.0 * half < ALIKE_KG:
-        return _Contradiction("", half)  # the run is coarser than the others, and the fit's residuals tell by how much
-    if 2.0 * half < ALIKE_SHARE * abs(mass):
-        return _Contradiction(f"{name} differs from the other runs: {said}; the interval carries half of that", half)
-    return _Contradiction(f"{name} contradicts the other runs: {said}; was the same object held in the same place?")
+    return contradiction(name, "kg", one, others, ALIKE_SHARE * abs(mass), ALIKE_KG, doubt)
 
 
 def is_calibrated(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
@@ -328,8 +313,8 @@ def _conclude(
         covariance[row, row] += _static_std(fit.problem, runs) ** 2
     odd = contradicting(Posterior(opened.problem, opened.values)) if len(runs) > 1 and np.isfinite(fit.chi2) else None
     apart = None if odd is None else _contradiction(robot, runs, facts, options, odd, mass)
-    if apart is not None and apart.half_kg is not None:
-        covariance[row, row] += apart.half_kg**2
+    if apart is not None and apart.half is not None:
+        covariance[row, row] += apart.half**2
     std = float(np.sqrt(covariance[row, row]))
     quality = Fit(rms, expected, fit.reduced_chi2, condition=condition)
     moving = [] if fit.explains else _moving_starts(robot, runs, facts, options, fit)
@@ -341,7 +326,7 @@ def _conclude(
     elif drift:
         verdict, withheld = Verdict.REJECTED, "the robot has changed since its calibration"
         found.reasons.insert(0, drift)
-    elif apart is not None and apart.half_kg is None:
+    elif apart is not None and apart.half is None:
         verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
         found.reasons.insert(0, apart.sentence)
     elif on_bound(fit):

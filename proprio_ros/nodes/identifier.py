@@ -35,7 +35,7 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.container_problem import ContainerFacts
-from proprio_ros.identification.estimate import Z95, Estimate, Verdict
+from proprio_ros.identification.estimate import Z95, Estimate, Verdict, shown_unit
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
@@ -720,7 +720,7 @@ def _interval_of(estimate: Estimate) -> str:
     value = estimate.values[0]
     if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
         return ""
-    factor, unit = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}[value.unit]
+    factor, unit = shown_unit(value.unit)
     low, high = (factor * end for end in value.ci95)
     return f"{factor * value.value:.1f} {unit}, 95 % interval {low:.1f} .. {high:.1f} {unit}"
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.identification.estimate import BlockShape, Estimate, RunFit
+from proprio_ros.identification.estimate import BlockShape, Estimate, RunFit, shown_unit
 
 INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
 
@@ -98,15 +98,6 @@ def run_figure(fit: RunFit, number: int) -> str:
         return svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
 
 
-SHOWN = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}
-"""Units in which a reader wants a number, and the factor to them."""
-
-
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and name of the unit in which a value is shown."""
-    return SHOWN.get(unit, (1.0, unit))
-
-
 def searched_in_words(estimate: Estimate) -> str:
     """What was searched for: "payload mass", "sphere mass", "youngs modulus"."""
     return estimate.values[0].name.replace("_", " ")
@@ -123,6 +114,7 @@ VIEW = np.array([-0.3, 1.0, -0.3])
 def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None:
     """A block between two fingers, as it is deformed, around `left`, with time and squeeze below `floor`."""
     from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
 
     def flat(points: np.ndarray) -> np.ndarray:
         """On paper: what lies deeper is drawn a little to the right and higher."""
@@ -130,8 +122,7 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
             [left + points[..., 0] - VIEW[0] * points[..., 1], points[..., 2] - VIEW[2] * points[..., 1]], -1
         )
 
-    gap = max(-shape.squeeze, 0.0)
-    aside = np.array([0.5 * (1.0 - max(shape.squeeze, 0.0)) + 0.5 * gap, 0.0, 0.0])
+    aside = np.array([0.5 * (1.0 - shape.squeeze), 0.0, 0.0])
     half = 1.15 * np.abs(shape.points[:, 1:]).max(axis=0)
     corners = np.array([[0.0, y * half[0], z * half[1]] for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     seen = shape.points[shape.triangles]
@@ -141,11 +132,10 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
     seen, normal = seen[front], normal[front]
     order = np.argsort(-(seen.mean(axis=1) @ VIEW))
     light = 0.35 + 0.65 * np.clip(normal @ np.array([0.3, -0.5, 0.81]), 0.0, 1.0)
-    base = np.array([42, 127, 158]) / 255.0  # the page's accent
-    faces = np.clip(1.0 - (1.0 - base) * (1.15 - 0.75 * light[:, None]), 0.0, 1.0)[order]
+    faces = np.clip(1.0 - (1.0 - np.array(to_rgb(ACCENT))) * (1.15 - 0.75 * light[:, None]), 0.0, 1.0)[order]
     for polygons, colors, edges, alpha in (
         ([flat(corners - aside)], MUTED, MUTED, 0.9),
-        ([*flat(seen[order])], faces, "#1b243040", None),
+        ([*flat(seen[order])], faces, f"{INK}40", None),
         ([flat(corners + aside)], MUTED, MUTED, 0.45),
     ):
         axes.add_collection(PolyCollection(polygons, facecolors=colors, edgecolors=edges, linewidths=0.3, alpha=alpha))

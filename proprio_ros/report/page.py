@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.identification.estimate import Estimate, Value, Verdict, shown_unit
 from proprio_ros.report import figures, sphere_figures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
@@ -109,7 +109,7 @@ def _in_words(value: Value) -> str:
     if isinstance(value.value, list):
         numbers = ", ".join("?" if v is None else f"{1e3 * v:.1f}" for v in value.value)
         return f"{value.name.replace('_', ' ')} [{numbers}] mm"
-    factor, unit = figures.shown_unit(value.unit)
+    factor, unit = shown_unit(value.unit)
     return f"{factor * value.value:.2f} {unit}" if factor != 1.0 else f"{value.value:.4g} {unit}".removesuffix(" 1")
 
 
@@ -117,7 +117,7 @@ def _interval_in_words(value: Value) -> str:
     name = value.name.replace("_", " ")
     if isinstance(value.ci95, list) and not isinstance(value.value, list):
         low, high = value.ci95
-        factor, unit = figures.shown_unit(value.unit)
+        factor, unit = shown_unit(value.unit)
         if factor == 1.0:
             return f"{name}, 95 % interval {low:.4g} to {high:.4g} {unit}".removesuffix(" 1")
         interval = f"95 % interval {factor * low:.2f} to {factor * high:.2f} {unit}"
@@ -135,7 +135,7 @@ def _convergence(estimate: Estimate) -> list[str]:
         framed(figures.convergence_figure(estimate)),
     ]
     scheduled = any(path.scheduled is not None for path in solver.paths)
-    factor, unit = figures.shown_unit(estimate.values[0].unit)
+    factor, unit = shown_unit(estimate.values[0].unit)
     header = [
         f"start ({unit})",
         *([f"where the schedule stops ({unit})"] * scheduled),
