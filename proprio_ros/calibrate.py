@@ -22,9 +22,11 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate,
 from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.replay import ReplayOptions, Settings, bag_runs, held_positions, payload_facts, probe_file, robot_of
+from proprio_ros.probes.payload.facts import payload_facts
+from proprio_ros.replay import ReplayOptions, bag_runs, held_positions, robot_of
 from proprio_ros.resources import resource, resource_names, write_in_one_step
 from proprio_ros.robot import Robot, nested_settings
+from proprio_ros.settings import Settings, probe_file
 
 HEAVIEST_REFERENCE_KG = 5.0
 
@@ -61,7 +63,7 @@ def calibrate_from_bags(
     if overrides:
         robot = robot.with_overrides(overrides)
     held = held_positions(robot, settings)
-    facts = payload_facts(settings, probe_file("payload")["payload"])
+    facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
     settings.refuse_rest()
     if output is not None:
         _check_writable(Path(output))
@@ -95,7 +97,7 @@ def plan_probes(
     robot = robot_of(options.robot, options.calibration)
     if overrides:
         robot = robot.with_overrides(overrides)
-    facts = payload_facts(settings, probe_file("payload")["payload"])
+    facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
     settings.refuse_rest()
     return robot, plan(robot, masses_kg, facts, count, progress=progress)
 

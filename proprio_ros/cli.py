@@ -9,23 +9,18 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 from proprio_ros import __version__
 from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 _SHOWN = {"kg": (1e3, 2, " g"), "Pa": (1e-3, 2, " kPa"), "1": (1.0, 3, ""), "N/m": (1.0, 0, " N/m")}
-_DEMO = {
-    "payload": (0.05, "the virtual hand held"),
-    "container": (0.012, "the sphere in the virtual container weighed"),
-    "softness": (12e3, "Young's modulus of the virtual block was"),
-}
-"""What the object is when nobody says, in kg or Pa; and how that is said at the end."""
 
 
 def run() -> NoReturn:
@@ -76,7 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument(
         "bags", nargs="+", metavar="BAG", help="bag folder or file, or a folder with trajectory.csv, setting.json"
     )
-    replay.add_argument("--probe", required=True, choices=("payload", "container", "softness"), help="what to identify")
+    probes = all_probes()
+    replay.add_argument("--probe", required=True, choices=[probe.name for probe in probes], help="what to identify")
     _add_robot(replay)
     replay.add_argument("--calibration", metavar="FILE", help="what `proprio calibrate` wrote")
     replay.add_argument(
@@ -88,9 +84,12 @@ def _parser() -> argparse.ArgumentParser:
         "since its calibration; for --probe container with the empty container",
     )
     _add_set(replay)
-    replay.add_argument("--solver", default="lm", choices=("lm", "adam", "cma"))
+    replay.add_argument("--solver", default="lm", choices=_choices(probe.solvers for probe in probes))
     replay.add_argument(
-        "--profile", default="default", choices=("default", "paper"), help="paper: the paper's own method"
+        "--profile",
+        default="default",
+        choices=_choices(probe.profiles for probe in probes),
+        help="paper: the paper's own method",
     )
     _add_topics(replay)
     _add_output(replay)
@@ -154,21 +153,13 @@ def _parser() -> argparse.ArgumentParser:
         "squeeze a block.",
         epilog="Exit code: 0 accepted, 2 could not run, 3 rejected or not identifiable. Ctrl-C ends everything.",
     )
-    demo.add_argument(
-        "--probe",
-        default="payload",
-        choices=tuple(_DEMO),
-        help="payload, softness: under a minute; container: two minutes",
-    )
-    demo.add_argument(
-        "--mass",
-        type=float,
-        metavar="KG",
-        help="of the object in the virtual hand (0.05), or of the sphere in it (0.012)",
-    )
-    demo.add_argument(
-        "--modulus", type=float, metavar="PA", help="Young's modulus of the block, --probe softness (12000)"
-    )
+    examples = {probe.name: probe.example for probe in probes if probe.example is not None}
+    takes = "; ".join(f"{name}: {example.takes}" for name, example in examples.items())
+    demo.add_argument("--probe", default=next(iter(examples)), choices=tuple(examples), help=takes)
+    for flag in dict.fromkeys(example.flag for example in examples.values()):
+        stated = [example for example in examples.values() if example.flag == flag]
+        words = ", ".join(f"{example.help} ({example.truth:g})" for example in stated)
+        demo.add_argument(f"--{flag}", type=float, metavar=stated[0].metavar, help=words)
     demo.add_argument(
         "--seed", type=int, default=1, metavar="N", help="draws the arm's hidden friction, torque constants .."
     )
@@ -181,6 +172,11 @@ def _parser() -> argparse.ArgumentParser:
     _add_robot(demo)
     demo.set_defaults(command=_demo)
     return parser
+
+
+def _choices(groups: Iterable[Sequence[str]]) -> tuple[str, ...]:
+    """Each once, in the order in which they come."""
+    return tuple(dict.fromkeys(choice for group in groups for choice in group))
 
 
 def _add_robot(parser: argparse.ArgumentParser) -> None:
@@ -240,7 +236,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     else:
         print(_as_text(estimate))
     if options.report:
-        from proprio_ros.report import write_report
+        from proprio_ros.replay import write_report
 
         write_report(estimate, Path(options.report), command="proprio " + " ".join(given), sources=options.bags)
         print(f"proprio: report written to {options.report}", file=sys.stderr)
@@ -321,10 +317,10 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = parse_settings(options.set)
-    from proprio_ros.replay import ReplayOptions, rebuild_table
+    from proprio_ros.probes.softness import rebuild_table
 
     started = time.monotonic()
-    facts, table, path = rebuild_table(ReplayOptions(probe="softness", settings=settings))
+    facts, table, path = rebuild_table(settings)
     elapsed = time.monotonic() - started
     squeezes, ratios = (0.1, 0.2, 0.3), (0.1, 0.3, 0.45)
     # force over E A: what a Young's modulus has to be multiplied with
@@ -346,18 +342,17 @@ def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
-    squeezes = options.probe == "softness"
-    if (options.mass if squeezes else options.modulus) is not None:
-        raise ConfigurationError(
-            f"--{'mass' if squeezes else 'modulus'} says nothing about --probe {options.probe}; leave it out"
-        )
-    default, was = _DEMO[options.probe]
-    stated = options.modulus if squeezes else options.mass
-    truth = default if stated is None else stated
-    if not squeezes and not 0.0 < truth <= 2.0:
-        raise ConfigurationError(f"--mass {truth:g}: masses are in kg, so 50 g is 0.05")
-    if squeezes and not 100.0 <= truth <= 1e7:
-        raise ConfigurationError(f"--modulus {truth:g}: moduli are in Pa, foam has 1e3 to 1e5")
+    examples = [probe.example for probe in all_probes() if probe.example is not None]
+    probe = probe_named(options.probe)
+    example = probe.example
+    assert example is not None
+    for other in examples:
+        if other.flag != example.flag and getattr(options, other.flag) is not None:
+            raise ConfigurationError(f"--{other.flag} says nothing about --probe {options.probe}; leave it out")
+    stated = getattr(options, example.flag)
+    truth = example.truth if stated is None else stated
+    if not example.lowest <= truth <= example.highest:
+        raise ConfigurationError(f"--{example.flag} {truth:g}: {example.units}")
     # while libraries are loaded there is nothing to end yet, and an exception could land anywhere inside them
     signal.signal(signal.SIGINT, _leave_at_once)
     try:
@@ -367,8 +362,8 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
             f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
         ) from error
     result = demo(
+        probe,
         truth,
-        probe=options.probe,
         folder=Path(options.output),
         seed=options.seed,
         robot=options.robot or "open_manipulator_x",
@@ -377,8 +372,10 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     )
     print(result.sentence)
     if result.value is not None:
-        factor, unit = (1e-3, "kPa") if squeezes else (1e3, "g")
-        print(f"{was} {factor * result.truth:.1f} {unit}, a hidden robot; {result.elapsed_s:.0f} s in all")
+        from proprio_ros.identification.estimate import shown_unit
+
+        factor, unit = shown_unit(probe.answer[1])
+        print(f"{example.was} {factor * result.truth:.1f} {unit}, a hidden robot; {result.elapsed_s:.0f} s in all")
     if result.report is not None:
         print(f"report: {result.report}")
     return EXIT_OK if result.accepted else EXIT_NO_ANSWER

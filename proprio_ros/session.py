@@ -10,47 +10,26 @@ import json
 import shlex
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from proprio_ros.bags import RawMessage, write_messages
-from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
-from proprio_ros.identification.container import ContainerOptions
-from proprio_ros.identification.container_problem import ContainerFacts
+from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.identification.weighing import WeighingOptions, weigh
+from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import (
-    ReplayOptions,
-    Settings,
-    block_facts,
-    configured_robot,
-    container_facts,
-    held_positions,
-    payload_facts,
-    probe_file,
-)
+from proprio_ros.replay import ReplayOptions, configured_robot, held_positions, probe_asked_for
 from proprio_ros.resources import write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
+from proprio_ros.settings import Settings
 from proprio_ros.sim.joint import compile_kernels
-from proprio_ros.sim.payload import PayloadFacts
-from proprio_ros.sim.sphere import compile_kernels as compile_sphere_kernels
-
-if TYPE_CHECKING:
-    from proprio_ros.identification.squeeze_problem import BlockFacts
-
-_Facts = TypeVar("_Facts")
-
-LIVE_STARTS_KG = (0.01, 0.1)
-"""A live estimate need not find its way from two orders of magnitude."""
-_FACTS = {"payload": ("payload.",), "container": ("container.", "sphere.", "contact."), "softness": ("block.",)}
-"""What the keys about a probe's object begin with; `payload.frame` is where every object sits."""
 
 
 class Session:
@@ -116,146 +95,79 @@ def prepare_identification() -> None:
     compile_kernels()
 
 
-def prepare_container(options: ReplayOptions) -> None:
-    """The same for the container that the settings describe: some 15 s once on a computer, under a second later.
-
-    Raises:
-        ConfigurationError, RobotError, SimulationError: In one line, what is wrong with the options.
-    """
-    _, facts = container_setting(options)
-    integrator = str(options.settings.get("solver.integrator", ContainerOptions.integrator))
-    compile_sphere_kernels(facts.enclosure.shape, facts.law, integrator)
-
-
-def settings_for(probe: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
     """What concerns a probe; what is stated about another probe's object is left out."""
-    foreign = tuple(start for other, starts in _FACTS.items() if other != probe for start in starts)
+    foreign = tuple(start for other in all_probes() if other.name != probe.name for start in other.keys)
     return {key: value for key, value in settings.items() if key == "payload.frame" or not key.startswith(foreign)}
 
 
 def check_settings(options: ReplayOptions) -> None:
-    """Look at settings that may be about a payload, a container, a block, or several of them.
+    """Look at settings that may be about the objects of several probes.
 
     Raises:
         ConfigurationError, RobotError: In one line, what is wrong with them.
     """
-
-    def read(settings: Settings) -> None:
-        _payload(settings)
-        _recorded_container(settings)
-        # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
-        if any(key.startswith(_FACTS["softness"]) for key in options.settings):
-            _block(settings)
-
-    _setting(options, read)
-
-
-def container_setting(options: ReplayOptions) -> tuple[Robot, ContainerFacts]:
-    """The robot and the container as the options have them.
-
-    Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with them.
-    """
-    return _setting(options, _recorded_container)
-
-
-def _setting(options: ReplayOptions, read: Callable[[Settings], _Facts]) -> tuple[Robot, _Facts]:
-    """The robot, and what `read` takes from the settings; whatever then is left is refused."""
     settings = Settings(options.settings)
+    robot_of_settings(options, settings)
+    settings.take_prefix("solver.")
+    # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
+    concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
+    for probe in concerned:
+        probe.check_live(probe.facts(settings))
+    if settings.left:
+        for probe in all_probes():  # so that the refusal can list every key there is
+            if probe not in concerned:
+                probe.facts(settings)
+    settings.refuse_rest()
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a job is about, read once.
+
+    Attributes:
+        probe: what is identified.
+        robot: as the options have it.
+        facts: what is stated about the object; the probe knows their form.
+        options: with which the bag will be identified.
+    """
+
+    probe: Probe[Any]
+    robot: Robot
+    facts: Any
+    options: ReplayOptions
+
+
+def setting_of(options: ReplayOptions) -> Setting:
+    """Robot, object and search as the options have them, for a live job.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with them.
+    """
+    probe = probe_asked_for(options)
+    settings = Settings(options.settings)
+    robot = robot_of_settings(options, settings)
+    facts = probe.facts(settings, options.solver, options.profile)
+    settings.refuse_rest()
+    probe.check_live(facts)
+    return Setting(probe, robot, facts, options)
+
+
+def robot_of_settings(options: ReplayOptions, settings: Settings) -> Robot:
+    """The robot, with what the settings say of it."""
     robot = configured_robot(options.robot, options.calibration, settings)
     held_positions(robot, settings)
-    settings.take_prefix("solver.")
-    facts = read(settings)
-    settings.refuse_rest()
-    return robot, facts
+    return robot
 
 
-def _payload(settings: Settings) -> PayloadFacts:
-    return payload_facts(settings, probe_file("payload")["payload"])
-
-
-def _block(settings: Settings) -> BlockFacts:
-    return block_facts(settings, probe_file("softness")["block"])
-
-
-def _recorded_container(settings: Settings) -> ContainerFacts:
-    if settings.take("sphere.camera", None) is not None:
-        raise ConfigurationError(
-            "sphere.camera: the identifier records no camera; record its topic beside it and give both to `proprio replay`"
-        )
-    return container_facts(settings, probe_file("container"))
-
-
-def block_setting(options: ReplayOptions) -> tuple[Robot, BlockFacts]:
-    """The robot and the block as the options have them.
-
-    Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with them.
-    """
-    return _setting(options, _block)
-
-
-def prepare_squeeze(options: ReplayOptions) -> None:
-    """Kernels and the table of the block's response, so that neither is made in a probe: half a minute for a shape of block whose
-    faces stick, the first time.
-
-    Raises:
-        ConfigurationError, RobotError, SimulationError: In one line, what is wrong with the options.
-    """
-    # finite elements bring half of SciPy along, which the other probes need not wait for
-    from proprio_ros.identification.squeeze import SqueezeOptions
-    from proprio_ros.sim.squeeze import compile_kernels as compile_squeeze_kernels
-
-    _, facts = block_setting(options)
-    integrator = str(options.settings.get("solver.integrator", SqueezeOptions.integrator))
-    compile_squeeze_kernels(facts.table(), integrator)
-
-
-def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:
-    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by `travel_m`.
-
-    Args:
-        robot: Whose `joint` slides the finger.
-        joint: Of the probe.
-        travel_m: As positions are published.
-        facts: Of the block.
-    """
-    drive = robot.drive_trains[joint]
-    measured = drive.finger_travel
-    steepest = 1.0 if measured is None else float(measured.ratio_at(measured.at_rad).max()) / drive.transmission
-    return facts.fingers * steepest * travel_m / facts.length
-
-
-def block_rotation(robot: Robot, joint: str) -> np.ndarray:
-    """How a block lies between the fingers: its x along the joint's axis; in the payload's frame, shape (3, 3)."""
-    pose = dict.fromkeys(robot.model.independent_joints, 0.0)
-    moved = robot.model.joint(joint)
-    hand = robot.model.frame_transform(robot.payload_frame, pose)[:3, :3]
-    carrier = robot.model.frame_transform(moved.parent, pose)[:3, :3] @ moved.origin[:3, :3]
-    along = hand.T @ carrier @ moved.axis
-    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    across /= np.linalg.norm(across)
-    return np.stack([along, across, np.cross(along, across)], axis=1)
-
-
-def empty_container_options(options: ReplayOptions, facts: ContainerFacts) -> ReplayOptions:
-    """How the empty container is weighed: as a payload of its shape at its place.
-
-    Args:
-        options: Of the probe `container`.
-        facts: What they say about it.
-    """
-    left_out = (*_FACTS["container"], "solver.")
+def baseline_options(setting: Setting) -> ReplayOptions:
+    """How the hand without the object is identified: as what the probe's baseline says it is."""
+    probe, options = setting.probe, setting.options
+    assert probe.baseline is not None
+    left_out = (*probe.keys, "solver.")
     settings = {key: value for key, value in options.settings.items() if not key.startswith(left_out)}
-    shell = facts.shell
-    per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
-    settings |= {
-        "payload.com": shell.com.tolist(),
-        "payload.inertia_per_mass": [
-            float(per_mass[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        ],
-    }
-    return replace(options, probe="payload", settings=settings, baseline=())
+    settings |= probe.baseline_settings(setting.facts)
+    return replace(options, probe=probe.baseline.probe, settings=settings, baseline=())
 
 
 def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
@@ -282,21 +194,17 @@ def replay_command(bag: Path, options: ReplayOptions) -> str:
     return shlex.join(words)
 
 
-class LiveWeighing:
+class LiveEstimate:
     """An estimate from what has come so far; its interval shrinks as the probe goes on.
 
     `add_state` and `add_input` may be called from another thread than `estimate`.
 
     Args:
-        options: As for the bag that will be identified afterwards.
-
-    Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with the options.
+        setting: As for the bag that will be identified afterwards; of a probe that is `live`.
     """
 
-    def __init__(self, options: ReplayOptions) -> None:
-        self.robot, self.facts = _setting(options, _payload)
-        self._weighing = replace(WeighingOptions(), starts_kg=LIVE_STARTS_KG)
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
         self._lock = threading.Lock()
         self.reset()
 
@@ -339,20 +247,22 @@ class LiveWeighing:
                 names,
                 np.array([row[1] for row in states]).reshape(-1, len(names)),
             )
-            drives = self.robot.drive_trains
+            setting = self._setting
+            drives = setting.robot.drive_trains
             constants = np.array([drives[n].nominal_effort_per_current if n in drives else 1.0 for n in names])
             current = np.array([row[1] for row in inputs]).reshape(-1, len(names)) / constants
             source = InputRecord(np.array([row[0] for row in inputs]), names, current, "/applied_effort")
             runs = cut_runs(Recording("live", record, source), joints=list(drives))
-            return weigh(self.robot, runs, self.facts, self._weighing)
+            return setting.probe.identify_so_far(setting.robot, runs, setting.facts)
         except ProprioError:
             return None  # not enough yet; what is wrong for good is told by the identification of the bag
 
 
 def live_interval(estimate: Estimate) -> tuple[float, float] | None:
-    """Mass and standard deviation as far as the run has come, also where a verdict would still withhold them [kg]."""
+    """What is searched for and its standard deviation as far as the run has come, also where a verdict still withholds them."""
+    name, _ = probe_named(estimate.probe).answer
     for row in estimate.unknowns:
-        if row.name == "payload_mass" and np.isfinite(row.std):
+        if row.name == name and np.isfinite(row.std):
             return float(row.value), float(row.std)
     return None
 
@@ -368,17 +278,3 @@ def as_diagnostics(estimate: Estimate) -> dict[str, Any]:
         if value.ci95 is not None:
             told[f"{value.name}.ci95"] = list(value.ci95)
     return told
-
-
-def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
-    """Inertia about the payload's centre of mass [kg m^2], shape (3, 3); NaN where its shape was not stated, since one joint's
-    motion does not tell it."""
-    if facts.shape_std_relative > 0.0:
-        return np.full((3, 3), np.nan)
-    return mass_kg * rotational_inertia(facts.shape.second_moment_per_mass)
-
-
-def rotational_inertia(second_moment: np.ndarray) -> np.ndarray:
-    """From the integral of r r^T dm to that of r^2 - r r^T, shape (3, 3)."""
-    tensor: np.ndarray = np.trace(second_moment) * np.eye(3) - second_moment
-    return tensor

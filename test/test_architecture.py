@@ -18,29 +18,56 @@ ROOMS: dict[str, set[str]] = {
     "calibration": {"errors", "quantity"},
     "robot": {"errors", "resources", "quantity", "calibration"},
     "kinematics": {"errors", "robot"},
-    "settings": {"errors"},
+    "settings": {"errors", "resources"},
     "realtime": set(),
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
     "identification": {"errors", "records", "quantity", "robot", "calibration", "kinematics", "sim"},
-    "replay": {"errors", "records", "resources", "quantity", "robot", "bags", "runs", "sim", "identification"},
-    "calibrate": {"errors", "resources", "robot", "calibration", "identification", "replay"},
     "report": {"errors", "resources", "calibration", "identification"},
+    "published": {"errors", "records", "robot", "bags"},
+    # what can be identified: each probe in a folder of its own, and none of them known to any room below
+    "probes": {
+        "errors",
+        "records",
+        "quantity",
+        "settings",
+        "robot",
+        "bags",
+        "published",
+        "sim",
+        "identification",
+        "report",
+        "excitation",
+    },
+    "replay": {
+        "errors",
+        "records",
+        "settings",
+        "robot",
+        "bags",
+        "runs",
+        "published",
+        "identification",
+        "probes",
+        "report",
+    },
+    "calibrate": {"errors", "resources", "settings", "robot", "calibration", "identification", "probes", "replay"},
     # a live recording: raw messages to a bag, and the bag to a result
     "session": {
         "errors",
         "resources",
         "records",
+        "settings",
         "robot",
         "bags",
         "runs",
         "sim",
         "identification",
+        "probes",
         "replay",
-        "calibrate",
     },
-    "cli": {"errors", "settings", "replay", "calibrate", "report", "nodes"},
+    "cli": {"errors", "settings", "identification", "probes", "replay", "calibrate", "report", "nodes"},
     "bus": {"errors", "records", "robot", "realtime"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
@@ -53,6 +80,7 @@ ROOMS: dict[str, set[str]] = {
         "bags",
         "runs",
         "identification",
+        "probes",
         "replay",
         "calibrate",
         "report",
@@ -82,7 +110,7 @@ ONLY_IN = {
     "rosbags": {"bags"},
     "mujoco": {"virtual"},
     "dynamixel_sdk": {"bus"},
-    "matplotlib": {"report"},
+    "matplotlib": {"report", "probes"},
     "cma": {"identification"},
     "meshio": {"sim"},
 }
@@ -121,6 +149,22 @@ def test_no_arrow_points_up(path: Path) -> None:
             assert target in ROOMS[room] | {room, "__version__"}, f"{room} must not look at {target}"
         assert top not in ROS or room == "nodes", f"{room} must not import {top}"
         assert room in ONLY_IN.get(top, {room}), f"{room} must not import {top}"
+
+
+def test_no_room_but_the_probes_names_a_probe() -> None:
+    """Command line, services, report, demo and launch file ask the registry."""
+    may = {
+        "probes",
+        "virtual",
+        "sim",
+        "published",
+    }  # virtual objects and simulators of the same things have the same names
+    for path in PACKAGE.rglob("*.py"):
+        if room_of(path) in may:
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert node.value not in ("container", "softness"), f"{path}:{node.lineno} names a probe"
 
 
 def test_the_table_has_no_circle() -> None:

@@ -16,24 +16,21 @@ import proprio_ros.session as session_module
 from proprio_ros.bags import read_recording
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.probes import probe_named
+from proprio_ros.probes.payload.facts import inertia_tensor
+from proprio_ros.probes.softness import block_rotation, largest_squeeze
 from proprio_ros.records import Recording
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import FingerTravel, load_robot
 from proprio_ros.session import (
-    LiveWeighing,
+    LiveEstimate,
     Session,
-    block_rotation,
-    block_setting,
+    baseline_options,
     check_settings,
-    container_setting,
-    empty_container_options,
-    inertia_tensor,
     keep_result,
-    largest_squeeze,
     live_interval,
-    prepare_container,
-    prepare_squeeze,
     replay_command,
+    setting_of,
     settings_for,
 )
 from proprio_ros.sim import sphere, squeeze
@@ -124,7 +121,7 @@ def test_nothing_came_in(tmp_path: Path) -> None:
 def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> None:
     read = recording(bags / BAG)
     assert read.inputs is not None
-    live = LiveWeighing(ReplayOptions())
+    live = LiveEstimate(setting_of(ReplayOptions()))
     assert live.estimate() is None
     inputs = list(zip(read.inputs.times_ns, read.inputs.current_A, strict=True))
     effort = np.array([CONSTANTS[name] for name in read.inputs.names])
@@ -149,7 +146,7 @@ def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> No
 
 
 def test_samples_that_are_no_use_are_passed_over() -> None:
-    live = LiveWeighing(ReplayOptions())
+    live = LiveEstimate(setting_of(ReplayOptions()))
     live.add_state(1_000, ["joint3"], [0.1])
     live.add_state(900, ["joint3"], [0.2])  # out of order
     live.add_state(2_000, ["joint3"], [float("nan")])
@@ -160,11 +157,11 @@ def test_samples_that_are_no_use_are_passed_over() -> None:
 
 def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
     with pytest.raises(ConfigurationError, match=r"payload\.siz"):
-        LiveWeighing(ReplayOptions(settings={"payload.siz": 0.03}))
-    stated = LiveWeighing(ReplayOptions(settings={"payload.shape": "cube", "payload.size": 0.03}))
+        setting_of(ReplayOptions(settings={"payload.siz": 0.03}))
+    stated = setting_of(ReplayOptions(settings={"payload.shape": "cube", "payload.size": 0.03}))
     # a cube: m a^2 / 6 about every axis
-    assert inertia_tensor(stated.facts, 0.06) == pytest.approx(np.eye(3) * 0.06 * 0.03**2 / 6.0)
-    assert np.isnan(inertia_tensor(LiveWeighing(ReplayOptions()).facts, 0.06)).all()
+    assert inertia_tensor(stated.facts.payload, 0.06) == pytest.approx(np.eye(3) * 0.06 * 0.03**2 / 6.0)
+    assert np.isnan(inertia_tensor(setting_of(ReplayOptions()).facts.payload, 0.06)).all()
 
 
 def test_the_command_beside_a_result_gives_it_again(
@@ -201,9 +198,14 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "block.contact": "bonded",
         "held.joint1": 0.1,
     }
-    assert set(settings_for("softness", stated)) == {"payload.frame", "block.contact", "held.joint1"}
-    assert set(settings_for("payload", stated)) == {"payload.size", "payload.frame", "held.joint1"}
-    assert set(settings_for("container", stated)) == {"payload.frame", "sphere.radius", "container.mass", "held.joint1"}
+    assert set(settings_for(probe_named("softness"), stated)) == {"payload.frame", "block.contact", "held.joint1"}
+    assert set(settings_for(probe_named("payload"), stated)) == {"payload.size", "payload.frame", "held.joint1"}
+    assert set(settings_for(probe_named("container"), stated)) == {
+        "payload.frame",
+        "sphere.radius",
+        "container.mass",
+        "held.joint1",
+    }
     check_settings(ReplayOptions(settings=stated))
     with pytest.raises(ConfigurationError, match=r"sphere\.radios: unknown.*payload\.com.*sphere\.radius"):
         check_settings(ReplayOptions(settings={**stated, "sphere.radios": 0.01}))
@@ -217,8 +219,7 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
 
 def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> None:
     options = replace(container_options(bags), settings={**ABOUT_IT, "held.joint1": 0.0, "solver.starts_kg": [0.01]})
-    _, facts = container_setting(options)
-    weighing = empty_container_options(options, facts)
+    weighing = baseline_options(setting_of(options))
     assert weighing.probe == "payload" and not weighing.baseline and weighing.settings["held.joint1"] == 0.0
     assert weighing.settings["payload.com"] == ABOUT_IT["container.centre"]
     # thin walls: the two across z are 6 x 4 cm, those across y 6 x 4, those across x 4 x 4; moments of a plate and Steiner
@@ -238,8 +239,7 @@ def test_a_container_told_to_be_turned_has_its_inertia_turned() -> None:
     upright = ReplayOptions(probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]})
     level = ReplayOptions(probe="container", settings=ABOUT_IT)
     turned, straight = (
-        empty_container_options(options, container_setting(options)[1]).settings["payload.inertia_per_mass"]
-        for options in (upright, level)
+        baseline_options(setting_of(options)).settings["payload.inertia_per_mass"] for options in (upright, level)
     )
     xx, yy, zz = straight[:3]
     assert xx != pytest.approx(yy, rel=0.1)
@@ -258,13 +258,18 @@ def test_the_command_of_a_container_names_its_baseline_and_gives_the_result_agai
     assert json.loads(capsys.readouterr().out)["estimates"] == estimate.as_json()["estimates"]
 
 
+def prepare(options: ReplayOptions) -> None:
+    setting = setting_of(options)
+    setting.probe.prepare(setting.facts)
+
+
 def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     options = container_options(bags)
     full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
 
     def compiled_in_replay(prepared: ReplayOptions) -> int:
         sphere._tangent_kernel.cache_clear()
-        prepare_container(prepared)
+        prepare(prepared)
         before = sphere._tangent_kernel.cache_info().misses
         replay([full], options)
         return int(sphere._tangent_kernel.cache_info().misses - before)
@@ -277,7 +282,7 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
 def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
     options = ReplayOptions(probe="softness", settings={"block.size": 0.03})
     squeeze._tangent_kernel.cache_clear()
-    prepare_squeeze(options)
+    prepare(options)
     before = squeeze._tangent_kernel.cache_info().misses
     replay([bags / "realistic_s00_squeeze_heavy" / "bag_mcap"], options)
     assert squeeze._tangent_kernel.cache_info().misses == before
@@ -285,10 +290,11 @@ def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
 
 def test_how_far_a_block_may_be_squeezed() -> None:
     """Two fingers; where their linkage was measured to close faster than the ratio says, by that much more."""
-    robot, facts = block_setting(ReplayOptions(probe="softness", settings={"block.size": [0.02, 0.03, 0.03]}))
+    setting = setting_of(ReplayOptions(probe="softness", settings={"block.size": [0.02, 0.03, 0.03]}))
+    robot, facts = setting.robot, setting.facts.block
     gripper = "gripper_left_joint"
     assert largest_squeeze(robot, gripper, 0.005, facts) == pytest.approx(0.5)
-    _, one = block_setting(ReplayOptions(probe="softness", settings={"block.size": 0.02, "block.fingers": 1}))
+    one = setting_of(ReplayOptions(probe="softness", settings={"block.size": 0.02, "block.fingers": 1})).facts.block
     assert largest_squeeze(robot, gripper, 0.005, one) == pytest.approx(0.25)
     drive = robot.drive_trains[gripper]
     faster = replace(drive, finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -161,103 +161,12 @@ class Scan:
     measure: str = "reduced chi-square"
 
 
-@dataclass(frozen=True)
-class SpherePath:
-    """Where the sphere is believed to have been during a run.
-
-    Attributes:
-        run: name of the run.
-        shape, inner_size, radius: of the inside, along the axes of the container, shape (3,), and of the sphere [m].
-        times_s: shape (K,).
-        position: of the sphere's centre in the container's frame [m], shape (K, 3).
-        std: of its position [m], shape (K, 3).
-        world_from_container: shape (K, 3, 3).
-        across: the joint's axis in the container's frame; one looks along it, shape (3,).
-    """
-
-    run: str
-    shape: str
-    inner_size: np.ndarray
-    radius: float
-    times_s: np.ndarray
-    position: np.ndarray
-    std: np.ndarray
-    world_from_container: np.ndarray
-    across: np.ndarray
-
-    @property
-    def moved(self) -> float:
-        """Farthest from where it started [m]."""
-        return float(np.linalg.norm(self.position - self.position[0], axis=1).max())
-
-
-@dataclass(frozen=True)
-class BlockShape:
-    """A block at one instant of a squeeze, by finite elements.
-
-    Attributes:
-        time_s: after the current came on.
-        squeeze: relative to the length, below 0 while it is not touched.
-        points: x along the squeeze, in lengths of the block from its middle, shape (N, 3).
-        triangles: of its surface, seen from outside, shape (F, 3).
-    """
-
-    time_s: float
-    squeeze: float
-    points: np.ndarray
-    triangles: np.ndarray
-
-
-@dataclass(frozen=True)
-class SqueezeCurve:
-    """What a block did in one closing of the gripper, as simulated at the estimate.
-
-    Attributes:
-        run: name of the run.
-        length: of the block along the squeeze [m].
-        times_s: shape (K,).
-        squeeze: relative to the length, below 0 while it is not touched, shape (K,).
-        force_N: on each finger, by the law of elasticity alone, shape (K,).
-        shapes: of the block from the first sample to the largest squeeze, where they are to be shown.
-    """
-
-    run: str
-    length: float
-    times_s: np.ndarray
-    squeeze: np.ndarray
-    force_N: np.ndarray
-    shapes: tuple[BlockShape, ...] = ()
-
-
-@dataclass(frozen=True)
-class JointInterval:
-    """Two values that are known better together than each alone.
-
-    Attributes:
-        names: Of the two values.
-        unit: Of both.
-        value: Shape (2,).
-        covariance: Shape (2, 2).
-        outline: Of the region that holds both with 95 %, shape (M, 2); no ellipse where the values are no linear functions of what
-            was fitted.
-        told: Whether both values are the recording's rather than the prior's.
-    """
-
-    names: tuple[str, str]
-    unit: str
-    value: np.ndarray
-    covariance: np.ndarray
-    outline: np.ndarray
-    told: bool
+class Detail(Protocol):
+    """What only one probe's answers have."""
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "names": list(self.names),
-            "unit": self.unit,
-            "value": self.value.tolist(),
-            "covariance": self.covariance.tolist(),
-            "outline95": self.outline.tolist(),
-        }
+        """Keys of the contract's object that no other probe has."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -276,9 +185,7 @@ class Estimate:
     unknowns: tuple[UnknownRow, ...] = ()
     budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the first value, in its unit)
     scan: Scan | None = None
-    paths: tuple[SpherePath, ...] = ()
-    curves: tuple[SqueezeCurve, ...] = ()
-    joint: JointInterval | None = None
+    detail: Detail | None = None  # what only one probe's answers have
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
@@ -301,7 +208,6 @@ class Estimate:
                 "reduced_chi2": self.fit.reduced_chi2,
                 "condition": self.fit.condition,
             }
-        together = {} if self.joint is None or not self.joint.told else {"joint_interval": self.joint.as_json()}
         return plain(
             {
                 "probe": self.probe,
@@ -310,7 +216,7 @@ class Estimate:
                 "verdict": self.verdict.value,
                 "reasons": list(self.reasons),
                 "estimates": [value.as_json() for value in self.values],
-                **together,
+                **({} if self.detail is None else self.detail.as_json()),
                 "fit": fit,
                 "solver": None if self.solver is None else self.solver.as_json(),
                 "uncertainty_budget": [{"source": s, "std": v, "unit": self.values[0].unit} for s, v in self.budget],

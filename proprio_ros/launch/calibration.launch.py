@@ -25,6 +25,7 @@ from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from proprio_ros.probes import all_probes
 from proprio_ros.resources import resource
 
 RELEASE_S = "15.0"
@@ -142,11 +143,18 @@ def _nodes(context: LaunchContext) -> list[Any]:
             )
         )
     base = f"/{namespace}" if namespace else ""
-    services = {"container": ("record_container_baseline", "calibrate_container"), "block": ("calibrate_softness",)}
-    kind = given["object"].strip().partition(":")[0] if virtual else ""
-    for service in services.get(kind, ("calibrate_payload",)):
+    for service in _services_for(given["object"] if virtual else ""):
         actions.append(LogInfo(msg=f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger"))
     return actions
+
+
+def _services_for(held: str) -> list[str]:
+    """What to call for what the virtual hand holds; without one, for a payload."""
+    kind = held.strip().partition(":")[0] if ":" in held else ""
+    probes = [probe for probe in all_probes() if probe.example is not None and probe.example.kind == kind]
+    probe = probes[0] if probes else all_probes()[0]
+    baseline = [] if probe.baseline is None else [f"record_{probe.name}_baseline"]
+    return [*baseline, f"calibrate_{probe.name}"]
 
 
 def generate_launch_description() -> LaunchDescription:

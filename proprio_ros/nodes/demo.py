@@ -1,7 +1,6 @@
 """`proprio demo`: a virtual robot and three nodes in processes of their own, one calibration, one object, the result.
 
-The object is a payload, a soft block between the fingers, or a container with a sphere in it, which is recorded without its sphere
-first.
+What the object is, the probe says; where it has a baseline, that is recorded first.
 """
 
 from __future__ import annotations
@@ -28,18 +27,12 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.runtime import LATCHED
+from proprio_ros.probes.base import Probe
 
 READY_S = 40.0
 """On a new machine the identifier compiles its kernels first."""
 ROBOT_S, OBJECT_S = 240.0, 120.0
 REFERENCE_KG = 0.1
-SHELL_KG = 0.03
-GAP_M = 0.0005
-_NOW = {
-    "payload": "now something is in its hand",
-    "container": "now there is a sphere in the container",
-    "softness": "now a block of 30 mm is between its fingers",
-}
 _interrupted = threading.Event()
 
 
@@ -50,7 +43,7 @@ class DemoResult:
     Attributes:
         accepted: Whether the robot and the object were identified.
         sentence: The service's own words.
-        value: Mass of the object, or of the sphere in it [kg], or the block's Young's modulus [Pa]; None when not told.
+        value: The probe's answer, in its SI unit; None when not told.
         ci95: Its interval, as published.
         truth: What that really was.
         report: The HTML page.
@@ -67,9 +60,9 @@ class DemoResult:
 
 
 def demo(
-    truth: float = 0.05,
+    probe: Probe[Any],
+    truth: float,
     *,
-    probe: str = "payload",
     folder: Path = Path("proprio_demo"),
     seed: int = 1,
     robot: str = "open_manipulator_x",
@@ -79,13 +72,12 @@ def demo(
     """Weigh an object, or squeeze it, with a virtual arm that first weighs itself.
 
     Args:
-        truth: Mass of the object, for a container of the sphere in it [kg]; for a block Young's modulus [Pa].
-        probe: ``payload``, ``container`` or ``softness``.
+        probe: What is identified; it has an example.
+        truth: What it should find, in the unit of its answer.
         folder: For recordings, calibration, report and the nodes' logs.
         seed: Draws the arm's hidden numbers.
         robot: Its name or file.
-        full: All joints, as on a real arm, instead of the elbow alone; a container is always moved with the wrist, too, and a block
-            by the gripper.
+        full: All joints, as on a real arm, instead of those that the example needs.
         tell: Told what is going on, a sentence at a time.
 
     Raises:
@@ -93,6 +85,8 @@ def demo(
         KeyboardInterrupt: Told to end (SIGINT, SIGTERM); no process is left behind.
     """
     started = time.monotonic()
+    example = probe.example
+    assert example is not None, f"{probe.name} has no example"
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
@@ -103,21 +97,11 @@ def demo(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
-        kinds = {"robot_sequence": "empty_hand", "reference_sequence": "reference", "payload_sequence": "payload"}
-        quick = {kind: f"{name}_elbow" for kind, name in kinds.items()}
-        if probe == "container":  # the wrist moves it, too
-            quick["robot_sequence"] = "empty_hand_container"
-        if probe == "softness":
-            quick["robot_sequence"] = "empty_hand_gripper"
-        sequences = kinds if full else quick
-        reference = {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
-        if probe == "softness" and not full:
-            reference = {}  # nothing that the gripper does moves a weight
-        held = {
-            "payload": truth,
-            "container": f"container:{SHELL_KG:g},sphere={truth:g}",
-            "softness": f"block:{truth:g},gap={GAP_M:g}",
-        }[probe]
+        sequences = {} if full else {"reference_sequence": "reference_elbow", **example.sequences}
+        reference: dict[str, Any] = {}
+        if full or example.reference:
+            reference = {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
+        held = example.held.format(truth=truth)
         graph.start("virtual", {"robot": robot, "link": link, "object": held, "seed": seed})
         graph.start("driver", {"robot": robot, "port": link})
         graph.start("excitation", {"robot": robot})
@@ -134,18 +118,18 @@ def demo(
             while sentence.startswith("not ready") and time.monotonic() - started < READY_S:  # a slow computer
                 accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
             tell(sentence)
-            if accepted and probe == "container":
-                tell("now an empty container is in its hand")
-                accepted, sentence = client.call("/identifier/record_container_baseline", OBJECT_S)
+            if accepted and probe.baseline is not None:
+                tell(f"now an {probe.baseline.noun} is in its hand")
+                accepted, sentence = client.call(f"/identifier/record_{probe.name}_baseline", OBJECT_S)
                 tell(sentence)
             if accepted:
-                tell(_NOW[probe])
-                accepted, sentence = client.call(f"/identifier/calibrate_{probe}", OBJECT_S)
-            final = client.final_estimate(probe, 3.0) if accepted else {}
+                tell(example.now)
+                accepted, sentence = client.call(f"/identifier/calibrate_{probe.name}", OBJECT_S)
+            final = client.final_estimate(probe.name, 3.0) if accepted else {}
             elapsed = time.monotonic() - started
             tell("done; the nodes are ending")
-    name = {"payload": "payload_mass", "container": "sphere_mass", "softness": "youngs_modulus"}[probe]
-    reports = sorted(folder.glob(f"*_{probe}/report.html"))
+    name, _ = probe.answer
+    reports = sorted(folder.glob(f"*_{probe.name}/report.html"))
     return DemoResult(
         accepted,
         sentence,
@@ -204,7 +188,7 @@ class _Client:
             values = messages.values_of(status)
             if values.get("final") == "true":
                 self._final[status.name] = values
-            elif status.name == "payload":
+            elif values.get("final") == "false":
                 self._tell(status.message)
 
     def _spin_until(self, ready: Callable[[], bool], seconds: float) -> bool:
@@ -222,7 +206,7 @@ class _Client:
         states = threading.Event()
         subscription = self._node.create_subscription(JointState, "/joint_states", lambda _: states.set(), 1)
         services = [
-            self._node.create_client(Trigger, name) for name in ("/identifier/calibrate_payload", "/excitation/run")
+            self._node.create_client(Trigger, name) for name in ("/identifier/calibrate_robot", "/excitation/run")
         ]
         ready = self._spin_until(
             lambda: states.is_set() and all(service.service_is_ready() for service in services), seconds

@@ -1,14 +1,13 @@
 """The identifier node: asks for a probe, listens, keeps the recording, says what it tells.
 
 A job has a thread of its own, so that neither the arm's motion nor the identification ever blocks the executor; a second thread
-weighs what has come so far while a payload is probed (not a sphere: where it rolls shows only when a run is over; nor a block,
-which takes several runs). The recording is written before anything is identified, and what is identified is the recording, by the
-function that `proprio replay` calls.
+estimates from what has come so far, where the probe can (a sphere cannot: where it rolls shows only when a run is over). The
+recording is written before anything is identified, and what is identified is the recording, by the function that `proprio replay`
+calls. Which probes there are, the registry says.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import threading
@@ -17,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
@@ -34,37 +33,29 @@ from proprio_ros.calibrate import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
-from proprio_ros.identification.container_problem import ContainerFacts
 from proprio_ros.identification.estimate import Z95, Estimate, Verdict, shown_unit
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
-from proprio_ros.replay import ReplayOptions, replay
-from proprio_ros.report import write_calibration_report, write_report
-from proprio_ros.robot import Robot
+from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.probes.base import Probe
+from proprio_ros.replay import ReplayOptions, replay, write_report
+from proprio_ros.report import write_calibration_report
 from proprio_ros.session import (
-    LiveWeighing,
+    LiveEstimate,
     Session,
+    Setting,
     as_diagnostics,
-    block_rotation,
-    block_setting,
+    baseline_options,
     check_settings,
-    container_setting,
-    empty_container_options,
-    inertia_tensor,
     keep_result,
-    largest_squeeze,
     live_interval,
-    prepare_container,
     prepare_identification,
-    prepare_squeeze,
     replay_command,
+    setting_of,
     settings_for,
 )
 from proprio_ros.settings import parse_settings
-
-if TYPE_CHECKING:
-    from proprio_ros.identification.squeeze_problem import BlockFacts
 
 STALE_S = 0.5
 READY_S = 4.0
@@ -76,13 +67,35 @@ TAIL_S = 0.3
 """Joint states after the last run that belong to the recording."""
 OLD_S = 86400.0
 """A baseline from another day is doubted: nobody remembers what was changed since."""
-_SERVICES = {
-    "robot": "calibrate_robot",
-    "payload": "calibrate_payload",
-    "container": "calibrate_container",
-    "container_baseline": "record_container_baseline",
-    "softness": "calibrate_softness",
-}
+
+
+def _services() -> dict[str, str]:
+    """Kind of job and its service: the robot's, and of each probe one to identify and one to record its baseline."""
+    services = {"robot": "calibrate_robot"}
+    for probe in all_probes():
+        services[probe.name] = f"calibrate_{probe.name}"
+        if probe.baseline is not None:
+            services[f"{probe.name}_baseline"] = f"record_{probe.name}_baseline"
+    return services
+
+
+def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
+    """What can be said to the node about a probe."""
+    services = f"calibrate_{probe.name}"
+    baseline = f"record_{probe.name}_baseline"
+    if probe.baseline is not None:
+        services += f" and {baseline}"
+    parameters = [
+        Parameter(f"{probe.name}_sequence", probe.default_sequence, f"Probe sequence of {services}.", dynamic=True)
+    ]
+    if probe.baseline is not None:
+        words = f"Bag of the {probe.baseline.noun}; empty: what {baseline} kept last; none: without."
+        parameters.append(Parameter(f"{probe.name}_baseline", "", words, dynamic=True))
+    for limit in probe.limits:
+        parameters.append(
+            Parameter(limit.name, limit.default, limit.description, limit.lowest, limit.highest, dynamic=True)
+        )
+    return parameters
 
 
 class JobError(ProprioError):
@@ -94,15 +107,12 @@ class Job:
     """One service call that is being worked on."""
 
     kind: str
+    service: str
     cancelled: threading.Event = field(default_factory=threading.Event)
     ended: threading.Event = field(default_factory=threading.Event)
     success: bool = False
     message: str = ""
     on_end: list[Callable[[], None]] = field(default_factory=list)
-
-    @property
-    def service(self) -> str:
-        return _SERVICES[self.kind]
 
 
 class IdentifierNode(ManagedNode):
@@ -115,22 +125,14 @@ class IdentifierNode(ManagedNode):
         Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
                   dynamic=True),
         Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot."),
-        Parameter("payload_sequence", "payload", "Probe sequence of calibrate_payload."),
-        Parameter("container_sequence", "container",
-                  "Probe sequence of calibrate_container and record_container_baseline."),
-        Parameter("container_baseline", "",
-                  "Bag of the empty container; empty: what record_container_baseline kept last; none: without.", dynamic=True),
-        Parameter("softness_sequence", "softness", "Probe sequence of calibrate_softness.", dynamic=True),
-        Parameter("largest_squeeze", 0.4,
-                  "A softness_sequence that may squeeze the block further, as a share of its length, is refused.", 0.01, 0.95,
-                  dynamic=True),
+        *(parameter for probe in all_probes() for parameter in _parameters_of(probe)),
         Parameter("reference_sequence", "reference", "Probe sequence of calibrate_robot with the reference object."),
         Parameter("reference_mass", 0.0, "Mass of a weighed object for calibrate_robot [kg]; 0: none.", 0.0, 5.0, dynamic=True),
         Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
         Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
         Parameter("excitation_node", "excitation", "Name of the excitation node."),
         Parameter("report", True, "Write the result and an HTML report beside every recording."),
-        Parameter("live_period", 0.03, "Pause between live estimates of a payload [s]; 0 turns them off.", 0.0, 10.0),
+        Parameter("live_period", 0.03, "Pause between estimates while a run is under way [s]; 0 turns them off.", 0.0, 10.0),
     )  # fmt: skip
 
     def __init__(self, **kwargs: Any) -> None:
@@ -140,7 +142,7 @@ class IdentifierNode(ManagedNode):
         self._closing = False
         self._session: Session | None = None
         self._unsaved: list[Session] = []
-        self._live: LiveWeighing | None = None
+        self._live: LiveEstimate | None = None
         self._driven = False
         self._state_at_s = -1e9
         self._excitation: dict[str, str] = {}
@@ -153,8 +155,8 @@ class IdentifierNode(ManagedNode):
         self._calibration = self._find_calibration()
         started = time.monotonic()
         prepare_identification()  # kernels are compiled here, and never inside a probe
-        check_settings(replace(self._options("payload"), settings=parse_settings(value_of(self, "settings"))))
-        self._live = LiveWeighing(self._options("payload"))
+        for given in ("settings", "reference_settings"):
+            check_settings(replace(self._options(), settings=parse_settings(value_of(self, given))))
         self.say("info", f"ready after {time.monotonic() - started:.1f} s; calibration: {self._calibration or 'none'}")
 
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
@@ -163,7 +165,7 @@ class IdentifierNode(ManagedNode):
         self._markers = self.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._numbers = {
             name: self.create_publisher(Float64, f"~/{name}", LATCHED)
-            for name in ("mass", "lame_mu", "lame_lambda", "youngs_modulus")
+            for name in dict.fromkeys(topic for probe in all_probes() for topic in probe.numbers.values())
         }
         # bytes as they came over the wire: that is what goes into the bag
         for topic, kind in (
@@ -176,7 +178,8 @@ class IdentifierNode(ManagedNode):
         self._set_probe = self.create_client(SetParameters, f"{name}/set_parameters")
         self._run = self.create_client(Trigger, f"{name}/run")
         self._abort = self.create_client(Trigger, f"{name}/abort")
-        for kind_, service in _SERVICES.items():
+        self._services = _services()
+        for kind_, service in self._services.items():
             LongService(self, f"~/{service}", partial(self._begin, kind_))
         LongService(self, "~/cancel", self._cancel)
         self.every(5.0, self._save_again)
@@ -201,7 +204,7 @@ class IdentifierNode(ManagedNode):
                 try:
                     facts = parse_settings([pair for pair in parameter.value if pair])
                     options = ReplayOptions(robot=self.values["robot"], settings=facts)
-                    check_settings(options) if parameter.name == "settings" else LiveWeighing(options)
+                    check_settings(options)
                 except ProprioError as error:
                     return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -217,21 +220,24 @@ class IdentifierNode(ManagedNode):
     def _newest_calibration(self) -> Path:
         return self._data / f"{Path(self.values['robot']).stem}_calibration.yaml"
 
-    def _newest_baseline(self) -> Path:
-        return self._data / f"{Path(self.values['robot']).stem}_container_baseline"
+    def _newest_baseline(self, probe: Probe[Any]) -> Path:
+        return self._data / f"{Path(self.values['robot']).stem}_{probe.name}_baseline"
 
-    def _find_baseline(self) -> Path | None:
-        """The recording of the empty container, if there is one.
+    def _find_baseline(self, probe: Probe[Any]) -> Path | None:
+        """The recording without what is to be identified, if there is one.
 
         Raises:
             JobError: One was named that is not there.
         """
-        stated = value_of(self, "container_baseline")
+        if probe.baseline is None:
+            return None
+        name = f"{probe.name}_baseline"
+        stated = value_of(self, name)
         if stated == "none":
             return None
-        path = Path(stated).expanduser() if stated else self._newest_baseline()
+        path = Path(stated).expanduser() if stated else self._newest_baseline(probe)
         if stated and not path.exists():
-            raise JobError(f"container_baseline {path}: there is no such recording; name a bag, or leave it empty")
+            raise JobError(f"{name} {path}: there is no such recording; name a bag, or leave it empty")
         return path.resolve() if path.exists() else None
 
     def _keep_as_newest(self, link: Path, target: Path) -> None:
@@ -249,13 +255,14 @@ class IdentifierNode(ManagedNode):
                 f"{link} cannot be written ({error.strerror}); what it should point to is {target}"
             ) from error
 
-    def _options(self, probe: str) -> ReplayOptions:
-        return ReplayOptions(
-            probe=probe,
-            robot=None if self._calibration else self.values["robot"],
-            settings=settings_for(probe, parse_settings(value_of(self, "settings"))),
-            calibration=self._calibration,
-        )
+    def _options(self) -> ReplayOptions:
+        return ReplayOptions(robot=None if self._calibration else self.values["robot"], calibration=self._calibration)
+
+    def _setting(self, probe: Probe[Any], baseline: Path | None) -> Setting:
+        """What a job is about: robot, and what is stated about the object, read once."""
+        settings = settings_for(probe, parse_settings(value_of(self, "settings")))
+        empty = () if baseline is None else (baseline,)
+        return setting_of(replace(self._options(), probe=probe.name, settings=settings, baseline=empty))
 
     # --- what comes in ------------------------------------------------------------------------------------------------
 
@@ -299,7 +306,7 @@ class IdentifierNode(ManagedNode):
             return answer(False, "the identifier node is not active")
         if self._job is not None:
             return answer(False, f"busy: {self._job.service} is under way; wait for it, or call ~/cancel")
-        self._job = job = Job(kind)
+        self._job = job = Job(kind, self._services[kind])
         threading.Thread(target=self._work, args=(job, answer), name=f"calibrate {kind}", daemon=True).start()
         return None
 
@@ -318,11 +325,7 @@ class IdentifierNode(ManagedNode):
         level = "error"
         try:
             self._await_others()
-            works = {
-                "robot": self._calibrate, "payload": self._weigh, "container": self._find_sphere,
-                "container_baseline": self._record_baseline, "softness": self._squeeze,
-            }  # fmt: skip
-            job.success, job.message = works[job.kind](job)
+            job.success, job.message = self._make(job)
             level = "ok" if job.success else "warning"
         except ProprioError as error:
             job.message = str(error)
@@ -361,15 +364,41 @@ class IdentifierNode(ManagedNode):
                 raise JobError(f"not ready: {missing}")
             time.sleep(0.05)
 
-    def _weigh(self, job: Job) -> tuple[bool, str]:
-        options = self._options("payload")
-        self._live = LiveWeighing(options) if self.values["live_period"] > 0.0 else None
-        bag = self._record(job, "payload", value_of(self, "payload_sequence"))
-        estimate = self._identify(job, bag, options, self._publish)
+    def _make(self, job: Job) -> tuple[bool, str]:
+        """Whether a job succeeded, and what there is to say."""
+        if job.kind == "robot":
+            return self._calibrate(job)
+        name = job.kind.removesuffix("_baseline")
+        if name != job.kind and name in self._services:
+            return self._record_baseline(job, probe_named(name))
+        return self._identify_object(job, probe_named(job.kind))
+
+    def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
+        """Have the runs of a probe made, and say what they tell."""
+        baseline = self._find_baseline(probe)
+        setting = self._setting(probe, baseline)
+        if baseline is None and probe.baseline is not None and probe.needs_baseline(setting.facts):
+            raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
+        sequence = value_of(self, f"{probe.name}_sequence")
+        limits = {limit.name: float(value_of(self, limit.name)) for limit in probe.limits}
+        if probe.limits:
+            probe.check(setting.robot, setting.facts, load_sequence(sequence, setting.robot), limits)
+        self._live = LiveEstimate(setting) if probe.live and self.values["live_period"] > 0.0 else None
+        if probe.prepares:
+            self._tell(job.kind, f"preparing the simulation of {probe.prepares}")
+        probe.prepare(setting.facts)
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
+        if probe.hand:
+            self._tell(job.kind, probe.hand)
+        bag = self._record(job, job.kind, sequence)
+        estimate = self._identify(job, bag, setting.options, partial(self._publish, setting))
+        against = "" if baseline is None else f"; {self._about_baseline(baseline)}"
         told = _interval_of(estimate)
         if not told:
-            return False, f"{_refusal_of(estimate)}; recording: {bag}"
-        return True, f"payload {told}, {estimate.runs} runs{self._uncalibrated}; recording: {bag}"
+            return False, f"{_refusal_of(estimate)}{against}; recording: {bag}"
+        told += probe.remark(estimate)
+        return True, (f"{probe.subject} {told}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}")
 
     @property
     def _uncalibrated(self) -> str:
@@ -386,98 +415,24 @@ class IdentifierNode(ManagedNode):
         self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=sources))
         return estimate
 
-    def _record_baseline(self, job: Job) -> tuple[bool, str]:
-        """The container without its sphere: kept for whatever will roll in it, and weighed, to see that it is empty."""
-        options = self._options("container")
-        _, facts = container_setting(options)
+    def _record_baseline(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
+        """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
+        baseline = probe.baseline
+        assert baseline is not None
+        setting = self._setting(probe, None)
         self._live = None
-        self._tell(job.kind, "the container has to be in the hand without its sphere")
-        bag = self._record(job, job.kind, value_of(self, "container_sequence"))
-        weighing = empty_container_options(options, facts)
-        estimate = self._identify(job, bag, weighing, partial(self._publish_final, name=job.kind))
+        self._tell(job.kind, baseline.hand)
+        bag = self._record(job, job.kind, value_of(self, f"{probe.name}_sequence"))
+        options = baseline_options(setting)
+        estimate = self._identify(job, bag, options, partial(self._publish_final, name=job.kind))
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
-            return False, f"not kept: {_refusal_of(estimate)}; is the container empty? recording: {bag}"
-        self._keep_as_newest(self._newest_baseline(), bag)
+            return False, f"not kept: {_refusal_of(estimate)}; {baseline.question} recording: {bag}"
+        self._keep_as_newest(self._newest_baseline(probe), bag)
         told = _interval_of(estimate) or f"an untold mass ({'; '.join(estimate.reasons)})"
-        return True, f"empty container {told}, {estimate.runs} runs{self._uncalibrated}; kept as the baseline: {bag}"
-
-    def _find_sphere(self, job: Job) -> tuple[bool, str]:
-        baseline = self._find_baseline()
-        options = replace(self._options("container"), baseline=() if baseline is None else (baseline,))
-        robot, facts = container_setting(options)
-        if baseline is None and math.isinf(facts.mass_std):
-            raise JobError(
-                "the empty container has not been recorded: put it into the hand without its sphere and call "
-                "~/record_container_baseline, or tell its mass (settings: container.mass=KG)"
-            )
-        self._prepare(
-            job, "a sphere: once on a computer it is compiled, half a minute", lambda: prepare_container(options)
-        )
-        self._tell(job.kind, "the container has to be in the hand with its sphere")
-        bag = self._record(job, job.kind, value_of(self, "container_sequence"))
-        estimate = self._identify(job, bag, options, partial(self._publish_sphere, robot=robot, facts=facts))
-        against = "" if baseline is None else f"; {self._about_baseline(baseline)}"
-        told = _interval_of(estimate)
-        if not told:
-            return False, f"{_refusal_of(estimate)}{against}; recording: {bag}"
-        return True, f"sphere {told}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}"
-
-    def _squeeze(self, job: Job) -> tuple[bool, str]:
-        options = self._options("softness")
-        robot, facts = block_setting(options)
-        joint = self._squeezing_joint(robot, facts)
-        self._prepare(job, "a block: a shape is tabulated once, up to half a minute", lambda: prepare_squeeze(options))
-        self._tell(job.kind, "the block has to be between the fingers")
-        bag = self._record(job, job.kind, value_of(self, "softness_sequence"))
-        estimate = self._identify(
-            job, bag, options, partial(self._publish_block, robot=robot, facts=facts, joint=joint)
-        )
-        told = _interval_of(estimate)
-        if not told:
-            return False, f"{_refusal_of(estimate)}; recording: {bag}"
-        ratio = estimate.value("poissons_ratio")
-        if isinstance(ratio.value, float) and isinstance(ratio.std, float):
-            told += f", Poisson's ratio {ratio.value:.2f} +- {Z95 * ratio.std:.2f}"
-        else:
-            told += ", Poisson's ratio not told"
-        return True, f"block {told}, {estimate.runs} runs{self._uncalibrated}; recording: {bag}"
-
-    def _squeezing_joint(self, robot: Robot, facts: BlockFacts) -> str:
-        """The joint that softness_sequence drives.
-
-        Raises:
-            JobError: That slides no finger, or could crush the block.
-        """
-        sequence = load_sequence(value_of(self, "softness_sequence"), robot)
-        joint, *others = {run.joint for run in sequence.runs}
-        if others or robot.model.joint(joint).kind != "prismatic":
-            raise JobError(
-                f"{sequence.name} drives {', '.join([joint, *others])}: squeeze with a joint that slides a finger"
-            )
-        limit = float(value_of(self, "largest_squeeze"))
-        squeeze = largest_squeeze(robot, joint, max(run.max_travel for run in sequence.runs), facts)
-        if squeeze > limit:
-            raise JobError(
-                f"{sequence.name} may squeeze a block of {1e3 * facts.length:g} mm by {100.0 * squeeze:.0f} %, more than "
-                f"largest_squeeze={limit:g}: state its size (settings: block.size=[x,y,z]), lower max_travel in the sequence, or "
-                "raise largest_squeeze"
-            )
-        return joint
-
-    def _prepare(self, job: Job, what: str, prepare: Callable[[], None]) -> None:
-        """Have a simulation ready before anything moves.
-
-        Raises:
-            JobError: Cancelled meanwhile.
-        """
-        self._live = None
-        self._tell(job.kind, f"preparing the simulation of {what}")
-        prepare()
-        if job.cancelled.is_set():
-            raise JobError("cancelled")
+        return True, f"{baseline.noun} {told}, {estimate.runs} runs{self._uncalibrated}; kept as the baseline: {bag}"
 
     def _about_baseline(self, bag: Path) -> str:
-        """How old the recording of the empty container is, and whether that is a reason to doubt it."""
+        """How old a baseline is, and whether that is a reason to record it again."""
         made_s = bag.stat().st_mtime
         age_s = max(time.time() - made_s, 0.0)
         told = f"baseline {_duration(age_s)} old: {bag}"
@@ -559,7 +514,7 @@ class IdentifierNode(ManagedNode):
         if not answer.success:
             raise JobError(f"the excitation node refuses: {answer.message}")
         number = answer.message.split(":")[0].removeprefix("sequence ")
-        live = threading.Thread(target=self._weigh_live, args=(job,), name="live estimate", daemon=True)
+        live = threading.Thread(target=self._estimate_live, args=(job,), name="live estimate", daemon=True)
         live.start()
         try:
             while True:
@@ -597,12 +552,14 @@ class IdentifierNode(ManagedNode):
 
     # --- results ------------------------------------------------------------------------------------------------------
 
-    def _weigh_live(self, job: Job) -> None:
+    def _estimate_live(self, job: Job) -> None:
         """What has come so far, again and again while a joint is driven."""
         live, period_s = self._live, self.values["live_period"]
         if live is None or period_s <= 0.0:
             return
         told_samples = 0
+        name, unit = probe_named(job.kind).answer
+        factor, shown = shown_unit(unit)
         while self._session is not None and not job.cancelled.is_set():
             if not self._driven:
                 time.sleep(0.005)
@@ -610,18 +567,17 @@ class IdentifierNode(ManagedNode):
             estimate = live.estimate()
             known = None if estimate is None else live_interval(estimate)
             if known is not None and estimate is not None:
-                mass, std = known
+                value, std = known
                 samples = sum(len(run.times_s) for run in estimate.run_fits)
                 if samples <= told_samples:  # a fast end of a run may be left out
                     continue
                 told_samples = samples
                 told = {
-                    "probe": "payload", "final": False, "samples": samples, "payload_mass": mass, "payload_mass.unit": "kg",
-                    "payload_mass.std": std, "payload_mass.ci95": [mass - Z95 * std, mass + Z95 * std],
+                    "probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit,
+                    f"{name}.std": std, f"{name}.ci95": [value - Z95 * std, value + Z95 * std],
                 }  # fmt: skip
-                self._publish_estimate(
-                    "ok", "payload", f"live, {samples} samples: {1e3 * mass:.1f} +- {1e3 * Z95 * std:.1f} g", told
-                )
+                words = f"{factor * value:.1f} +- {factor * Z95 * std:.1f} {shown}"
+                self._publish_estimate("ok", estimate.probe, f"live, {samples} samples: {words}", told)
             time.sleep(period_s)
 
     def _publish_estimate(self, level: str, name: str, message: str, told: dict[str, Any]) -> None:
@@ -635,54 +591,27 @@ class IdentifierNode(ManagedNode):
         words = "; ".join(estimate.reasons) or estimate.verdict.value
         self._publish_estimate("ok" if accepted else "warning", name, words, told)
 
-    def _publish(self, estimate: Estimate) -> None:
+    def _publish(self, setting: Setting, estimate: Estimate) -> None:
+        """The answer, and where it is accepted its numbers, the load it stands for and how it looks."""
         self._publish_final(estimate, estimate.probe)
         value = estimate.values[0]
-        live = self._live or LiveWeighing(self._options("payload"))
         if (
             estimate.verdict is not Verdict.ACCEPTED
             or not isinstance(value.value, float)
             or not isinstance(value.std, float)
         ):
             return
-        now, frame = self.get_clock().now().nanoseconds, live.robot.payload_frame
-        com = next((entry.value for entry in estimate.values if entry.name == "payload_com"), None)
-        centre = [float(v) for v in (com if isinstance(com, list) and None not in com else live.facts.com)]  # type: ignore[arg-type]
-        tensor = inertia_tensor(live.facts, value.value)
-        self._payload.publish(messages.inertia(now, frame, value.value, centre, tensor))
-        self._numbers["mass"].publish(messages.number(value.value))
-        self._markers.publish(messages.payload_markers(now, frame, centre, value.value, value.std))
-
-    def _publish_sphere(self, estimate: Estimate, robot: Robot, facts: ContainerFacts) -> None:
-        """All but `~/payload`: something that rolls has no fixed centre of mass, and is no payload to whoever listens there."""
-        self._publish_final(estimate, estimate.probe)
-        sphere, enclosure = estimate.values[0], facts.enclosure
-        if estimate.verdict is not Verdict.ACCEPTED or not isinstance(sphere.value, float):
-            return
-        assert isinstance(sphere.std, float)
-        self._numbers["mass"].publish(messages.number(sphere.value))
-        self._markers.publish(
-            messages.container_markers(
-                self.get_clock().now().nanoseconds, robot.payload_frame, facts.centre.tolist(), facts.rotation,
-                enclosure.shape, enclosure.inner_size.tolist(), enclosure.radius, sphere.value, sphere.std,
-            )
-        )  # fmt: skip
-
-    def _publish_block(self, estimate: Estimate, robot: Robot, facts: BlockFacts, joint: str) -> None:
-        self._publish_final(estimate, estimate.probe)
-        modulus = estimate.values[0]
-        if estimate.verdict is not Verdict.ACCEPTED or not isinstance(modulus.value, float):
-            return
-        assert isinstance(modulus.std, float)
-        for value in estimate.values:
-            if value.name in self._numbers and isinstance(value.value, float):
-                self._numbers[value.name].publish(messages.number(value.value))
-        self._markers.publish(
-            messages.block_markers(
-                self.get_clock().now().nanoseconds, robot.payload_frame, block_rotation(robot, joint), facts.size.tolist(),
-                modulus.value, modulus.std,
-            )
-        )  # fmt: skip
+        probe, robot, facts = setting.probe, setting.robot, setting.facts
+        now, frame = self.get_clock().now().nanoseconds, robot.payload_frame
+        for entry in estimate.values:
+            if entry.name in probe.numbers and isinstance(entry.value, float):
+                self._numbers[probe.numbers[entry.name]].publish(messages.number(entry.value))
+        carried = probe.carried(robot, facts, estimate)
+        if carried is not None:
+            self._payload.publish(messages.inertia(now, frame, carried))
+        shapes = probe.shapes(robot, facts, estimate)
+        if shapes is not None:
+            self._markers.publish(messages.markers(now, frame, shapes, value.value, value.std, value.unit))
 
     def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
         told: dict[str, Any] = {

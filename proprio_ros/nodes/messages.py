@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,6 +12,9 @@ from geometry_msgs.msg import InertiaStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from visualization_msgs.msg import Marker, MarkerArray
+
+from proprio_ros.identification.estimate import Z95, shown_unit
+from proprio_ros.probes.base import Carried, Shapes
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
@@ -103,80 +105,47 @@ def values_of(message: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in message.values}
 
 
-def inertia(stamp_ns: int, frame: str, mass_kg: float, com_m: Sequence[float], tensor: np.ndarray) -> InertiaStamped:
-    """Payload in its frame; the tensor about the centre of mass [kg m^2], shape (3, 3), is NaN where nothing tells it."""
+def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
+    """A load in its frame; its tensor is NaN where nothing tells it."""
     message = InertiaStamped()
     message.header.stamp = time_message(stamp_ns)
     message.header.frame_id = frame
-    message.inertia.m = float(mass_kg)
-    message.inertia.com.x, message.inertia.com.y, message.inertia.com.z = (float(value) for value in com_m)
+    message.inertia.m = float(carried.mass_kg)
+    message.inertia.com.x, message.inertia.com.y, message.inertia.com.z = (float(value) for value in carried.com_m)
     for name, row, column in (
         ("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2),
     ):  # fmt: skip
-        setattr(message.inertia, name, float(tensor[row, column]))
+        setattr(message.inertia, name, float(carried.inertia_kg_m2[row, column]))
     return message
 
 
-def payload_markers(stamp_ns: int, frame: str, com_m: Sequence[float], mass_kg: float, std_kg: float) -> MarkerArray:
-    """A ball of the payload's weight in the hand, and its mass in words."""
-    # the ball of water that weighs as much
-    size = max((6.0 * max(mass_kg, 1e-4) / (1000.0 * math.pi)) ** (1.0 / 3.0), 0.01)
-    return _markers(stamp_ns, frame, com_m, [(Marker.SPHERE, [size] * 3, np.eye(3), 0.7)], _grams(mass_kg, std_kg))
+KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 
 
-def container_markers(
-    stamp_ns: int,
-    frame: str,
-    centre_m: Sequence[float],
-    rotation: np.ndarray,
-    shape: str,
-    inner_size_m: Sequence[float],
-    radius_m: float,
-    mass_kg: float,
-    std_kg: float,
-) -> MarkerArray:
-    """A container (`box`, `cylinder`, `sphere`), a sphere in its middle, and the sphere's mass in words."""
-    kind = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}[shape]
-    bodies = [(Marker.SPHERE, [2.0 * radius_m] * 3, np.eye(3), 0.9), (kind, inner_size_m, rotation, 0.25)]
-    return _markers(stamp_ns, frame, centre_m, bodies, _grams(mass_kg, std_kg))
+def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str) -> MarkerArray:
+    """Bodies at one place with the value in words above; whatever was shown before goes.
 
-
-def block_markers(
-    stamp_ns: int, frame: str, rotation: np.ndarray, size_m: Sequence[float], modulus_Pa: float, std_Pa: float
-) -> MarkerArray:
-    """A block between the fingers, and its Young's modulus in words."""
-    words = f"{1e-3 * modulus_Pa:.1f} kPa +- {1.96e-3 * std_Pa:.1f} kPa"
-    return _markers(stamp_ns, frame, [0.0, 0.0, 0.0], [(Marker.CUBE, size_m, rotation, 0.6)], words)
-
-
-def _grams(mass_kg: float, std_kg: float) -> str:
-    return f"{1e3 * mass_kg:.1f} g +- {1.96e3 * std_kg:.1f} g"
-
-
-def _markers(
-    stamp_ns: int,
-    frame: str,
-    place_m: Sequence[float],
-    bodies: Sequence[tuple[int, Sequence[float], np.ndarray, float]],
-    words: str,
-) -> MarkerArray:
-    """Bodies (kind, size [m], rotation, opacity) at one place with words above; whatever was shown before goes."""
-    markers = [Marker(action=Marker.DELETEALL)]
+    Args:
+        value, std: in the SI unit ``unit``.
+    """
+    factor, shown = shown_unit(unit)
+    bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
+    array = [Marker(action=Marker.DELETEALL)]
     written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
     for number_, (kind, size, rotation, opacity) in enumerate((*bodies, written)):
         marker = Marker(ns="proprio", id=number_, type=kind, action=Marker.ADD)
         marker.header.stamp = time_message(stamp_ns)
         marker.header.frame_id = frame
         position, turn, scale = marker.pose.position, marker.pose.orientation, marker.scale
-        position.x, position.y, position.z = (float(value) for value in place_m)
+        position.x, position.y, position.z = (float(value_) for value_ in shapes.place_m)
         turn.x, turn.y, turn.z, turn.w = quaternion(rotation)
-        scale.x, scale.y, scale.z = (float(value) for value in size)
+        scale.x, scale.y, scale.z = (float(value_) for value_ in size)
         marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.1, 0.5, 0.9, opacity
         if kind == Marker.TEXT_VIEW_FACING:
             position.z += 0.06
-            marker.text = words
-        markers.append(marker)
-    return MarkerArray(markers=markers)
+            marker.text = f"{factor * value:.1f} {shown} +- {factor * Z95 * std:.1f} {shown}"
+        array.append(marker)
+    return MarkerArray(markers=array)
 
 
 def quaternion(rotation: np.ndarray) -> tuple[float, float, float, float]:

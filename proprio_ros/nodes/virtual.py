@@ -17,7 +17,7 @@ from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode, run_node
 from proprio_ros.realtime import run_in_real_time
 from proprio_ros.robot import load_robot
-from proprio_ros.virtual.objects import Container, Payload, parse_object
+from proprio_ros.virtual.objects import Payload, parse_object
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
@@ -43,7 +43,7 @@ class VirtualNode(ManagedNode):
         super().__init__("virtual", **kwargs)
         self._robot: VirtualRobot | None = None
         self._hand = "any"
-        self._sphere_is_out = False
+        self._content_is_out = False
 
     def configure(self) -> None:
         robot = load_robot(self.values["robot"])
@@ -89,10 +89,10 @@ class VirtualNode(ManagedNode):
             self._fill_hand()
 
     def _on_identifier(self, message: DiagnosticStatus) -> None:
-        """The same sequence is made with the container empty and full; the identifier's status says which it is, to anybody."""
-        out = messages.values_of(message).get("doing") == "container_baseline"
-        if out != self._sphere_is_out:
-            self._sphere_is_out = out
+        """A baseline is recorded with the same sequence as what it is for; the identifier's status says which it is, to anybody."""
+        out = messages.values_of(message).get("doing", "").endswith("_baseline")
+        if out != self._content_is_out:
+            self._content_is_out = out
             self._fill_hand()
 
     def _publish_motors(self) -> None:
@@ -109,8 +109,8 @@ class VirtualNode(ManagedNode):
             return
         things = {"empty": None, "reference": self._reference}
         thing = things.get(self._hand, self._object)
-        if self._sphere_is_out and isinstance(thing, Container):
-            thing = thing.shell
+        if self._content_is_out and thing is not None:
+            thing = thing.emptied
         self._robot.hold(thing)
         held = "nothing" if thing is None else str(thing)
         self._status.publish(messages.status("ok", "virtual robot", f"the hand holds {held}", {"hand": self._hand}))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.identification.estimate import Estimate, Value, Verdict, shown_unit
-from proprio_ros.report import figures, sphere_figures
+from proprio_ros.report import figures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
 
@@ -21,22 +21,25 @@ _WORDS = {
 _ROLES = {"free": "fitted", "frozen": "as stated"}
 
 
-def write_report(estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = ()) -> None:
+def write_page(
+    estimate: Estimate, path: Path, own: Sequence[str] = (), *, command: str = "", sources: Sequence[str] = ()
+) -> None:
     """Write the page for one result; an older page of that name is replaced in one step.
 
     Args:
         estimate: what to show.
         path: the HTML file.
+        own: what only its probe has to show, as HTML.
         command: the command line that gives the same result again.
         sources: the recordings it came from.
 
     Raises:
         ConfigurationError: the file cannot be written.
     """
-    write_in_one_step(Path(path), _page(estimate, command, sources), "--report")
+    write_in_one_step(Path(path), _page(estimate, own, command, sources), "--report")
 
 
-def _page(estimate: Estimate, command: str, sources: Sequence[str]) -> str:
+def _page(estimate: Estimate, own: Sequence[str], command: str, sources: Sequence[str]) -> str:
     parts = [*_headline(estimate)]
     if estimate.run_fits:
         parts.append("<h2>Measured against simulated</h2>")
@@ -44,12 +47,7 @@ def _page(estimate: Estimate, command: str, sources: Sequence[str]) -> str:
             about = f"{fit.joint}, {fit.current_A:+.3f} A from {fit.source}, travel {fit.travel:+.2f} rad"
             parts.append(f"<h3>{escape(fit.name)}</h3><p class=small>{escape(about)}</p>")
             parts.append(framed(figures.run_figure(fit, n)))
-    parts += _sphere(estimate)
-    if estimate.curves:
-        parts += ["<h2>The block</h2>", framed(figures.squeeze_figure(estimate))]
-    if estimate.joint is not None:
-        told = "" if estimate.joint.told else "Poisson's ratio is the prior's here, and so is how long the region is."
-        parts += ["<h3>Both Lam\u00e9 parameters together</h3>", framed(figures.joint_figure(estimate), told)]
+    parts += own
     if estimate.scan is not None:
         mass = escape(figures.searched_in_words(estimate))
         parts += [f"<h2>Misfit over {mass}</h2>", framed(figures.scan_figure(estimate))]
@@ -76,31 +74,6 @@ def _headline(estimate: Estimate) -> list[str]:
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
     return parts
-
-
-def _sphere(estimate: Estimate) -> list[str]:
-    """Where the sphere was in every run: a picture, and the same in motion."""
-    parts = []
-    for n, path in enumerate(estimate.paths, start=1):
-        shown = sphere_figures.drawable(path)
-        if shown is None:
-            continue
-        parts += [
-            f"<h3>{escape(path.run)}</h3>",
-            framed(
-                sphere_figures.path_figure(shown, n),
-                f"The sphere, of radius {1e3 * path.radius:g} mm, moved by up to {1e3 * shown.moved:.1f} mm. Seen along the "
-                "joint's axis: dashed at the start, bold at the end. Blue, about the path of its centre: two standard deviations, "
-                "where that shows.",
-            ),
-            "<details class=moving open><summary class=small>As it moved, five times slower</summary>",
-            framed(
-                sphere_figures.moving_figure(shown, n),
-                "The container turns as it turned in the world; where the hand carried it is left out. Fold it to stop watching.",
-            ),
-            "</details>",
-        ]
-    return ["<h2>Where the sphere was</h2>", *parts] if parts else []
 
 
 def _in_words(value: Value) -> str:

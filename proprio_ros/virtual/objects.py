@@ -1,4 +1,4 @@
-"""What a virtual hand can hold: the three objects that the probes weigh, measure or squeeze."""
+"""What a virtual hand can hold: what the probes weigh, look into or squeeze, each with the form in which a user types it."""
 
 from __future__ import annotations
 
@@ -53,6 +53,11 @@ class Payload:
         ball = 0.1 * self.mass_kg * self.size_m**2
         return (ball, ball, ball, 0.0, 0.0, 0.0)
 
+    @property
+    def emptied(self) -> Payload:
+        """A payload has no content."""
+        return self
+
 
 @dataclass(frozen=True)
 class Container:
@@ -103,7 +108,7 @@ class Container:
         return (y + z, x + z, x + y, 0.0, 0.0, 0.0)
 
     @property
-    def shell(self) -> Payload:
+    def emptied(self) -> Payload:
         """The container with its sphere taken out."""
         return Payload(self.mass_kg, self.centre_m, inertia_kg_m2=self.inertia)
 
@@ -144,6 +149,11 @@ class SoftBlock:
             raise ConfigurationError(f"damping={self.damping:g}: give a number that is not negative")
         if not 0.0 <= self.poissons_ratio < 0.5:
             raise ConfigurationError(f"nu={self.poissons_ratio:g}: Poisson's ratio is from 0 to below 0.5")
+
+    @property
+    def emptied(self) -> None:
+        """The gripper without the block."""
+        return None
 
     def force_N(self, compression_m: float, rate_m_s: float) -> float:
         """Force on each of the two sides.

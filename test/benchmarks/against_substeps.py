@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 from case import AGREEMENT_KG, STARTS_KG, Case, Row, Timing, compare, measure_in_turn
 
-from proprio_ros.identification.paper import FRAME_S
 from proprio_ros.identification.solvers import adam_descent
+from proprio_ros.probes.payload.paper import FRAME_S
 from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.runtime import FLOAT
 

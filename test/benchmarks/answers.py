@@ -86,7 +86,14 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
             stem = {folder: folder.name.removeprefix(f"{session}_") for folder in folders}
             pick = {
                 kind: [folder for folder in folders if stem[folder].startswith(kind)]
-                for kind in ("empty_", "squeeze_empty_", "fixed_", "container_no_sphere", "container_sphere", "squeeze_")
+                for kind in (
+                    "empty_",
+                    "squeeze_empty_",
+                    "fixed_",
+                    "container_no_sphere",
+                    "container_sphere",
+                    "squeeze_",
+                )
             }
             with tempfile.TemporaryDirectory() as scratch:
                 calibration = str(Path(scratch) / "calibration.yaml")
@@ -118,8 +125,9 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
                         yield f"{here}/{stem[folder]}", answer(words)
         text = root / "paper_heavy_ball"
         for profile in ("default", "paper") if text.is_dir() else ():
-            yield f"{root.name}/{text.name} {profile}", answer(
-                ["replay", str(text), "--probe", "payload", "--profile", profile]
+            yield (
+                f"{root.name}/{text.name} {profile}",
+                answer(["replay", str(text), "--probe", "payload", "--profile", profile]),
             )
 
 

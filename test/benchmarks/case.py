@@ -15,10 +15,12 @@ from proprio_ros.bags import read_recording
 from proprio_ros.identification.problem import PayloadProblem, PreparedRun, payload_unknowns, prepare_run
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.records import Run
-from proprio_ros.replay import DEFAULT_ROBOT, Settings, payload_facts
+from proprio_ros.replay import DEFAULT_ROBOT
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
+from proprio_ros.settings import Settings
 from proprio_ros.sim.payload import PayloadFacts
 
 REPOSITORY = Path(__file__).resolve().parents[2]

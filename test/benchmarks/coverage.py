@@ -50,7 +50,7 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, payload_unknowns, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import weigh
+from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs

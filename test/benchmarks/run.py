@@ -28,7 +28,7 @@ import fresh_process
 import softness
 from case import REPEATS, Case, Row, measure
 
-from proprio_ros.identification.weighing import weigh
+from proprio_ros.probes.payload.identify import weigh
 
 PARTS = {
     "mujoco": against_mujoco.rows,

@@ -14,14 +14,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode, servo_model
-from proprio_ros.bus.dynamixel import (
-    REPLY_TIMEOUT_S,
-    TRIES,
-    BusServo,
-    DynamixelBus,
-    Goal,
-    servos_of,
-)
+from proprio_ros.bus.dynamixel import REPLY_TIMEOUT_S, TRIES, BusServo, DynamixelBus, Goal, servos_of
 from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.protocol import crc16

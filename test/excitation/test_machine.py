@@ -16,14 +16,7 @@ from hypothesis import strategies as st
 
 from proprio_ros.bags import read_recording, write_recording
 from proprio_ros.errors import ExcitationError
-from proprio_ros.excitation.machine import (
-    MOST_LOST_RUNS,
-    Command,
-    ExcitationMachine,
-    Guards,
-    JointSample,
-    Phase,
-)
+from proprio_ros.excitation.machine import MOST_LOST_RUNS, Command, ExcitationMachine, Guards, JointSample, Phase
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
 from proprio_ros.kinematics import clearance
 from proprio_ros.records import InputRecord, JointRecord, Recording

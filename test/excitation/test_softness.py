@@ -16,8 +16,8 @@ from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.identification.squeeze import find_softness
-from proprio_ros.identification.squeeze_problem import BlockFacts
+from proprio_ros.probes.softness.identify import find_softness
+from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs

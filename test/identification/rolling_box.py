@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.identification.container_problem import ContainerFacts
+from proprio_ros.probes.container.problem import ContainerFacts
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.sphere import Enclosure

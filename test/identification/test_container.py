@@ -12,8 +12,14 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
-from proprio_ros.identification.container import ContainerOptions, find_sphere
-from proprio_ros.identification.container_problem import (
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.problem import prepare_run
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.container.facts import container_facts
+from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
+from proprio_ros.probes.container.problem import (
     ContainerFacts,
     ContainerProblem,
     SphereTrack,
@@ -21,14 +27,10 @@ from proprio_ros.identification.container_problem import (
     sphere_run,
     start_prior,
 )
-from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import prepare_run
-from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.identification.unknowns import Role
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, Settings, bag_runs, container_facts, probe_file, replay
+from proprio_ros.replay import ReplayOptions, bag_runs, replay
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import Enclosure, SphereRun
 

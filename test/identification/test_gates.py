@@ -13,7 +13,7 @@ from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.problem import PayloadProblem, payload_unknowns, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import weigh
+from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
 from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot

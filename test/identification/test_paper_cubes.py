@@ -12,8 +12,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.squeeze import SqueezeOptions, find_softness
-from proprio_ros.identification.squeeze_problem import BlockFacts
+from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
+from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.energies import lame

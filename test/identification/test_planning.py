@@ -23,7 +23,7 @@ from proprio_ros.identification.planning import (
     plan,
 )
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.identification.weighing import weigh
+from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs

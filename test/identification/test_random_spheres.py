@@ -27,10 +27,10 @@ from rolling_box import (
 )
 
 from proprio_ros.identification import container
-from proprio_ros.identification.container import ContainerOptions, find_sphere
-from proprio_ros.identification.container_problem import SphereTrack
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.weighing import FitResult
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
+from proprio_ros.probes.container.problem import SphereTrack
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot
 
@@ -110,7 +110,7 @@ def test_where_nobody_can_say_where_the_sphere_is(robot: Robot, monkeypatch: pyt
     facts = replace(FACTS, start=np.array([0.0, 0.0, 0.008]), start_std=6e-3, damping_ratio=Quantity(0.03, 0.02))
     estimate = find_sphere(robot, [run], facts)
     assert any("bounces make its place unpredictable" in reason for reason in estimate.reasons), estimate.reasons
-    assert estimate.paths[0].times_s[-1] < run.times_s[-1]
+    assert estimate.detail.paths[0].times_s[-1] < run.times_s[-1]
     monkeypatch.setattr(container, "LOST_SHARE", 1e-6)
     monkeypatch.setattr(container, "LOST_GROWTH", 0.5)
     estimate = find_sphere(robot, [run], facts)

@@ -17,14 +17,15 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.problem import KnownLoad, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.identification.squeeze import find_softness
-from proprio_ros.identification.squeeze_problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.softness.facts import block_facts
+from proprio_ros.probes.softness.identify import find_softness
+from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, Settings, bag_runs, block_facts, probe_file, replay
-from proprio_ros.report import write_report
+from proprio_ros.replay import ReplayOptions, bag_runs, replay, write_report
 from proprio_ros.robot import FingerTravel, Robot, load_robot
+from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.energies import lame, young
 from proprio_ros.sim.mesh import box
 
@@ -120,7 +121,11 @@ def test_a_ratio_at_the_end_of_the_search_is_not_told(recordings: Path, calibrat
         estimate = squeezed(calibrated("realistic_s01"), recordings / "realistic_s01" / f"squeeze_{name}")
         ratio, lam = estimate.value("poissons_ratio"), estimate.value("lame_lambda")
         assert ratio.value is None and lam.value is None and "the squeeze does not tell" in ratio.reason
-        assert estimate.value("lame_mu").value is not None and estimate.joint is not None and not estimate.joint.told
+        assert (
+            estimate.value("lame_mu").value is not None
+            and estimate.detail.joint is not None
+            and not estimate.detail.joint.told
+        )
 
 
 def test_what_the_squeeze_cannot_tell_is_not_told(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
@@ -303,7 +308,7 @@ def test_the_modulus_goes_with_the_fingers_travel(recordings: Path, calibrated: 
 def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     folder = recordings / "friction_s00" / "squeeze_light"
     estimate = squeezed(calibrated("friction_s00"), folder)
-    joint = estimate.joint
+    joint = estimate.detail.joint
     assert joint is not None and joint.told and joint.names == ("lame_mu", "lame_lambda")
     mu, lam = estimate.value("lame_mu"), estimate.value("lame_lambda")
     np.testing.assert_allclose(joint.value, [mu.value, lam.value])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from proprio_ros.identification.weighing import chi2_limit
+from proprio_ros.identification.gates import chi2_limit
 
 
 @pytest.mark.parametrize("dof", [4, 9, 24, 100, 1000])

@@ -11,8 +11,7 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.replay import ReplayOptions, replay
-from proprio_ros.report import write_report
+from proprio_ros.replay import ReplayOptions, replay, write_report
 
 sys.path.insert(0, str(Path(__file__).parent))
 

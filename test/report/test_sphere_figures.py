@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from proprio_ros.cli import _as_text
-from proprio_ros.identification.estimate import Estimate, SpherePath, Value
-from proprio_ros.replay import ReplayOptions, replay
-from proprio_ros.report import write_report
-from proprio_ros.report.sphere_figures import drawable, moving_figure, path_figure
+from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.probes.container.detail import SpherePath
+from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
+from proprio_ros.replay import ReplayOptions, replay, write_report
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -9,15 +9,7 @@ import pytest
 
 from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
-from proprio_ros.sim.sphere import (
-    LAWS,
-    SPHERE_INDEX,
-    SPHERE_PARAMETERS,
-    Contact,
-    Enclosure,
-    SphereRun,
-    SphereSimulator,
-)
+from proprio_ros.sim.sphere import LAWS, SPHERE_INDEX, SPHERE_PARAMETERS, Contact, Enclosure, SphereRun, SphereSimulator
 
 ONE = np.zeros(1, dtype=np.int32)
 STEPS = (1e-4, 1e-5, 1e-6, 1e-7)

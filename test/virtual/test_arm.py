@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from proprio_ros.errors import ConfigurationError, SimulationError
-from proprio_ros.identification.weighing import weigh
+from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import FloatArray, Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.virtual.arm import VirtualArm

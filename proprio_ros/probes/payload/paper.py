@@ -8,8 +8,9 @@ with the schedule as stated, and with one long enough to reach the least error; 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +21,12 @@ from proprio_ros.identification.posterior import run_fits
 from proprio_ros.identification.problem import PayloadProblem, PreparedRun, payload_unknowns, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import WeighingOptions, scan_masses, weigh
+from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
+from proprio_ros.published import FRAME_S, PROBE_FRAMES
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.payload import PayloadFacts
-
-FRAME_S = 1.0 / 60.0
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,34 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         ),
         notes=(),
     )
+
+
+def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Container[str]) -> PaperOptions:
+    """The setting in which the authors fitted a recording of theirs.
+
+    Args:
+        setting: that came with it.
+        stated: keys that the user stated himself; these stay.
+    """
+    simulation = setting.get("simulation", {})
+    changes: dict[str, Any] = {}
+    if "substeps" in simulation and "paper.substeps" not in stated:
+        changes["substeps"] = int(simulation["substeps"])
+    fit = setting.get("fit", {})
+    if "start_mass_kg" in fit and "paper.starts_kg" not in stated:
+        # the starts of the paper's Table II below 1 kg, the recording's own first
+        changes["starts_kg"] = tuple(sorted({float(fit["start_mass_kg"]), 0.001, 0.005, 0.095, 0.191}))
+    if "optimizer" in fit and "paper.iterations" not in stated:
+        changes["iterations"] = 15
+    if "loss" in fit and "paper.loss_sample" not in stated:
+        # the authors keep the states before each step, so the last one they compare lies one substep before
+        # frame 36; it meets sample 35
+        substeps = changes.get("substeps", paper.substeps)
+        changes["loss_time_s"], changes["loss_sample"] = (
+            (PROBE_FRAMES - 1 / substeps) * FRAME_S,
+            PROBE_FRAMES - 1,
+        )
+    return replace(paper, **changes)
 
 
 class _LastFrame:

@@ -11,33 +11,25 @@ as soon as the fit's own covariance no longer knows where the sphere is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.container_problem import (
-    LIGHTEST_KG,
-    SIGNALS,
-    ContainerFacts,
-    ContainerProblem,
-    SphereTrack,
-    container_unknowns,
-    sphere_run,
-    start_prior,
-)
-from proprio_ros.identification.estimate import (
-    Z95,
-    Estimate,
-    Fit,
-    SolverSummary,
-    SpherePath,
-    StartPath,
-    Value,
-    Verdict,
-    no_answer,
+from proprio_ros.identification.estimate import Z95, Estimate, no_answer
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    is_calibrated,
+    misfit_over,
+    misfit_reason,
+    other_suspects,
+    rivals,
+    solve_load,
+    summary,
+    unknown_rows,
 )
 from proprio_ros.identification.gates import (
     CONTRADICTION,
@@ -48,20 +40,20 @@ from proprio_ros.identification.gates import (
     look_at_run,
     unusable,
 )
-from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.judge import Assessment, Refusal, judge, not_identifiable, positive, rejected
+from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import PreparedRun, prepare_run, reduced_model
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import (
-    FitResult,
-    WeighingOptions,
-    error_budget,
-    is_calibrated,
-    misfit_over,
-    misfit_reason,
-    other_suspects,
-    say_if_uncalibrated,
-    solve_payload,
-    unknown_rows,
+from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
+from proprio_ros.probes.container.problem import (
+    LIGHTEST_KG,
+    SIGNALS,
+    ContainerFacts,
+    ContainerProblem,
+    SphereTrack,
+    container_unknowns,
+    sphere_run,
+    start_prior,
 )
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, motion
@@ -289,11 +281,11 @@ def _look_at_baseline(
     """What the empty container weighs, and why it may not have been empty (an empty string where all is well)."""
     baseline = data.without(np.flatnonzero(data.rolling).tolist())
     empty = baseline.runs
-    weighing = WeighingOptions(integrator=options.integrator, step_s=options.step_s)
-    nominal = solve_payload(robot, empty, facts.shell, weighing, Role.FROZEN)
-    still = solve_payload(robot, empty, facts.shell, weighing, Role.FREE, start=nominal)
+    weighing = SearchOptions(integrator=options.integrator, step_s=options.step_s)
+    nominal = solve_load(robot, empty, facts.shell, weighing, Role.FROZEN)
+    still = solve_load(robot, empty, facts.shell, weighing, Role.FREE, start=nominal)
     if not still.explains:  # far from the file's values, as a robot that was never calibrated may be
-        again = solve_payload(robot, empty, facts.shell, weighing, Role.FREE)
+        again = solve_load(robot, empty, facts.shell, weighing, Role.FREE)
         still = again if again.chi2 < still.chi2 else still
     row = still.problem.index["payload_mass"]
     mass = float(still.values[row])
@@ -402,143 +394,103 @@ def _conclude(
     run_count: int,
     doubt: str,
 ) -> Estimate:
+    problem = fit.problem
+    assert isinstance(problem, ContainerProblem)
     runs = data.runs
     known = is_calibrated(robot, runs)
-    at = fit.problem.index
-    row, shell = at["sphere_mass"], at["payload_mass"]
-    fits, rms, expected = run_fits(fit.problem, fit.values, runs)
-    inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
-    posterior = Posterior(fit.problem, fit.values, inflation)
-    covariance = posterior.whole_covariance()
-    mass = float(fit.values[row])
-    budget = error_budget(fit, covariance, "sphere_mass")
-    shift = _stiffness_shift(robot, data, facts, options, fit, posterior)
-    covariance[row, row] += shift**2
+    shell = problem.index["payload_mass"]
+    assessed = Assessment(fit, "sphere_mass", runs, known)
+    mass = assessed.value
+    budget = assessed.budget()
+    shift = _stiffness_shift(robot, data, facts, options, fit, assessed.posterior)
+    assessed.widen(shift)
     budget = sorted([*budget, ("contact stiffness", abs(shift))], key=lambda entry: -entry[1])
-    std = float(np.sqrt(covariance[row, row]))
-    paths = _paths(robot, fit, covariance)
-    verdict, withheld = Verdict.ACCEPTED, ""
-    if not np.isfinite(fit.chi2):
-        verdict, withheld = Verdict.REJECTED, "no guess of the mass could be simulated"
-        found.reasons.insert(0, withheld + ": check container.inner_size, sphere.radius and the robot file's inertias")
-    elif doubt:
-        verdict, withheld = Verdict.REJECTED, "the baseline contradicts what was told"
-        found.reasons.insert(0, doubt)
-    elif len(runs) > 1 and not fit.explains and (odd := contradicting(Posterior(fit.problem, fit.values))) is not None:
-        verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
-        found.reasons.insert(
-            0,
-            f"{runs[odd].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
-            "was the same sphere in the same container, held in the same place?",
-        )
-    elif fit.reduced_chi2 > MISFIT_LIMIT:
-        verdict, withheld = Verdict.REJECTED, "the model does not explain the recording"
-        suspects = _bounces(robot, data, facts, options) or other_suspects(robot)
-        found.reasons[:0] = [misfit_reason(rms, expected, mass, fit.reduced_chi2), *suspects]
-    elif mass + Z95 * std < 0.0:
-        verdict, withheld = Verdict.REJECTED, "the container seems lighter than empty"
-        found.reasons.insert(
-            0,
-            f"the container seems {-1e3 * mass:.1f} g lighter than it was empty: was the baseline empty, and held in the same "
-            "place?",
-        )
-    elif Z95 * std > options.widest_interval_kg:
-        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the interval is too wide to tell a mass"
-        found.reasons.insert(
-            0,
-            f"the sphere's mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
-            + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
-        )
-    elif rivals := _rivals(fit, mass, std):
-        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "more than one mass explains the recording"
-        found.reasons.insert(
-            0,
-            "more than one mass explains the recording: "
-            + ", ".join(f"{1e3 * m:.1f} g" for m in sorted((mass, *rivals)))
-            + "; record a run with another tilt, or state sphere.start",
-        )
-    assert isinstance(fit.problem, ContainerProblem)
-    if np.isfinite(seen := fit.problem.camera_rms(fit.values)):
+    std = assessed.std
+    paths = _paths(robot, fit, assessed.covariance)
+
+    def refusals() -> Iterator[Refusal]:
+        if not np.isfinite(fit.chi2):
+            unsimulated = "no guess of the mass could be simulated"
+            sizes = ": check container.inner_size, sphere.radius and the robot file's inertias"
+            yield rejected(unsimulated, unsimulated + sizes)
+        if doubt:
+            yield rejected("the baseline contradicts what was told", doubt)
+        if len(runs) > 1 and not fit.explains and (odd := contradicting(Posterior(problem, fit.values))) is not None:
+            yield rejected(
+                "the runs contradict each other",
+                f"{runs[odd].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
+                "was the same sphere in the same container, held in the same place?",
+            )
+        if fit.reduced_chi2 > MISFIT_LIMIT:
+            suspects = _bounces(robot, data, facts, options) or other_suspects(robot)
+            misfit = misfit_reason(assessed.rms, assessed.expected, mass, fit.reduced_chi2)
+            yield rejected("the model does not explain the recording", misfit, *suspects)
+        if mass + Z95 * std < 0.0:
+            yield rejected(
+                "the container seems lighter than empty",
+                f"the container seems {-1e3 * mass:.1f} g lighter than it was empty: was the baseline empty, and held in the same "
+                "place?",
+            )
+        if Z95 * std > options.widest_interval_kg:
+            yield not_identifiable(
+                "the interval is too wide to tell a mass",
+                f"the sphere's mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
+                + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
+            )
+        if others := rivals(fit, "sphere_mass", mass, std, DISTINCT):
+            yield not_identifiable(
+                "more than one mass explains the recording",
+                "more than one mass explains the recording: "
+                + ", ".join(f"{1e3 * m:.1f} g" for m in sorted((mass, *others)))
+                + "; record a run with another tilt, or state sphere.start",
+            )
+
+    def remarks() -> Iterator[str]:
+        if mass - Z95 * std <= 0.0:
+            yield (
+                f"the container may as well be empty: a sphere of up to {1e3 * max(mass + Z95 * std, 0.0):.1f} g would not show"
+            )
+        elif all(path.moved < STILL_M for path in paths):
+            yield (
+                f"the sphere did not move by more than {1e3 * max(path.moved for path in paths):.1f} mm in any run, so it was "
+                "weighed like a fixed load: that it rolls is not confirmed; tilt further to see it roll"
+            )
+
+    if np.isfinite(seen := problem.camera_rms(fit.values)):
         found.notes.append(
             f"the simulated sphere is {1e3 * seen:.1f} mm rms from where the camera saw it"
             + (", which alone was fitted" if options.signals == "camera" else "")
         )
-    if verdict is Verdict.ACCEPTED:
-        if inflation > 1.0 and not fit.explains:
-            found.reasons.append(
-                f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "
-                "the interval was widened by that factor"
-            )
-        if mass - Z95 * std <= 0.0:
-            found.reasons.append(
-                f"the container may as well be empty: a sphere of up to {1e3 * max(mass + Z95 * std, 0.0):.1f} g would not show"
-            )
-        elif all(path.moved < STILL_M for path in paths):
-            found.reasons.append(
-                f"the sphere did not move by more than {1e3 * max(path.moved for path in paths):.1f} mm in any run, so it was "
-                "weighed like a fixed load: that it rolls is not confirmed; tilt further to see it roll"
-            )
-        say_if_uncalibrated(robot, runs, budget, found)
     shown = {"payload_mass": "container_mass"}
+    shell_mass, shell_std = float(fit.values[shell]), float(np.sqrt(assessed.covariance[shell, shell]))
     grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.1, 30), max(mass, 1e-3) * np.linspace(0.5, 1.5, 21)]))
-    return Estimate(
+    best = float(nominal.physical("sphere_mass")[nominal.solution.best])
+    return judge(
+        robot,
+        assessed,
+        refusals(),
+        found,
         probe="container",
-        robot=robot.name,
-        verdict=verdict,
-        reasons=tuple(found.reasons),
-        values=(
-            _value("sphere_mass", mass, std, withheld),
-            _value("container_mass", float(fit.values[shell]), float(np.sqrt(covariance[shell, shell])), withheld),
+        run_count=run_count,
+        values=lambda withheld: (
+            positive("sphere_mass", "kg", mass, std, withheld),
+            positive("container_mass", "kg", shell_mass, shell_std, withheld),
         ),
-        fit=Fit(rms, expected, fit.reduced_chi2, condition=posterior.condition),
-        solver=_summary(nominal, fit, options, std),
-        runs=run_count,
-        run_fits=fits,
-        unknowns=tuple(replace(u, name=shown.get(u.name, u.name)) for u in unknown_rows(fit, covariance)),
-        budget=tuple((shown.get(name, name), share) for name, share in budget),
+        solver=summary(
+            nominal, "sphere_mass", options.starts_kg, max(1e-4, DISTINCT * abs(best), std),
+            nominal.solution.iterations + fit.solution.iterations,
+            SearchOptions(integrator=options.integrator, step_s=problem.contact_step_s),
+        ),
         scan=misfit_over(fit, "sphere_mass", grid),
-        paths=paths,
+        budget=[(shown.get(name, name), share) for name, share in budget],
         assumptions=_assumptions(robot, facts, options, fit, not all(data.rolling)),
-        notes=tuple(found.notes),
-    )
-
-
-def _value(name: str, mass: float, std: float, withheld: str) -> Value:
-    if withheld:
-        return Value(name, "kg", None, reason=withheld)
-    # a mass is not negative: an empty container reads 0 with an interval that starts there
-    interval = [max(mass - Z95 * std, 0.0), max(mass + Z95 * std, 0.0)]
-    return Value(name, "kg", max(mass, 0.0), std, interval)
-
-
-def _rivals(fit: FitResult, mass: float, std: float) -> list[float]:
-    """Masses of other ends that explain the recording as well but lie elsewhere."""
-    ends, cost = fit.physical("sphere_mass"), fit.solution.cost
-    near = cost < cost[fit.solution.best] + 2.0
-    apart = np.abs(ends - mass) > max(3.0 * std, DISTINCT * abs(mass), 5e-4)
-    rivals: list[float] = []
-    for end in ends[near & apart]:
-        if all(abs(end - other) > DISTINCT * abs(other) for other in rivals):
-            rivals.append(float(end))
-    return rivals
-
-
-def _summary(nominal: FitResult, fit: FitResult, options: ContainerOptions, std: float) -> SolverSummary:
-    """What the starts of the first search did, and whether they found the same sphere."""
-    solution = nominal.solution
-    ends, history = nominal.physical("sphere_mass"), nominal.physical("sphere_mass", solution.path)
-    best = float(ends[solution.best])
-    paths = []
-    for s, end in enumerate(ends):
-        agrees = bool(abs(end - best) <= max(1e-4, DISTINCT * abs(best), std))
-        start = options.starts_kg[s % len(options.starts_kg)]
-        paths.append(
-            StartPath(start, float(end), float(solution.cost[s]), agrees, history[:, s], solution.path_cost[:, s])
-        )
-    problem = fit.problem
-    assert isinstance(problem, ContainerProblem)
-    iterations = solution.iterations + fit.solution.iterations
-    return SolverSummary("lm", "default", iterations, tuple(paths), options.integrator, problem.contact_step_s)
+        remarks=lambda: tuple(remarks()),
+        open_drive_train=budget,
+        unknowns=tuple(
+            replace(u, name=shown.get(u.name, u.name)) for u in unknown_rows(fit, assessed.covariance)
+        ),
+        detail=lambda withheld: ContainerDetail(paths),
+    )  # fmt: skip
 
 
 def _paths(robot: Robot, fit: FitResult, covariance: np.ndarray) -> tuple[SpherePath, ...]:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from html import escape
 
 import numpy as np
 
-from proprio_ros.identification.estimate import SpherePath
+from proprio_ros.identification.estimate import Estimate
+from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.report.figures import ACCENT, INK, MUTED
+from proprio_ros.report.html import framed
 
 EARLY, LATE = (0xF2, 0x8E, 0x2B), (0x3D, 0x1A, 0x6E)
 """Colours of the first and the last instant: also in grey print the early one is the paler."""
@@ -28,6 +31,32 @@ ALONG_SIGHT = 0.05
 MM = 1e3
 
 DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def sections(estimate: Estimate) -> list[str]:
+    """Where the sphere was in every run: a picture, and the same in motion."""
+    parts: list[str] = []
+    detail = estimate.detail
+    for n, path in enumerate(detail.paths if isinstance(detail, ContainerDetail) else (), start=1):
+        shown = drawable(path)
+        if shown is None:
+            continue
+        parts += [
+            f"<h3>{escape(path.run)}</h3>",
+            framed(
+                path_figure(shown, n),
+                f"The sphere, of radius {1e3 * path.radius:g} mm, moved by up to {1e3 * shown.moved:.1f} mm. Seen along the "
+                "joint's axis: dashed at the start, bold at the end. Blue, about the path of its centre: two standard deviations, "
+                "where that shows.",
+            ),
+            "<details class=moving open><summary class=small>As it moved, five times slower</summary>",
+            framed(
+                moving_figure(shown, n),
+                "The container turns as it turned in the world; where the hand carried it is left out. Fold it to stop watching.",
+            ),
+            "</details>",
+        ]
+    return ["<h2>Where the sphere was</h2>", *parts] if parts else []
 
 
 def drawable(path: SpherePath) -> SpherePath | None:

@@ -9,25 +9,21 @@ torque constant is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import (
-    Z95,
-    BlockShape,
-    Estimate,
-    Fit,
-    JointInterval,
-    SolverSummary,
-    SqueezeCurve,
-    StartPath,
-    Value,
-    Verdict,
-    no_answer,
+from proprio_ros.identification.estimate import Z95, Estimate, Value, no_answer
+from proprio_ros.identification.fit import (
+    FitResult,
+    SearchOptions,
+    is_calibrated,
+    misfit_over,
+    other_suspects,
+    summary,
 )
 from proprio_ros.identification.gates import (
     MIN_USED,
@@ -38,24 +34,20 @@ from proprio_ros.identification.gates import (
     contradiction,
     look_at_run,
 )
-from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.judge import (
+    Assessment,
+    Refusal,
+    contradicted,
+    judge,
+    not_identifiable,
+    positive,
+    rejected,
+)
+from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
-from proprio_ros.identification.squeeze_problem import (
-    HIGHEST_RATIO,
-    BlockFacts,
-    SqueezeProblem,
-    block_unknowns,
-)
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.identification.weighing import (
-    FitResult,
-    error_budget,
-    is_calibrated,
-    misfit_over,
-    other_suspects,
-    say_if_uncalibrated,
-    unknown_rows,
-)
+from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
+from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
 from proprio_ros.sim.energies import lame, lame_by_poissons_ratio, lame_of_small_strain
@@ -214,80 +206,71 @@ def _conclude(
     problem = fit.problem
     assert isinstance(problem, SqueezeProblem)
     known = is_calibrated(robot, data.runs)
-    at = problem.index
-    fits, rms, expected = run_fits(problem, fit.values, data.runs)
-    inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
-    posterior = Posterior(problem, fit.values, inflation)
-    covariance = posterior.whole_covariance()
-    row = at["youngs_modulus"]
+    assessed = Assessment(fit, "youngs_modulus", data.runs, known)
     odd = contradicting(Posterior(problem, fit.values)) if len(data.runs) > 1 and not fit.explains else None
-    std = float(np.sqrt(covariance[row, row]))
-    apart = None if odd is None else _apart(robot, data, facts, options, odd, std)
+    apart = None if odd is None else _apart(robot, data, facts, options, odd, assessed.std)
     if apart is not None and apart.half is not None:
-        covariance[row, row] += apart.half**2
-    modulus, std = float(fit.values[row]), float(np.sqrt(covariance[row, row]))
-    budget = error_budget(fit, covariance, "youngs_modulus")
+        assessed.widen(apart.half)
+    modulus, std, covariance = assessed.value, assessed.std, assessed.covariance
+    budget = assessed.budget()
     curves = _curves(problem, fit.values, facts)
     largest = max(float(curve.squeeze.max()) for curve in curves)
-    verdict, withheld = Verdict.ACCEPTED, ""
-    unknown = problem.unknowns[row]
-    if not np.isfinite(fit.chi2):
-        verdict, withheld = Verdict.REJECTED, "no guess of the modulus could be simulated"
-        found.reasons.insert(0, withheld + ": check block.size and the robot file")
-    elif apart is not None and apart.half is None:
-        verdict, withheld = Verdict.REJECTED, "the runs contradict each other"
-        found.reasons.insert(0, apart.sentence)
-    elif fit.reduced_chi2 > MISFIT_LIMIT:
-        verdict, withheld = Verdict.REJECTED, "the model does not explain the recording"
-        found.reasons[:0] = [_misfit(rms, expected, modulus, fit.reduced_chi2), *other_suspects(robot)]
-    elif largest < UNTOUCHED or modulus <= unknown.lower * 1.01:
-        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the block was hardly pressed"
-        found.reasons.insert(
-            0,
-            f"the block was squeezed by {100.0 * max(largest, 0.0):.1f} % at most: is it between the fingers, and block.size "
-            "right?",
-        )
-    elif modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
-        verdict, withheld = Verdict.NOT_IDENTIFIABLE, "the interval is too wide to tell a modulus"
-        found.reasons.insert(
-            0,
-            f"Young's modulus can only be told to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of {budget[0][0]}: "
-            + ("squeeze with other currents, too" if known else "calibrate the gripper on closings without the block"),
-        )
-    if verdict is Verdict.ACCEPTED:
-        if apart is not None:
-            found.reasons.append(apart.sentence)
-        if inflation > 1.0 and not fit.explains:
-            found.reasons.append(
-                f"the fit is {np.sqrt(inflation):.1f} times coarser than the encoder (rms {1e3 * rms:.2f} mrad): "
-                "the interval was widened by that factor"
+    unknown = problem.unknowns[assessed.row]
+
+    def refusals() -> Iterator[Refusal]:
+        if not np.isfinite(fit.chi2):
+            unsimulated = "no guess of the modulus could be simulated"
+            yield rejected(unsimulated, unsimulated + ": check block.size and the robot file")
+        yield from contradicted(apart)
+        if fit.reduced_chi2 > MISFIT_LIMIT:
+            misfit = _misfit(assessed.rms, assessed.expected, modulus, fit.reduced_chi2)
+            yield rejected("the model does not explain the recording", misfit, *other_suspects(robot))
+        if largest < UNTOUCHED or modulus <= unknown.lower * 1.01:
+            yield not_identifiable(
+                "the block was hardly pressed",
+                f"the block was squeezed by {100.0 * max(largest, 0.0):.1f} % at most: is it between the fingers, and block.size "
+                "right?",
             )
-        if largest > CRUSHED:
-            found.reasons.append(
-                f"the block was squeezed by {100.0 * largest:.0f} %, where what is known about elasticity ends: use less current"
+        if modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
+            yield not_identifiable(
+                "the interval is too wide to tell a modulus",
+                f"Young's modulus can only be told to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of {budget[0][0]}: "
+                + (
+                    "squeeze with other currents, too"
+                    if known
+                    else "calibrate the gripper on closings without the block"
+                ),
             )
-        found.reasons += _beyond_measured(
-            [run for run, squeezes in zip(data.runs, data.squeezing, strict=True) if squeezes]
-        )
-        say_if_uncalibrated(robot, data.runs, [], found)
-    return Estimate(
+
+    def remarks() -> list[str]:
+        crushed = f"the block was squeezed by {100.0 * largest:.0f} %, where what is known about elasticity ends: use less current"
+        pressed = [run for run, squeezes in zip(data.runs, data.squeezing, strict=True) if squeezes]
+        return [*([crushed] * (largest > CRUSHED)), *_beyond_measured(pressed)]
+
+    def values(withheld: str) -> tuple[Value, ...]:
+        return _values(fit, covariance, facts, withheld, curves)
+
+    best = float(nominal.physical("youngs_modulus")[nominal.solution.best])
+    return judge(
+        robot,
+        assessed,
+        refusals(),
+        found,
         probe="softness",
-        robot=robot.name,
-        verdict=verdict,
-        reasons=tuple(found.reasons),
-        values=_values(fit, covariance, facts, withheld, curves),
-        fit=Fit(rms, expected, fit.reduced_chi2, condition=posterior.condition),
-        solver=_summary(nominal, fit, options, std),
-        runs=run_count,
-        run_fits=fits,
-        unknowns=unknown_rows(fit, covariance),
-        budget=tuple(budget),
+        run_count=run_count,
+        values=values,
+        solver=summary(
+            nominal, "youngs_modulus", options.starts_Pa, max(0.02 * best, 0.1 * std),
+            nominal.solution.iterations + fit.solution.iterations,
+            SearchOptions(integrator=options.integrator, step_s=options.step_s),
+        ),
         scan=misfit_over(fit, "youngs_modulus", modulus * np.geomspace(0.1, 10.0, 61)),
-        curves=curves,
-        joint=None if withheld else _joint(fit, covariance, facts),
+        budget=budget,
         assumptions=_assumptions(robot, data.runs[0].drive, facts, options, largest),
-        notes=tuple(found.notes),
-    )
+        apart=apart,
+        remarks=remarks,
+        detail=lambda withheld: SoftnessDetail(curves, None if withheld else _joint(fit, covariance, facts)),
+    )  # fmt: skip
 
 
 def _values(
@@ -305,15 +288,15 @@ def _values(
     )
     secant = float(force / (strain * length))
     return (
-        _told("youngs_modulus", "Pa", modulus, std_e),
+        positive("youngs_modulus", "Pa", modulus, std_e),
         Value("poissons_ratio", "1", None, std_nu, reason=untold)
         if untold
-        else _told("poissons_ratio", "1", ratio, std_nu, HIGHEST_RATIO),
-        _told("lame_mu", "Pa", float(mu), std_mu),
+        else positive("poissons_ratio", "1", ratio, std_nu, highest=HIGHEST_RATIO),
+        positive("lame_mu", "Pa", float(mu), std_mu),
         Value("lame_lambda", "Pa", None, reason=untold)
         if untold
-        else _told("lame_lambda", "Pa", float(lam), std_lambda),
-        _told("secant_stiffness", "N/m", secant, secant * std_e / modulus),
+        else positive("lame_lambda", "Pa", float(lam), std_lambda),
+        positive("secant_stiffness", "N/m", secant, secant * std_e / modulus),
         Value("largest_squeeze", "1", float(strain)),
     )
 
@@ -367,10 +350,6 @@ def _joint(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> JointIn
     )  # fmt: skip
 
 
-def _told(name: str, unit: str, value: float, std: float, highest: float = np.inf) -> Value:
-    return Value(name, unit, value, std, [max(value - Z95 * std, 0.0), min(value + Z95 * std, highest)])
-
-
 def _curves(problem: SqueezeProblem, values: np.ndarray, facts: BlockFacts) -> tuple[SqueezeCurve, ...]:
     """Force on a finger over squeeze, as simulated, with the quasi-static law alone."""
     at = problem.index
@@ -409,21 +388,6 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
         BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.outside)
         for row, points in zip(at, scaled, strict=True)
     )
-
-
-def _summary(nominal: FitResult, fit: FitResult, options: SqueezeOptions, std: float) -> SolverSummary:
-    solution = nominal.solution
-    ends, history = nominal.physical("youngs_modulus"), nominal.physical("youngs_modulus", solution.path)
-    best = float(ends[solution.best])
-    paths = tuple(
-        StartPath(
-            start, float(ends[s]), float(solution.cost[s]), bool(abs(ends[s] - best) <= max(0.02 * best, 0.1 * std)),
-            history[:, s], solution.path_cost[:, s],
-        )
-        for s, start in enumerate(options.starts_Pa)
-    )  # fmt: skip
-    iterations = solution.iterations + fit.solution.iterations
-    return SolverSummary("lm", "default", iterations, paths, options.integrator, options.step_s)
 
 
 def _misfit(rms: float, expected: float, modulus: float, reduced_chi2: float) -> str:

@@ -1,0 +1,64 @@
+"""The probes: what can be identified. One line each; a probe's module is loaded when it is asked for."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.probes.base import Probe
+
+PROBES = {
+    "payload": "proprio_ros.probes.payload:Payload",
+    "container": "proprio_ros.probes.container:Container",
+    "softness": "proprio_ros.probes.softness:Softness",
+}
+"""Module and class of each probe, by name."""
+
+VARIABLE = "PROPRIO_PROBES"
+"""Environment variable with probes that live outside this package: ``NAME=module:Class``, separated by commas."""
+
+
+def registry() -> dict[str, str]:
+    """Module and class of each probe, by name, those of the environment last.
+
+    Raises:
+        ConfigurationError: the environment variable is not of its form.
+    """
+    found = dict(PROBES)
+    for line in filter(None, os.environ.get(VARIABLE, "").split(",")):
+        name, _, place = line.partition("=")
+        if not name.isidentifier() or ":" not in place:
+            raise ConfigurationError(f"{VARIABLE}={line}: write NAME=module:Class")
+        found[name] = place
+    return found
+
+
+@cache
+def _load(place: str) -> Probe[Any]:
+    module, _, name = place.partition(":")
+    try:
+        loaded = getattr(import_module(module), name)()
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(f"probe {place}: cannot be loaded ({error})") from error
+    assert isinstance(loaded, Probe), f"{place} is no Probe"
+    return loaded
+
+
+def probe_named(name: str) -> Probe[Any]:
+    """A probe by its name.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+    """
+    places = registry()
+    if name not in places:
+        raise ConfigurationError(f"probe {name!r} is not available; choose one of: {', '.join(places)}")
+    return _load(places[name])
+
+
+def all_probes() -> list[Probe[Any]]:
+    """All of them, in the order of the registry."""
+    return [_load(place) for place in registry().values()]

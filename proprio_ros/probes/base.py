@@ -1,0 +1,261 @@
+"""What a probe is: something that can be identified from how a joint moves, with all that the package needs to know of it.
+
+A probe is a class in a folder of its own and a line in ``probes.PROBES``. The command line, the identifier's services, the report,
+the demo and the launch file ask the registry and name none. The class itself is light, since the command line reads it to parse its
+arguments: what is heavy (simulators, finite elements) is imported in the methods that need it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+
+from proprio_ros.settings import Settings
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from proprio_ros.bags import TextRecording
+    from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.records import Run
+    from proprio_ros.robot import Robot
+
+Facts = TypeVar("Facts")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What was read.
+
+    Attributes:
+        runs, baseline: of the object, and made with them without it.
+        sources: where each run comes from.
+        text: the text recording among them.
+    """
+
+    runs: Sequence[Run]
+    baseline: Sequence[Run] = ()
+    sources: Sequence[Path] = ()
+    text: TextRecording | None = None
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Runs that are made once, without what is to be identified.
+
+    Attributes:
+        noun: what they weigh, such as ``empty container``.
+        hand: what the user is asked for before them, as a sentence.
+        question: what to ask where they do not weigh what they should.
+        missing: what a user does who has none and needs one.
+        probe: what they are identified as.
+    """
+
+    noun: str
+    hand: str
+    question: str
+    missing: str
+    probe: str = "payload"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A number that guards a probe; a parameter of the identifier node."""
+
+    name: str
+    default: float
+    description: str
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True)
+class Example:
+    """What ``proprio demo`` and the launch file show of a probe on a virtual robot.
+
+    Attributes:
+        flag, metavar: the option that states the truth, without its dashes.
+        help: of that option.
+        truth: where it is not given, in the unit of the probe's answer; lowest, highest: its range.
+        units: what to say about a number outside it.
+        held: what the virtual hand holds, with ``{truth}`` in it; see ``virtual/objects.py``.
+        now: what is told when it is in the hand; was: what the truth is called at the end; takes: how long it takes.
+        sequences: the identifier's parameters for a short demo.
+        reference: whether a weight helps the short calibration.
+    """
+
+    flag: str
+    metavar: str
+    help: str
+    truth: float
+    lowest: float
+    highest: float
+    units: str
+    held: str
+    now: str
+    was: str
+    takes: str
+    sequences: Mapping[str, str] = field(default_factory=dict)
+    reference: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Of virtual object: ``payload``, ``container``, ``block``; empty for a bare mass."""
+        return self.held.partition(":")[0] if ":" in self.held else ""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A rigid load, as others want to hear of it.
+
+    Attributes:
+        mass_kg: [kg].
+        com_m: centre of mass in the payload frame, shape (3,).
+        inertia_kg_m2: about it, shape (3, 3); NaN where nothing tells it.
+    """
+
+    mass_kg: float
+    com_m: Sequence[float]
+    inertia_kg_m2: np.ndarray
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body to be shown.
+
+    Attributes:
+        kind: ``box``, ``cylinder`` (along z) or ``sphere``.
+        size_m: edges or diameters, shape (3,).
+        rotation: payload_R_body, shape (3, 3).
+        opacity: 0 to 1.
+    """
+
+    kind: str
+    size_m: Sequence[float]
+    rotation: np.ndarray
+    opacity: float
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """What to show in RViz: bodies around one place in the payload frame [m], shape (3,)."""
+
+    place_m: Sequence[float]
+    bodies: Sequence[Body]
+
+
+class Probe(ABC, Generic[Facts]):
+    """One thing that can be identified.
+
+    Attributes:
+        name: on the command line, in file and service names.
+        subject: what the answer is about, in a sentence.
+        answer: name and unit of its first value.
+        numbers: which values are published as plain numbers, and on which topic of the identifier.
+        keys: what the settings about its object begin with.
+        file_sections: of ``config/probes/NAME.yaml`` that it reads.
+        hand: what the user is asked for before the runs, as a sentence; empty: nothing.
+        default_sequence: the runs that are made where none is named.
+        solvers, profiles: that ``replay`` may be asked for.
+        live: whether there is an estimate while a run is under way.
+        prepares: what takes long to prepare, in words; empty: nothing.
+        baseline, limits, example: see there; ``example`` None: no demo.
+    """
+
+    name: ClassVar[str]
+    subject: ClassVar[str]
+    answer: ClassVar[tuple[str, str]]
+    numbers: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    keys: ClassVar[tuple[str, ...]]
+    file_sections: ClassVar[tuple[str, ...]] = ()
+    hand: ClassVar[str] = ""
+    default_sequence: ClassVar[str]
+    solvers: ClassVar[tuple[str, ...]] = ("lm",)
+    profiles: ClassVar[tuple[str, ...]] = ("default",)
+    live: ClassVar[bool] = False
+    prepares: ClassVar[str] = ""
+    baseline: ClassVar[Baseline | None] = None
+    limits: ClassVar[tuple[Limit, ...]] = ()
+    example: ClassVar[Example | None] = None
+
+    # --- before anything is recorded ---------------------------------------------------------------------------------
+
+    @abstractmethod
+    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> Facts:
+        """What the user says about the object and the search, over the defaults of the probe's file; read once per job.
+
+        Raises:
+            ConfigurationError: a value of the wrong form or unit.
+        """
+
+    def check_live(self, facts: Facts) -> None:
+        """Whether the nodes can do what the facts ask for.
+
+        Raises:
+            ConfigurationError: they cannot; with what to do instead.
+        """
+        return
+
+    def check(self, robot: Robot, facts: Facts, sequence: ProbeSequence, limits: Mapping[str, float]) -> None:
+        """Whether a sequence may be made with this object.
+
+        Args:
+            limits: of ``limits``, by name.
+
+        Raises:
+            ConfigurationError: it tells nothing about the object, or could break it.
+        """
+        return
+
+    def needs_baseline(self, facts: Facts) -> bool:
+        """Whether nothing can be identified without one."""
+        return False
+
+    def baseline_settings(self, facts: Facts) -> dict[str, object]:
+        """What is told about the hand without the object, as settings of the probe ``baseline.probe``."""
+        return {}
+
+    def prepare(self, facts: Facts) -> None:
+        """Compile and tabulate what an identification needs, so that none of it is done in a probe.
+
+        Raises:
+            SimulationError: the object cannot be simulated.
+        """
+        return
+
+    # --- what a recording tells --------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
+        """What the runs tell.
+
+        Raises:
+            ConfigurationError, RecordingError: the runs cannot be related to the robot or the object at all.
+        """
+
+    def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: Facts) -> Estimate:
+        """What runs tell of which the last is still under way; only where the probe is ``live``."""
+        raise NotImplementedError
+
+    # --- what is shown of it -----------------------------------------------------------------------------------------
+
+    def sections(self, estimate: Estimate) -> list[str]:
+        """Its own parts of the report, as HTML."""
+        return []
+
+    def remark(self, estimate: Estimate) -> str:
+        """What is said after the interval of an accepted answer; begins with a comma."""
+        return ""
+
+    def carried(self, robot: Robot, facts: Facts, estimate: Estimate) -> Carried | None:
+        """The rigid load that an accepted answer stands for; None: it is none."""
+        return None
+
+    def shapes(self, robot: Robot, facts: Facts, estimate: Estimate) -> Shapes | None:
+        """How an accepted answer looks."""
+        return None

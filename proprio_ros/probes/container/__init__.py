@@ -1,0 +1,133 @@
+"""What is in the box: the mass of a sphere that rolls in a closed container."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.probes.base import Baseline, Body, Example, Probe, Recorded, Shapes
+from proprio_ros.settings import Settings, not_negative, probe_file
+
+if TYPE_CHECKING:
+    from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.probes.container.identify import ContainerOptions
+    from proprio_ros.probes.container.problem import ContainerFacts
+    from proprio_ros.robot import Robot
+
+
+@dataclass(frozen=True)
+class ContainerJob:
+    """One container.
+
+    Attributes:
+        container: what is stated about it and its sphere.
+        solving: how to solve.
+        camera: topic or CSV file with places of the sphere; camera_std: of each coordinate [m].
+    """
+
+    container: ContainerFacts
+    solving: ContainerOptions
+    camera: str | None
+    camera_std: float
+
+
+class Container(Probe[ContainerJob]):
+    """A closed container with a sphere in it."""
+
+    name = "container"
+    subject = "sphere"
+    answer = ("sphere_mass", "kg")
+    numbers = MappingProxyType({"sphere_mass": "mass"})
+    keys = ("container.", "sphere.", "contact.")
+    file_sections = ("container", "sphere", "contact", "solver")
+    hand = "the container has to be in the hand with its sphere"
+    default_sequence = "container"
+    prepares = "a sphere: once on a computer it is compiled, half a minute"
+    baseline = Baseline(
+        noun="empty container",
+        hand="the container has to be in the hand without its sphere",
+        question="is the container empty?",
+        missing="put it into the hand without its sphere and call ~/record_container_baseline, or tell its mass (settings: "
+        "container.mass=KG)",
+    )
+    example = Example(
+        flag="mass",
+        metavar="KG",
+        help="of the sphere in it",
+        truth=0.012,
+        lowest=1e-6,
+        highest=2.0,
+        units="masses are in kg, so 50 g is 0.05",
+        held="container:0.03,sphere={truth:g}",
+        now="now there is a sphere in the container",
+        was="the sphere in the virtual container weighed",
+        takes="two minutes",
+        sequences={"robot_sequence": "empty_hand_container"},  # the wrist moves it, too
+        reference=True,
+    )
+
+    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContainerJob:
+        from proprio_ros.probes.container.facts import container_facts
+        from proprio_ros.probes.container.identify import ContainerOptions
+
+        defaults = probe_file(self.name, self.file_sections)
+        container = container_facts(settings, defaults)
+        solving = settings.options(ContainerOptions, "solver.", defaults["solver"])
+        camera = settings.take("sphere.camera", defaults["sphere"].get("camera"))
+        if camera is not None and not isinstance(camera, str):
+            raise ConfigurationError(f"sphere.camera={camera!r} must be a topic (with a slash in front) or a CSV file")
+        std = not_negative(
+            "sphere.camera_std", settings.take("sphere.camera_std", defaults["sphere"].get("camera_std"))
+        )
+        if std == 0.0:
+            raise ConfigurationError("sphere.camera_std must be above 0 m")
+        return ContainerJob(container, solving, camera, std)
+
+    def check_live(self, facts: ContainerJob) -> None:
+        if facts.camera is not None:
+            raise ConfigurationError(
+                "sphere.camera: the identifier records no camera; record its topic beside it and give both to `proprio replay`"
+            )
+
+    def needs_baseline(self, facts: ContainerJob) -> bool:
+        return facts.container.mass_std == float("inf")
+
+    def baseline_settings(self, facts: ContainerJob) -> dict[str, object]:
+        from proprio_ros.probes.payload.facts import rotational_inertia
+
+        shell = facts.container.shell
+        per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
+        places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        return {
+            "payload.com": shell.com.tolist(),
+            "payload.inertia_per_mass": [float(per_mass[i, j]) for i, j in places],
+        }
+
+    def prepare(self, facts: ContainerJob) -> None:
+        from proprio_ros.sim.sphere import compile_kernels
+
+        compile_kernels(facts.container.enclosure.shape, facts.container.law, facts.solving.integrator)
+
+    def identify(self, robot: Robot, recorded: Recorded, facts: ContainerJob) -> Estimate:
+        from proprio_ros.probes.container.camera import track_of
+        from proprio_ros.probes.container.identify import find_sphere
+
+        sources = zip(recorded.runs, recorded.sources, strict=True)
+        tracks = [track_of(run, source, facts.camera, facts.camera_std) for run, source in sources]
+        return find_sphere(robot, recorded.runs, facts.container, facts.solving, recorded.baseline, tracks)
+
+    def sections(self, estimate: Estimate) -> list[str]:
+        from proprio_ros.probes.container.figures import sections
+
+        return sections(estimate)
+
+    def shapes(self, robot: Robot, facts: ContainerJob, estimate: Estimate) -> Shapes | None:
+        """The container, with a sphere in its middle."""
+        import numpy as np
+
+        container, enclosure = facts.container, facts.container.enclosure
+        sphere = Body("sphere", [2.0 * enclosure.radius] * 3, np.eye(3), 0.9)
+        walls = Body(enclosure.shape, enclosure.inner_size.tolist(), container.rotation, 0.25)
+        return Shapes(container.centre.tolist(), [sphere, walls])

@@ -1,0 +1,34 @@
+"""What a camera saw of the sphere while a run was recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from proprio_ros.bags import read_point_file, read_points
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.probes.container.problem import SphereTrack
+from proprio_ros.records import Run
+
+
+def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTrack | None:
+    """Places of the sphere during a run; None without a camera.
+
+    Args:
+        source: the bag of the run.
+        camera: a topic, which starts with a slash (unless there is such a file), or a CSV file.
+        std: of each coordinate [m].
+
+    Raises:
+        ConfigurationError: it saw nothing during the run.
+    """
+    if camera is None:
+        return None
+    topic = camera.startswith("/") and not Path(camera).is_file()
+    track = read_points(source, camera) if topic else read_point_file(camera)
+    times_s, position = track.of_run(run)
+    if not len(times_s):
+        raise ConfigurationError(
+            f"sphere.camera={camera}: saw nothing while {run.name} was recorded: its stamps must be on the clock of the joint "
+            "states"
+        )
+    return SphereTrack(times_s, position, std)

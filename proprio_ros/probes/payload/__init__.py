@@ -1,0 +1,126 @@
+"""What the hand holds: a rigid payload of unknown mass, and its centre of mass where that is open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from proprio_ros.probes.base import Body, Carried, Example, Probe, Recorded, Shapes
+from proprio_ros.settings import Settings, probe_file
+
+if TYPE_CHECKING:
+    from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.probes.payload.identify import WeighingOptions
+    from proprio_ros.probes.payload.paper import PaperOptions
+    from proprio_ros.records import Run
+    from proprio_ros.robot import Robot
+    from proprio_ros.sim.payload import PayloadFacts
+
+LIVE_STARTS_KG = (0.01, 0.1)
+"""A live estimate need not find its way from two orders of magnitude."""
+
+
+@dataclass(frozen=True)
+class PayloadJob:
+    """One weighing.
+
+    Attributes:
+        payload: shape and place.
+        weighing: how to solve.
+        paper: the paper's setting, where its own method was asked for.
+        stated: keys that the user stated himself.
+    """
+
+    payload: PayloadFacts
+    weighing: WeighingOptions
+    paper: PaperOptions | None
+    stated: frozenset[str]
+
+
+class Payload(Probe[PayloadJob]):
+    """A rigid payload."""
+
+    name = "payload"
+    subject = "payload"
+    answer = ("payload_mass", "kg")
+    numbers = MappingProxyType({"payload_mass": "mass"})
+    keys = ("payload.", "paper.")
+    file_sections = ("payload", "solver", "paper")
+    default_sequence = "payload"
+    solvers = ("lm", "adam", "cma")
+    profiles = ("default", "paper")
+    live = True
+    example = Example(
+        flag="mass",
+        metavar="KG",
+        help="of the object in the virtual hand",
+        truth=0.05,
+        lowest=1e-6,
+        highest=2.0,
+        units="masses are in kg, so 50 g is 0.05",
+        held="{truth:g}",
+        now="now something is in its hand",
+        was="the virtual hand held",
+        takes="under a minute",
+        sequences={"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"},
+        reference=True,
+    )
+
+    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> PayloadJob:
+        from proprio_ros.probes.payload.facts import payload_facts
+        from proprio_ros.probes.payload.identify import WeighingOptions
+        from proprio_ros.probes.payload.paper import PaperOptions
+
+        defaults = probe_file(self.name, self.file_sections)
+        payload = payload_facts(settings, defaults["payload"])
+        weighing = replace(settings.options(WeighingOptions, "solver.", defaults["solver"]), solver=solver)
+        paper = settings.options(PaperOptions, "paper.", defaults["paper"])
+        return PayloadJob(payload, weighing, paper if profile == "paper" else None, frozenset(settings.taken))
+
+    def prepare(self, facts: PayloadJob) -> None:
+        from proprio_ros.sim.joint import compile_kernels
+
+        compile_kernels()
+
+    def identify(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
+        from proprio_ros.probes.payload.identify import weigh
+        from proprio_ros.probes.payload.paper import as_published, weigh_as_paper
+
+        if facts.paper is None:
+            return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
+        stated = facts.paper
+        if recorded.text is not None:
+            stated = as_published(stated, recorded.text.setting, facts.stated)
+        return weigh_as_paper(robot, recorded.runs, facts.payload, stated)
+
+    def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: PayloadJob) -> Estimate:
+        from proprio_ros.probes.payload.identify import weigh
+
+        return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
+
+    def carried(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Carried | None:
+        from proprio_ros.probes.payload.facts import inertia_tensor
+
+        mass = estimate.values[0].value
+        if not isinstance(mass, float):
+            return None
+        return Carried(mass, self._centre(facts, estimate), inertia_tensor(facts.payload, mass))
+
+    def shapes(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Shapes | None:
+        import numpy as np
+
+        mass = estimate.values[0].value
+        if not isinstance(mass, float):
+            return None
+        # the ball of water that weighs as much
+        size = max((6.0 * max(mass, 1e-4) / (1000.0 * np.pi)) ** (1.0 / 3.0), 0.01)
+        return Shapes(self._centre(facts, estimate), [Body("sphere", [size] * 3, np.eye(3), 0.7)])
+
+    @staticmethod
+    def _centre(facts: PayloadJob, estimate: Estimate) -> list[float]:
+        """Centre of mass [m]: as identified, else as stated."""
+        found = next((value.value for value in estimate.values if value.name == "payload_com"), None)
+        known = [axis for axis in found if axis is not None] if isinstance(found, list) else []
+        return known if len(known) == 3 else [float(axis) for axis in facts.payload.com]

@@ -1,0 +1,172 @@
+"""How soft it is: the elastic moduli of a block between the fingers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.probes.base import Body, Example, Limit, Probe, Recorded, Shapes
+from proprio_ros.settings import Settings, probe_file
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.probes.softness.identify import SqueezeOptions
+    from proprio_ros.probes.softness.problem import BlockFacts
+    from proprio_ros.robot import Robot
+    from proprio_ros.sim.response import Response
+
+LIMIT = "largest_squeeze"
+GAP_M = 0.0005
+"""From the fingers to the block of the demo."""
+
+
+@dataclass(frozen=True)
+class SoftnessJob:
+    """One block: what is stated about it, and how to solve."""
+
+    block: BlockFacts
+    solving: SqueezeOptions
+
+
+class Softness(Probe[SoftnessJob]):
+    """A soft block between the fingers."""
+
+    name = "softness"
+    subject = "block"
+    answer = ("youngs_modulus", "Pa")
+    numbers = MappingProxyType({name: name for name in ("youngs_modulus", "lame_mu", "lame_lambda")})
+    keys = ("block.",)
+    file_sections = ("block", "solver")
+    hand = "the block has to be between the fingers"
+    default_sequence = "softness"
+    prepares = "a block: a shape is tabulated once, up to half a minute"
+    limits = (
+        Limit(
+            LIMIT,
+            0.4,
+            "A softness_sequence that may squeeze the block further, as a share of its length, is refused.",
+            0.01,
+            0.95,
+        ),
+    )
+    example = Example(
+        flag="modulus",
+        metavar="PA",
+        help="Young's modulus of the block",
+        truth=12e3,
+        lowest=100.0,
+        highest=1e7,
+        units="moduli are in Pa, foam has 1e3 to 1e5",
+        held=f"block:{{truth:g}},gap={GAP_M:g}",
+        now="now a block of 30 mm is between its fingers",
+        was="Young's modulus of the virtual block was",
+        takes="under a minute",
+        sequences={"robot_sequence": "empty_hand_gripper"},  # nothing that the gripper does moves a weight
+    )
+
+    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> SoftnessJob:
+        from proprio_ros.probes.softness.facts import block_facts
+        from proprio_ros.probes.softness.identify import SqueezeOptions
+
+        defaults = probe_file(self.name, self.file_sections)
+        block = block_facts(settings, defaults["block"])
+        return SoftnessJob(block, settings.options(SqueezeOptions, "solver.", defaults["solver"]))
+
+    def check(self, robot: Robot, facts: SoftnessJob, sequence: ProbeSequence, limits: Mapping[str, float]) -> None:
+        joint, *others = {run.joint for run in sequence.runs}
+        if others or robot.model.joint(joint).kind != "prismatic":
+            raise ConfigurationError(
+                f"{sequence.name} drives {', '.join([joint, *others])}: squeeze with a joint that slides a finger"
+            )
+        squeeze = largest_squeeze(robot, joint, max(run.max_travel for run in sequence.runs), facts.block)
+        if squeeze > limits[LIMIT]:
+            raise ConfigurationError(
+                f"{sequence.name} may squeeze a block of {1e3 * facts.block.length:g} mm by {100.0 * squeeze:.0f} %, more than "
+                f"{LIMIT}={limits[LIMIT]:g}: state its size (settings: block.size=[x,y,z]), lower max_travel in the sequence, or "
+                f"raise {LIMIT}"
+            )
+
+    def prepare(self, facts: SoftnessJob) -> None:
+        """Kernels and the table of the block's response: half a minute for a shape of block whose faces stick, the first time."""
+        from proprio_ros.sim.squeeze import compile_kernels
+
+        compile_kernels(facts.block.table(), facts.solving.integrator)
+
+    def identify(self, robot: Robot, recorded: Recorded, facts: SoftnessJob) -> Estimate:
+        from proprio_ros.probes.softness.identify import find_softness
+
+        return find_softness(robot, recorded.runs, facts.block, facts.solving, recorded.baseline)
+
+    def sections(self, estimate: Estimate) -> list[str]:
+        from proprio_ros.probes.softness.figures import sections
+
+        return sections(estimate)
+
+    def remark(self, estimate: Estimate) -> str:
+        from proprio_ros.identification.estimate import Z95
+
+        ratio = estimate.value("poissons_ratio")
+        if isinstance(ratio.value, float) and isinstance(ratio.std, float):
+            return f", Poisson's ratio {ratio.value:.2f} +- {Z95 * ratio.std:.2f}"
+        return ", Poisson's ratio not told"
+
+    def shapes(self, robot: Robot, facts: SoftnessJob, estimate: Estimate) -> Shapes | None:
+        rotation = block_rotation(robot, estimate.run_fits[0].joint)
+        return Shapes([0.0, 0.0, 0.0], [Body("box", facts.block.size.tolist(), rotation, 0.6)])
+
+
+def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:
+    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by `travel_m`.
+
+    Args:
+        robot: whose `joint` slides the finger.
+        joint: of the probe.
+        travel_m: as positions are published.
+        facts: of the block.
+    """
+    drive = robot.drive_trains[joint]
+    measured = drive.finger_travel
+    steepest = 1.0 if measured is None else float(measured.ratio_at(measured.at_rad).max()) / drive.transmission
+    return facts.fingers * steepest * travel_m / facts.length
+
+
+def block_rotation(robot: Robot, joint: str) -> np.ndarray:
+    """How a block lies between the fingers: its x along the joint's axis; in the payload's frame, shape (3, 3)."""
+    import numpy as np
+
+    pose = dict.fromkeys(robot.model.independent_joints, 0.0)
+    moved = robot.model.joint(joint)
+    hand = robot.model.frame_transform(robot.payload_frame, pose)[:3, :3]
+    carrier = robot.model.frame_transform(moved.parent, pose)[:3, :3] @ moved.origin[:3, :3]
+    along = hand.T @ carrier @ moved.axis
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across /= np.linalg.norm(across)
+    return np.stack([along, across, np.cross(along, across)], axis=1)
+
+
+def rebuild_table(settings: Mapping[str, object]) -> tuple[BlockFacts, Response, Path]:
+    """Compute a block's response anew, whatever the cache has.
+
+    Args:
+        settings: dotted keys that describe the block.
+
+    Returns:
+        The block, its table, and where that is kept.
+
+    Raises:
+        ConfigurationError, SimulationError: in one line, what is wrong with the block.
+    """
+    from proprio_ros.sim.response import kept_at
+
+    given = Settings(settings)
+    facts = Softness().facts(given).block
+    given.refuse_rest()
+    table = facts.table(rebuild=True)
+    return facts, table, kept_at(table.made_of)
