@@ -17,13 +17,12 @@ ROOMS: dict[str, set[str]] = {
     "quantity": {"errors"},
     "calibration": {"errors", "quantity"},
     "robot": {"errors", "resources", "quantity", "calibration"},
-    "kinematics": {"errors", "robot"},
     "settings": {"errors"},
     "realtime": set(),
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
-    "identification": {"errors", "records", "quantity", "robot", "calibration", "kinematics", "sim"},
+    "identification": {"errors", "records", "quantity", "robot", "calibration", "sim"},
     "replay": {"errors", "records", "resources", "quantity", "robot", "bags", "runs", "sim", "identification"},
     "calibrate": {"errors", "resources", "robot", "calibration", "identification", "replay"},
     "report": {"errors", "resources", "calibration", "identification"},
@@ -44,7 +43,7 @@ ROOMS: dict[str, set[str]] = {
     "bus": {"errors", "records", "robot", "realtime"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
-    "excitation": {"errors", "records", "resources", "robot", "kinematics"},
+    "excitation": {"errors", "records", "resources", "robot"},
     "nodes": {
         "errors",
         "records",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.errors import RobotError
-from proprio_ros.robot import Robot
+from proprio_ros.robot.robot_file import Robot
 
 Vector = tuple[float, float, float]
 _STILL_M = 1e-6  # a link whose height changes by less than this stands where it stands

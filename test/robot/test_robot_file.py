@@ -27,7 +27,7 @@ from proprio_ros.robot import (
     transform,
 )
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 GRAVITY = np.array([0.7, -1.9, -9.4])  # not along an axis, so that no component can be lost
 
 
