@@ -114,11 +114,7 @@ def _way(robot: Robot, frames: list[str]) -> tuple[_Step, ...]:
     for joint in robot.model.joints:
         if joint.child not in needed:
             continue
-        driver, multiplier, offset = joint.name, 1.0, 0.0
-        while (mimic := robot.model.joint(driver).mimic) is not None:
-            offset += multiplier * mimic[2]
-            multiplier *= mimic[1]
-            driver = mimic[0]
+        driver, multiplier, offset = robot.model.driving(joint)
         first, second, third = (_vector(joint.origin[:3, n]) for n in range(3))
         index[joint.child] = len(steps)
         steps.append(
