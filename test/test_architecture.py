@@ -17,13 +17,12 @@ ROOMS: dict[str, set[str]] = {
     "quantity": {"errors"},
     "calibration": {"errors", "quantity"},
     "robot": {"errors", "resources", "quantity", "calibration"},
-    "kinematics": {"errors", "robot"},
     "settings": {"errors", "resources"},
     "realtime": set(),
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
-    "identification": {"errors", "records", "quantity", "robot", "calibration", "kinematics", "sim"},
+    "identification": {"errors", "records", "quantity", "robot", "calibration", "sim"},
     "report": {"errors", "resources", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room below
@@ -71,7 +70,7 @@ ROOMS: dict[str, set[str]] = {
     "bus": {"errors", "records", "robot", "realtime"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
-    "excitation": {"errors", "records", "resources", "robot", "kinematics"},
+    "excitation": {"errors", "records", "resources", "robot"},
     "nodes": {
         "errors",
         "records",

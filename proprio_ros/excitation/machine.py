@@ -20,8 +20,8 @@ import numpy as np
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence, margin
-from proprio_ros.kinematics import clearance
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import clearance
 
 MIN_APPROACH_S = 0.3
 PEAK_OVER_MEAN = 1.875  # of a minimum-jerk motion (Flash & Hogan 1985): peak speed over mean speed

@@ -16,9 +16,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.kinematics import clearance
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import clearance
 
 HANDS = ("empty", "payload", "reference", "container", "block", "any")
 """What should be in the hand: nothing, the object, a weighed reference, a container, a soft block; or no matter what."""

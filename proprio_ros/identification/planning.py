@@ -25,9 +25,9 @@ from proprio_ros.identification.problem import (
     robot_unknowns,
 )
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.kinematics import bent_pose, clearance
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import bent_pose, clearance
 from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
 RATE_HZ = 40.0

@@ -18,8 +18,8 @@ from proprio_ros.excitation.plans import (
     load_sequence,
     sequence_names,
 )
-from proprio_ros.kinematics import clearance
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot.kinematics import clearance
 
 RUN = "{joint: joint3, current_A: -0.3, duration_s: 0.6, start: {joint2: -1.4, joint3: 0.6, joint4: 0.0}}"
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.errors import RobotError
-from proprio_ros.robot import Robot
+from proprio_ros.robot.robot_file import Robot
 
 Vector = tuple[float, float, float]
 _STILL_M = 1e-6  # a link whose height changes by less than this stands where it stands
@@ -114,11 +114,7 @@ def _way(robot: Robot, frames: list[str]) -> tuple[_Step, ...]:
     for joint in robot.model.joints:
         if joint.child not in needed:
             continue
-        driver, multiplier, offset = joint.name, 1.0, 0.0
-        while (mimic := robot.model.joint(driver).mimic) is not None:
-            offset += multiplier * mimic[2]
-            multiplier *= mimic[1]
-            driver = mimic[0]
+        driver, multiplier, offset = robot.model.driving(joint)
         first, second, third = (_vector(joint.origin[:3, n]) for n in range(3))
         index[joint.child] = len(steps)
         steps.append(

@@ -1,0 +1,38 @@
+"""A robot as numbers: the tree of links from its URDF, and the drive train of each joint from its YAML file.
+
+`geometry` is at the bottom; `urdf` reads links and joints, `tree` places and merges them, `drive_train` is what moves them,
+`robot_file` puts all of it into a `Robot`, and `kinematics` asks that how high it stands.
+"""
+
+from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
+from proprio_ros.robot.geometry import (
+    inertia_about_origin,
+    motion,
+    pseudo_inertia,
+    rotation_about,
+    rotation_from_rpy,
+    transform,
+)
+from proprio_ros.robot.robot_file import Robot, load_robot, nested_settings
+from proprio_ros.robot.tree import ReducedModel, RobotModel
+from proprio_ros.robot.urdf import JOINT_KINDS, Joint, Link
+
+__all__ = [
+    "JOINT_KINDS",
+    "DriveTrain",
+    "FingerTravel",
+    "Joint",
+    "Link",
+    "Motor",
+    "ReducedModel",
+    "Robot",
+    "RobotModel",
+    "inertia_about_origin",
+    "load_robot",
+    "motion",
+    "nested_settings",
+    "pseudo_inertia",
+    "rotation_about",
+    "rotation_from_rpy",
+    "transform",
+]

@@ -1,0 +1,104 @@
+"""Rotations, transforms and pseudo-inertias.
+
+Conventions. ``a_T_b`` takes coordinates in frame b to frame a.
+
+Inertia is kept as the 4 x 4 pseudo-inertia ``P = [[Sigma, h], [h^T, m]]``, with the second moments
+``Sigma = int r r^T dm`` and the first moments ``h = m c`` about the frame's origin. It moves between frames as
+``T P T^T``, adds up over rigidly joined bodies, and belongs to a physical body exactly when it is positive semidefinite
+(Wensing, Kim and Slotine, "Linear Matrix Inequalities for Physically-Consistent Inertial Parameter Identification",
+RA-L 2018).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def frozen(values: ArrayLike) -> FloatArray:
+    """A copy that cannot be written to."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> FloatArray:
+    """Rotation matrix from URDF's roll, pitch and yaw about fixed axes: ``Rz(yaw) Ry(pitch) Rx(roll)``.
+
+    Args:
+        rpy: Angles [rad], shape (3,).
+
+    Returns:
+        Shape (3, 3).
+    """
+    roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
+    return (
+        rotation_about((0.0, 0.0, 1.0), yaw)
+        @ rotation_about((0.0, 1.0, 0.0), pitch)
+        @ rotation_about((1.0, 0.0, 0.0), roll)
+    )
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> FloatArray:
+    """Rotation matrix from a unit axis and an angle [rad] (Rodrigues' formula), shape (3, 3)."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: FloatArray = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+    return rotation
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
+    """Homogeneous transform from a rotation matrix (3, 3) and a translation [m] (3,), shape (4, 4)."""
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = translation
+    return result
+
+
+def motion(kind: str, axis: ArrayLike, position: float) -> FloatArray:
+    """What a joint adds to its origin when it moves.
+
+    Args:
+        kind: One of `proprio_ros.robot.JOINT_KINDS`.
+        axis: Unit axis in the joint frame, shape (3,).
+        position: Joint position [rad, or m for a prismatic joint].
+
+    Returns:
+        Transform, shape (4, 4).
+    """
+    if kind == "prismatic":
+        return transform(np.eye(3), np.asarray(axis, dtype=np.float64) * position)
+    if kind == "fixed":
+        return np.eye(4)
+    return transform(rotation_about(axis, position), np.zeros(3))
+
+
+def pseudo_inertia(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> FloatArray:
+    """Pseudo-inertia about a frame's origin.
+
+    Args:
+        mass: [kg].
+        com: Centre of mass [m], shape (3,).
+        inertia_about_com: Rotational inertia about the centre of mass, in the frame's axes [kg m^2], shape (3, 3).
+
+    Returns:
+        Shape (4, 4).
+    """
+    com = np.asarray(com, dtype=np.float64)
+    inertia = np.asarray(inertia_about_com, dtype=np.float64)
+    result = np.empty((4, 4))
+    result[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia + mass * np.outer(com, com)
+    result[:3, 3] = result[3, :3] = mass * com
+    result[3, 3] = mass
+    return result
+
+
+def inertia_about_origin(pseudo: ArrayLike) -> FloatArray:
+    """Rotational inertia about the frame's origin [kg m^2], shape (3, 3), of a pseudo-inertia (4, 4)."""
+    second = np.asarray(pseudo, dtype=np.float64)[:3, :3]
+    inertia: FloatArray = np.trace(second) * np.eye(3) - second
+    return inertia

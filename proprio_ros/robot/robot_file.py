@@ -1,0 +1,542 @@
+"""Robot files: a robot with its drive trains as YAML states it, what a file extends, and what is overridden."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from proprio_ros.calibration import Calibration
+from proprio_ros.errors import RobotError
+from proprio_ros.quantity import Quantity
+from proprio_ros.resources import resource, resource_names
+from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
+from proprio_ros.robot.geometry import FloatArray, frozen
+from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
+from proprio_ros.robot.urdf import Joint
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot with its drive trains, as its YAML file states it.
+
+    Attributes:
+        name: Its name.
+        model: Tree of links.
+        drive_trains: By joint; joints without a motor have none.
+        motors: By joint, the same joints.
+        delay: From the stamp of a command to torque, less that of a position [s].
+        arm_scale: All masses of the model times this.
+        stamp_jitter_s: Standard deviation of the stamps.
+        onset_jitter_s: Standard deviation of the delay from run to run.
+        torque_disturbance: Standard deviation of a torque that is there in one run and not in the next, such as friction
+            that is not the same every time [N m].
+        start_velocity: Standard deviation of the velocity at which a held joint is when its probe begins [rad/s].
+        link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
+            relative mass, each coordinate of its centre of mass [m], relative inertia about it.
+        residual_scale: Residuals of a calibration over what encoder and stamps explain.
+        calibration: What is known about this very arm, with all correlations; None when the file's numbers stand alone.
+        friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
+        payload_frame: Link in which objects are held.
+        gravity: In the base frame [m/s^2], shape (3,).
+        source: The YAML file.
+        calibrated: Whether the numbers come from a calibration of this very arm.
+        settings: The YAML file's content with everything it extends merged in; `with_overrides` builds on it.
+    """
+
+    name: str
+    model: RobotModel
+    drive_trains: dict[str, DriveTrain]
+    motors: dict[str, Motor]
+    delay: Quantity
+    arm_scale: Quantity
+    stamp_jitter_s: float
+    friction_velocity: float
+    payload_frame: str
+    gravity: FloatArray
+    source: Path
+    calibrated: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    onset_jitter_s: float = 0.0
+    torque_disturbance: float = 0.0
+    start_velocity: float = 0.01
+    link_mass_std: float = 0.0
+    link_com_std: float = 0.0
+    link_inertia_std: float = 0.0
+    residual_scale: float = 1.0
+    calibration: Calibration | None = None
+
+    def with_overrides(self, overrides: Mapping[str, Any]) -> Robot:
+        """The same robot with some settings replaced.
+
+        Args:
+            overrides: By dotted key, such as ``joints.joint3.drive_train.coulomb_N_m``. A number replaces a quantity
+                and is known exactly; ``{"std": 0.01}`` changes only what it names.
+
+        Raises:
+            RobotError: A key is unknown or a value does not fit it.
+        """
+        settings = _merged(copy.deepcopy(dict(self.settings)), nested_settings(self.model, overrides))
+        settings.pop("calibration", None)
+        robot = _robot(settings, self.source, self.model)
+        if self.calibration is None:
+            return robot
+        # what the user states stands beside the calibration and replaces its number
+        paths = _override_paths(self.model.independent_joints)
+        stated = {_unknown_of(paths[key]) for key in overrides}
+        return robot.with_calibration(self.calibration.without(stated))
+
+    def with_calibration(self, calibration: Calibration) -> Robot:
+        """The same robot with the numbers of its calibration, and their correlations.
+
+        Raises:
+            RobotError: The calibration is of a joint that the robot does not drive.
+        """
+        foreign = [joint for joint in calibration.joints if joint not in self.drive_trains]
+        if foreign:
+            raise RobotError(
+                f"{self.source.name}: the calibration is of {', '.join(foreign)}, but {self.name} drives "
+                f"{', '.join(self.drive_trains)}: calibrate this robot"
+            )
+        known = calibration.quantities
+        drives = {}
+        for joint, drive in self.drive_trains.items():
+            terms: dict[str, Any] = {
+                term: known.get(f"{term}[{joint}]", getattr(drive, term)) for term in _CALIBRATED_TERMS
+            }
+            drives[joint] = replace(drive, **terms)
+        return replace(
+            self,
+            drive_trains=drives,
+            arm_scale=known.get("arm_scale", self.arm_scale),
+            delay=known.get("delay", self.delay),
+            torque_disturbance=calibration.torque_disturbance,
+            start_velocity=calibration.start_velocity,
+            residual_scale=calibration.residual_scale,
+            stamp_jitter_s=calibration.stamp_jitter_s,
+            calibrated=True,
+            calibration=calibration,
+        )
+
+
+_REQUIRED = object()
+
+
+@dataclass(frozen=True)
+class _Field:
+    """One key of the file: how to read it, and what holds when it is absent."""
+
+    read: Callable[[Any, str], Any]
+    default: Any = _REQUIRED
+
+
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not value:
+        raise RobotError(f"{where}: expected a text, got {value!r}")
+    return value
+
+
+def _truth(value: Any, where: str) -> bool:
+    if not isinstance(value, bool):
+        raise RobotError(f"{where}: expected true or false, got {value!r}")
+    return value
+
+
+def _real(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise RobotError(f"{where}: expected a number, got {value!r}")
+    if not math.isfinite(value):
+        raise RobotError(f"{where}: expected a finite number, got {value}")
+    return float(value)
+
+
+def _positive(value: Any, where: str) -> float:
+    number = _real(value, where)
+    if number <= 0.0:
+        raise RobotError(f"{where}: must be positive, got {number}")
+    return number
+
+
+def _not_negative(value: Any, where: str) -> float:
+    number = _real(value, where)
+    if number < 0.0:
+        raise RobotError(f"{where}: must not be negative, got {number}")
+    return number
+
+
+def _bus_id(value: Any, where: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 252:
+        raise RobotError(f"{where}: expected a whole number from 0 to 252, got {value!r}")
+    return value
+
+
+def _vector3(value: Any, where: str) -> FloatArray:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise RobotError(f"{where}: expected three numbers [x, y, z], got {value!r}")
+    return frozen([_real(component, where) for component in value])
+
+
+def _finger_travel(value: Any, where: str) -> FingerTravel:
+    parts = _section(value, {"at_rad": _Field(_rising), "open_m": _Field(_rising)}, where)
+    at_rad, open_m = parts["at_rad"], parts["open_m"]
+    if len(at_rad) != len(open_m):
+        raise RobotError(f"{where}: {len(at_rad)} angles and {len(open_m)} openings; give one opening for each angle")
+    if max(map(abs, open_m)) > 1.0:
+        raise RobotError(f"{where}: open_m={list(open_m)} is over 1 m: openings are in m, not mm")
+    if max(map(abs, at_rad)) > 10.0:
+        raise RobotError(f"{where}: at_rad={list(at_rad)} is over a full turn: angles are in rad, not degrees")
+    travel = FingerTravel(at_rad, open_m)
+    if travel.ratio_at(np.linspace(at_rad[0], at_rad[-1], 101)).min() <= 0.0:
+        raise RobotError(f"{where}: by these openings the finger turns back in between; measure them again")
+    return travel
+
+
+def _rising(value: Any, where: str) -> tuple[float, ...]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:
+        raise RobotError(f"{where}: expected a list of two or more numbers, got {value!r}")
+    numbers = tuple(_real(entry, where) for entry in value)
+    if any(after <= before for before, after in itertools.pairwise(numbers)):
+        raise RobotError(f"{where}: expected rising numbers, got {list(numbers)}")
+    return numbers
+
+
+def _quantity(read: Callable[[Any, str], float]) -> Callable[[Any, str], Quantity]:
+    def quantity(value: Any, where: str) -> Quantity:
+        if not isinstance(value, Mapping):
+            return Quantity(read(value, where), 0.0)
+        parts = _section(value, {"value": _Field(read), "std": _Field(_not_negative, 0.0)}, where)
+        return Quantity(parts["value"], parts["std"])
+
+    return quantity
+
+
+_MOTOR = {
+    "model": _Field(_text, ""),
+    "id": _Field(_bus_id, None),
+    "nominal_torque_constant_N_m_per_A": _Field(_positive),
+    "supply_voltage_V": _Field(_not_negative, 0.0),
+    "back_emf_V_s_per_rad": _Field(_not_negative, 0.0),
+    "resistance_ohm": _Field(_not_negative, 0.0),
+    "current_limit_A": _Field(_positive, math.inf),
+    "encoder_resolution_rad": _Field(_not_negative),
+    "encoder_noise_rad": _Field(_not_negative, 0.0),
+    "encoder_once_per_turn_rad": _Field(_not_negative, 0.0),
+}
+_DRIVE_TRAIN = {
+    # friction has no default: one that was forgotten would be taken as exactly zero and bias every mass
+    "torque_constant_N_m_per_A": _Field(_quantity(_positive)),
+    "coulomb_N_m": _Field(_quantity(_not_negative)),
+    "viscous_N_m_s_per_rad": _Field(_quantity(_not_negative)),
+    "load_friction": _Field(_quantity(_not_negative)),
+    "armature_kg_m2": _Field(_quantity(_not_negative)),
+    "zero_rad": _Field(_quantity(_real), Quantity(0.0)),
+    "stribeck": _Field(_quantity(_not_negative), Quantity(0.0)),
+    "stribeck_velocity_rad_s": _Field(_quantity(_positive), Quantity(0.1)),
+}
+_JOINT = {
+    "usable_velocity_rad_s": _Field(_positive, math.inf),
+    "transmission_m_per_rad": _Field(_positive, None),
+    "finger_travel": _Field(_finger_travel, None),
+}
+_ROBOT = {
+    "name": _Field(_text),
+    "payload_frame": _Field(_text),
+    "gravity": _Field(_vector3, frozen(STANDARD_GRAVITY)),
+    "arm_scale": _Field(_quantity(_positive), Quantity(1.0)),
+    "delay_s": _Field(_quantity(_real), Quantity(0.0)),
+    "stamp_jitter_s": _Field(_not_negative, 0.0),
+    "onset_jitter_s": _Field(_not_negative, 0.0),
+    "torque_disturbance_N_m": _Field(_not_negative, 0.0),
+    "start_velocity_rad_s": _Field(_positive, 0.01),
+    "link_mass_std": _Field(_not_negative, 0.0),
+    "link_com_std_m": _Field(_not_negative, 0.0),
+    "link_inertia_std": _Field(_not_negative, 0.0),
+    "friction_velocity_rad_s": _Field(_positive, 0.001),
+    "calibrated": _Field(_truth, False),
+    "model_fingerprint": _Field(_text, None),
+    "calibration": _Field(Calibration.from_settings, None),
+}
+_FILE_ONLY = ("model_fingerprint", "calibration")  # no --set
+
+
+_CALIBRATED_TERMS = (
+    "torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity",
+)  # fmt: skip
+
+
+def _unknown_of(path: tuple[str, ...]) -> str:
+    """Name of the unknown that a setting states, such as ``coulomb[joint3]``; any other text where it states none."""
+    name = path[-1]
+    for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad_s", "_rad", "_s"):
+        name = name.removesuffix(unit)
+    return name if len(path) == 1 else f"{name}[{path[1]}]"
+
+
+def _as_mapping(value: Any, where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise RobotError(f"{where}: expected keys and values, got {value!r}")
+    return value
+
+
+def _section(value: Any, fields: Mapping[str, _Field], where: str) -> dict[str, Any]:
+    """Read one mapping of the file; unknown and missing keys are refused."""
+    given = _as_mapping(value, where)
+    for key in given:
+        if key not in fields:
+            close = difflib.get_close_matches(str(key), fields, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise RobotError(f"{where}: unknown key {key!r}; {hint}valid keys: {', '.join(fields)}")
+    result = {}
+    for key, entry in fields.items():
+        if key in given:
+            result[key] = entry.read(given[key], f"{where}: {key}")
+        elif entry.default is _REQUIRED:
+            raise RobotError(f"{where}: {key} is missing; state it")
+        else:
+            result[key] = entry.default
+    return result
+
+
+def _override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Every key that may be overridden, as text and as the way to it; a joint's name may itself hold dots."""
+    paths: list[tuple[str, ...]] = [(key,) for key in _ROBOT if key not in _FILE_ONLY]
+    for joint in joints:
+        paths += [("joints", joint, "motor", key) for key in _MOTOR]
+        paths += [("joints", joint, "drive_train", key) for key in _DRIVE_TRAIN]
+        paths += [("joints", joint, key) for key in _JOINT]
+    return {".".join(path): path for path in paths}
+
+
+def nested_settings(model: RobotModel, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted settings as the robot file nests them.
+
+    Raises:
+        RobotError: A key is unknown.
+    """
+    paths = _override_paths(model.independent_joints)
+    settings: dict[str, Any] = {}
+    for key, value in overrides.items():
+        if key not in paths:
+            raise RobotError(_unknown_override(key, paths, model.independent_joints))
+        addition: Any = copy.deepcopy(value)
+        for part in reversed(paths[key]):
+            addition = {part: addition}
+        settings = _merged(settings, addition)
+    return settings
+
+
+def _unknown_override(key: str, paths: Mapping[str, tuple[str, ...]], joints: Sequence[str]) -> str:
+    close = difflib.get_close_matches(key, paths, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    top = [path for path in paths if not path.startswith("joints.")]
+    return (
+        f"unknown robot setting {key!r}; {hint}valid: {', '.join(top)}, "
+        f"joints.JOINT.motor.({'|'.join(_MOTOR)}), joints.JOINT.drive_train.({'|'.join(_DRIVE_TRAIN)}), "
+        f"joints.JOINT.({'|'.join(_JOINT)}), where JOINT is one of {', '.join(joints)}"
+    )
+
+
+def _merged(base: Any, addition: Any) -> Any:
+    """Deep merge: mappings key by key, anything else replaces."""
+    if not isinstance(base, Mapping) or not isinstance(addition, Mapping):
+        return addition
+    result = dict(base)
+    for key, value in addition.items():
+        result[key] = _merged(result[key], value) if key in result else value
+    return result
+
+
+def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """One YAML file with all that it extends merged in, and the path of its URDF made absolute."""
+    if path in below:
+        raise RobotError(f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}")
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read ({error.strerror}); {_choices()}") from error
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise RobotError(f"{path}: not YAML ({' '.join(str(error).split())})") from error
+    settings = dict(_as_mapping(content, path.name))
+    if "urdf" in settings:
+        settings["urdf"] = str(_urdf_path(_text(settings["urdf"], f"{path.name}: urdf"), path))
+    if "extends" in settings:
+        base = _read_settings(
+            _located(_text(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
+        )
+        if "calibration" in settings:
+            base.pop("calibration", None)  # a newer calibration replaces an older one as a whole
+        settings = _merged(base, settings)
+    return settings
+
+
+def _urdf_path(text: str, source: Path) -> Path:
+    beside = (source.parent / text).resolve()
+    if beside.is_file():
+        return beside
+    if text.removesuffix(".urdf") in resource_names("urdf"):
+        return resource("urdf", text)
+    raise RobotError(
+        f"{source.name}: urdf: there is no {beside}; give a path relative to {source.parent}, or an absolute one"
+    )
+
+
+def _choices() -> str:
+    return f"known robots: {', '.join(resource_names('robots'))}; or give the path of a .yaml file"
+
+
+def _located(name_or_path: str, folder: Path) -> Path:
+    """The YAML file that a name or a path (relative to a folder) means."""
+    path = folder / name_or_path
+    if path.suffix == ".urdf":
+        template = resource("robots", "open_manipulator_x")
+        raise RobotError(
+            f"{name_or_path} is a bare URDF, which says nothing of motors: write {path.with_suffix('.yaml')} "
+            f"with 'urdf: {path.name}', payload_frame and joints, starting from {template}"
+        )
+    if path.suffix in (".yaml", ".yml"):
+        if not path.is_file():
+            raise RobotError(f"there is no robot file {path}; {_choices()}")
+        return path.resolve()
+    if name_or_path not in resource_names("robots"):
+        raise RobotError(f"unknown robot {name_or_path!r}; {_choices()}")
+    return resource("robots", name_or_path)
+
+
+def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
+    """A robot from merged settings; the model is read from the URDF unless it is given."""
+    file = source.name
+    given = _section(
+        {key: value for key, value in settings.items() if key not in ("urdf", "joints")},
+        # listed for the message about unknown keys; read below
+        _ROBOT | {key: _Field(_text, None) for key in ("urdf", "joints", "extends")},
+        file,
+    )
+    if model is None:
+        if "urdf" not in settings:
+            raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
+        model = RobotModel.from_urdf(settings["urdf"])
+    expected = given["model_fingerprint"]
+    if expected is not None and expected != model.fingerprint():
+        raise RobotError(
+            f"{file}: was made with another URDF than {settings.get('urdf')} (model_fingerprint {expected[:12]}.., "
+            f"now {model.fingerprint()[:12]}..): calibrate again, or restore the URDF"
+        )
+    link_names = [link.name for link in model.links]
+    if given["payload_frame"] not in link_names:
+        raise RobotError(
+            f"{file}: payload_frame: {model.name} has no link {given['payload_frame']!r}; "
+            f"links: {', '.join(link_names)}"
+        )
+    drive_trains, motors = {}, {}
+    for name, joint_settings in _as_mapping(settings.get("joints", {}), f"{file}: joints").items():
+        if name not in model.independent_joints:
+            raise RobotError(
+                f"{file}: joints: {model.name} has no joint {name!r} that a motor could drive; "
+                f"choose from: {', '.join(model.independent_joints)}"
+            )
+        drive_trains[name], motors[name] = _drive_train(joint_settings, model.joint(name), f"{file}: joints: {name}")
+    if not drive_trains:
+        raise RobotError(f"{file}: joints is missing or empty; state the drive train of at least one joint")
+    calibration = given["calibration"]
+    robot = Robot(
+        name=given["name"],
+        model=model,
+        drive_trains=drive_trains,
+        motors=motors,
+        delay=given["delay_s"],
+        arm_scale=given["arm_scale"],
+        stamp_jitter_s=given["stamp_jitter_s"],
+        onset_jitter_s=given["onset_jitter_s"],
+        torque_disturbance=given["torque_disturbance_N_m"],
+        start_velocity=given["start_velocity_rad_s"],
+        link_mass_std=given["link_mass_std"],
+        link_com_std=given["link_com_std_m"],
+        link_inertia_std=given["link_inertia_std"],
+        friction_velocity=given["friction_velocity_rad_s"],
+        payload_frame=given["payload_frame"],
+        gravity=given["gravity"],
+        source=source,
+        calibrated=given["calibrated"],
+        settings=settings,
+    )
+    return robot if calibration is None else robot.with_calibration(calibration)
+
+
+def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, Motor]:
+    fields = {
+        "motor": _Field(lambda value, at: _section(value, _MOTOR, at)),
+        "drive_train": _Field(lambda value, at: _section(value, _DRIVE_TRAIN, at)),
+    }
+    parts = _section(settings, fields | _JOINT, where)
+    motor, drive = parts["motor"], parts["drive_train"]
+    transmission = parts["transmission_m_per_rad"]
+    if joint.kind == "prismatic" and transmission is None:
+        raise RobotError(
+            f"{where}: transmission_m_per_rad is missing; state how far the joint slides per rad of the motor"
+        )
+    if joint.kind != "prismatic" and transmission is not None:
+        raise RobotError(
+            f"{where}: transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
+        )
+    travel = parts["finger_travel"]
+    if travel is not None and (transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0):
+        nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
+        raise RobotError(
+            f"{where}: finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
+            f"{nominal}: one of them is wrong, or not of one finger"
+        )
+    if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
+        raise RobotError(
+            f"{where}: motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
+        )
+    if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
+        raise RobotError(
+            f"{where}: motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect"
+        )
+    return (
+        DriveTrain(
+            torque_constant=drive["torque_constant_N_m_per_A"],
+            coulomb=drive["coulomb_N_m"],
+            viscous=drive["viscous_N_m_s_per_rad"],
+            load_friction=drive["load_friction"],
+            armature=drive["armature_kg_m2"],
+            zero=drive["zero_rad"],
+            stribeck=drive["stribeck"],
+            stribeck_velocity=drive["stribeck_velocity_rad_s"],
+            nominal_torque_constant=motor["nominal_torque_constant_N_m_per_A"],
+            supply_voltage_V=motor["supply_voltage_V"],
+            back_emf_V_s_per_rad=motor["back_emf_V_s_per_rad"],
+            resistance_ohm=motor["resistance_ohm"],
+            usable_velocity=parts["usable_velocity_rad_s"],
+            encoder_resolution=motor["encoder_resolution_rad"],
+            encoder_noise=motor["encoder_noise_rad"],
+            encoder_once_per_turn=motor["encoder_once_per_turn_rad"],
+            transmission=1.0 if transmission is None else transmission,
+            finger_travel=travel,
+        ),
+        Motor(model=motor["model"], id=motor["id"], current_limit_A=motor["current_limit_A"]),
+    )
+
+
+def load_robot(name_or_path: str | Path) -> Robot:
+    """Read a robot.
+
+    Args:
+        name_or_path: Name of a robot that comes with the package (a file of ``config/robots`` without its suffix), or
+            the path of a YAML file. The keys are explained in ``config/robots/open_manipulator_x.yaml``.
+
+    Raises:
+        RobotError: There is no such robot, or its file or its URDF is wrong.
+    """
+    path = _located(str(name_or_path), Path())
+    return _robot(_read_settings(path), path)

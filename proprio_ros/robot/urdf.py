@@ -1,0 +1,318 @@
+"""Links and joints as a URDF file states them.
+
+A joint's frame moves with it: the child link's frame is ``parent_T_child(q) = origin @ motion(axis, q)``, as URDF defines
+it. Meshes, visuals, transmissions and simulator blocks are ignored.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+
+from proprio_ros.errors import RobotError
+from proprio_ros.robot.geometry import FloatArray, frozen, motion, pseudo_inertia, rotation_from_rpy, transform
+
+JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
+_ROUNDING = 1e-9  # relative; inertias are printed with eight digits or more
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One joint of the tree.
+
+    Attributes:
+        name: Its name in the URDF.
+        kind: One of `JOINT_KINDS`.
+        parent: Link it stands on.
+        child: Link it carries.
+        origin: parent_T_joint at position zero, shape (4, 4).
+        axis: Unit axis in the joint frame, shape (3,).
+        lower: Smallest position [rad or m], -inf when there is none.
+        upper: Largest position [rad or m], inf when there is none.
+        velocity_limit: [rad/s or m/s], inf when there is none.
+        effort_limit: [N m or N], inf when there is none.
+        mimic: (source joint, multiplier, offset) of a joint that follows another; None for an independent one.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: FloatArray
+    axis: FloatArray
+    lower: float
+    upper: float
+    velocity_limit: float
+    effort_limit: float
+    mimic: tuple[str, float, float] | None = None
+
+    @property
+    def independent(self) -> bool:
+        """Whether the joint has a position of its own."""
+        return self.kind != "fixed" and self.mimic is None
+
+    def transform(self, position: float) -> FloatArray:
+        """parent_T_child at a position [rad or m], shape (4, 4)."""
+        result: FloatArray = self.origin @ motion(self.kind, self.axis, position)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """One link of the tree.
+
+    Attributes:
+        name: Its name in the URDF.
+        pseudo_inertia: About the link's frame, shape (4, 4); zeros when the URDF gives no inertial.
+    """
+
+    name: str
+    pseudo_inertia: FloatArray
+
+
+class UrdfReader:
+    """Reads one URDF document; every problem becomes one line that names the file, the element and the remedy.
+
+    Args:
+        text: The document.
+        source: What messages call it.
+
+    Raises:
+        RobotError: It is no URDF.
+    """
+
+    def __init__(self, text: str | bytes, source: str) -> None:
+        self._source = source
+        try:
+            self._robot = ElementTree.fromstring(text)
+        except (ElementTree.ParseError, LookupError, ValueError) as error:
+            raise RobotError(f"{source}: not XML ({error}); give a URDF file") from error
+        if self._robot.tag != "robot":
+            raise RobotError(f"{source}: the document is a <{self._robot.tag}>, not a <robot>; give a URDF file")
+        if any("xacro}" in str(element.tag) for element in self._robot.iter()):
+            raise RobotError(f"{source}: holds xacro macros; expand it first: xacro {source} > robot.urdf")
+
+    def _fail(self, message: str) -> NoReturn:
+        raise RobotError(f"{self._source}: {message}")
+
+    def read(self) -> tuple[str, tuple[Link, ...], tuple[Joint, ...], str]:
+        """Name of the robot, its links and joints, parents before children, and the name of the root link.
+
+        Raises:
+            RobotError: The document describes no physical tree of links.
+        """
+        links = self._unique("link", [self._link(element) for element in self._robot.findall("link")])
+        if not links:
+            self._fail("the robot has no <link>")
+        joints = self._unique("joint", [self._joint(element) for element in self._robot.findall("joint")])
+        for joint in joints.values():
+            for role, name in (("parent", joint.parent), ("child", joint.child)):
+                if name not in links:
+                    self._fail(f"joint {joint.name!r} names an unknown {role} link {name!r}; links: {', '.join(links)}")
+        self._check_mimics(joints)
+        root = self._root(links, joints)
+        ordered = self._ordered(root, links, joints)
+        return (
+            self._robot.get("name") or "robot",
+            (links[root], *(links[joint.child] for joint in ordered)),
+            tuple(ordered),
+            root,
+        )
+
+    def _unique(self, what: str, items: list[Any]) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for item in items:
+            if item.name in result:
+                self._fail(f"two {what}s are named {item.name!r}; give each a name of its own")
+            result[item.name] = item
+        return result
+
+    def _name(self, element: ElementTree.Element) -> str:
+        name = element.get("name")
+        if not name:
+            self._fail(f"a <{element.tag}> has no name; give it one")
+        return name
+
+    def _numbers(
+        self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None
+    ) -> list[float]:
+        text = element.get(attribute, default)
+        if text is None:
+            self._fail(f"{where}: <{element.tag}> has no {attribute}; add it")
+        try:
+            values = [float(part) for part in text.split()]
+        except ValueError:
+            self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> is no number")
+        if not all(math.isfinite(value) for value in values):
+            self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> must be finite")
+        return values
+
+    def _number(self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None) -> float:
+        values = self._numbers(element, attribute, where, default)
+        if len(values) != 1:
+            self._fail(f"{where}: {attribute} of <{element.tag}> must be one number, got {len(values)}")
+        return values[0]
+
+    def _vector(self, element: ElementTree.Element, attribute: str, where: str, default: str) -> FloatArray:
+        values = self._numbers(element, attribute, where, default)
+        if len(values) != 3:
+            self._fail(f"{where}: {attribute} of <{element.tag}> must be three numbers, got {len(values)}")
+        return np.array(values)
+
+    def _origin(self, element: ElementTree.Element, where: str) -> FloatArray:
+        origin = element.find("origin")
+        if origin is None:
+            return np.eye(4)
+        rotation = rotation_from_rpy(self._vector(origin, "rpy", where, "0 0 0"))
+        return transform(rotation, self._vector(origin, "xyz", where, "0 0 0"))
+
+    def _link(self, element: ElementTree.Element) -> Link:
+        name = self._name(element)
+        where = f"link {name!r}"
+        inertial = element.find("inertial")
+        if inertial is None:
+            return Link(name, frozen(np.zeros((4, 4))))
+        mass_element, inertia_element = inertial.find("mass"), inertial.find("inertia")
+        if mass_element is None or inertia_element is None:
+            self._fail(f"{where}: <inertial> needs both <mass> and <inertia>; leave it out for a frame without mass")
+        mass = self._number(mass_element, "value", where)
+        if mass <= 0.0:
+            self._fail(f"{where}: mass must be positive, got {mass} kg; leave <inertial> out for a frame without mass")
+        xx, xy, xz, yy, yz, zz = (
+            self._number(inertia_element, key, where) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        )
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        smallest, middle, largest = np.linalg.eigvalsh(inertia)
+        if smallest <= 0.0:
+            self._fail(
+                f"{where}: the inertia is not positive definite (principal moments {smallest:.4g}, {middle:.4g}, "
+                f"{largest:.4g} kg m^2): no body has it; take it from the CAD model or a solid of that size"
+            )
+        if largest > (smallest + middle) * (1.0 + _ROUNDING):
+            self._fail(
+                f"{where}: the inertia breaks the triangle inequality (principal moments {smallest:.4g}, {middle:.4g}, "
+                f"{largest:.4g} kg m^2; none may exceed the sum of the others): no body has it; check units and signs"
+            )
+        link_from_inertial = self._origin(inertial, where)
+        central = pseudo_inertia(mass, np.zeros(3), inertia)
+        return Link(name, frozen(link_from_inertial @ central @ link_from_inertial.T))
+
+    def _joint(self, element: ElementTree.Element) -> Joint:
+        name = self._name(element)
+        where = f"joint {name!r}"
+        kind = element.get("type", "")
+        if kind not in JOINT_KINDS:
+            self._fail(f"{where}: type {kind!r} is not supported; supported: {', '.join(JOINT_KINDS)}")
+        ends = {}
+        for role in ("parent", "child"):
+            end = element.find(role)
+            link = None if end is None else end.get("link")
+            if not link:
+                self._fail(f"{where}: has no <{role} link=.../>; add it")
+            ends[role] = link
+        axis = np.array([1.0, 0.0, 0.0])
+        axis_element = element.find("axis")
+        if axis_element is not None and kind != "fixed":
+            axis = self._vector(axis_element, "xyz", where, "1 0 0")
+            length = float(np.linalg.norm(axis))
+            if length < 1e-9:
+                self._fail(f"{where}: the axis is zero; give it a direction, e.g. 0 0 1")
+            axis = axis / length
+        lower, upper, velocity, effort = self._limits(element, kind, where)
+        return Joint(
+            name=name,
+            kind=kind,
+            parent=ends["parent"],
+            child=ends["child"],
+            origin=frozen(self._origin(element, where)),
+            axis=frozen(axis),
+            lower=lower,
+            upper=upper,
+            velocity_limit=velocity,
+            effort_limit=effort,
+            mimic=self._mimic(element, kind, where),
+        )
+
+    def _limits(self, element: ElementTree.Element, kind: str, where: str) -> tuple[float, float, float, float]:
+        lower, upper, velocity, effort = -math.inf, math.inf, math.inf, math.inf
+        limit = element.find("limit")
+        if kind in ("revolute", "prismatic"):
+            if limit is None or limit.get("lower") is None or limit.get("upper") is None:
+                advice = ", or make it continuous" if kind == "revolute" else ""
+                self._fail(f"{where}: a {kind} joint needs <limit lower=.. upper=../>; add it{advice}")
+            lower, upper = self._number(limit, "lower", where), self._number(limit, "upper", where)
+            if lower > upper:
+                self._fail(f"{where}: the lower limit {lower} is above the upper limit {upper}; swap them")
+        if limit is not None and kind != "fixed":
+            if limit.get("velocity") is not None:
+                velocity = self._number(limit, "velocity", where)
+            if limit.get("effort") is not None:
+                effort = self._number(limit, "effort", where)
+            if velocity < 0.0 or effort < 0.0:
+                self._fail(f"{where}: limits of velocity and effort must not be negative, got {velocity} and {effort}")
+        return lower, upper, velocity, effort
+
+    def _mimic(self, element: ElementTree.Element, kind: str, where: str) -> tuple[str, float, float] | None:
+        mimic = element.find("mimic")
+        if mimic is None or kind == "fixed":
+            return None
+        source = mimic.get("joint")
+        if not source:
+            self._fail(f"{where}: <mimic> names no joint; add joint=..")
+        return source, self._number(mimic, "multiplier", where, "1"), self._number(mimic, "offset", where, "0")
+
+    def _check_mimics(self, joints: Mapping[str, Joint]) -> None:
+        for joint in joints.values():
+            seen = [joint.name]
+            mimic = joint.mimic
+            while mimic is not None:
+                source = mimic[0]
+                if source not in joints:
+                    self._fail(f"joint {seen[-1]!r} mimics an unknown joint {source!r}; joints: {', '.join(joints)}")
+                if joints[source].kind == "fixed":
+                    self._fail(f"joint {seen[-1]!r} mimics {source!r}, which is fixed; let it mimic a joint that moves")
+                if source in seen:
+                    self._fail(
+                        f"joints mimic each other in a circle: {' -> '.join([*seen, source])}; leave one independent"
+                    )
+                seen.append(source)
+                mimic = joints[source].mimic
+
+    def _root(self, links: Mapping[str, Link], joints: Mapping[str, Joint]) -> str:
+        carrier: dict[str, str] = {}
+        for joint in joints.values():
+            if joint.child in carrier:
+                self._fail(
+                    f"link {joint.child!r} is the child of both {carrier[joint.child]!r} and {joint.name!r}: "
+                    "closed loops are not supported; cut the loop at one joint"
+                )
+            carrier[joint.child] = joint.name
+        roots = [name for name in links if name not in carrier]
+        if not roots:
+            self._fail(f"the joints form a loop and no link is the root; cut it at one of: {', '.join(joints)}")
+        if len(roots) > 1:
+            self._fail(f"several links have no parent: {', '.join(roots)}; join them to one root with fixed joints")
+        return roots[0]
+
+    def _ordered(self, root: str, links: Mapping[str, Link], joints: Mapping[str, Joint]) -> list[Joint]:
+        children: dict[str, list[Joint]] = {name: [] for name in links}
+        for joint in joints.values():
+            children[joint.parent].append(joint)
+        ordered: list[Joint] = []
+        waiting = list(reversed(children[root]))
+        while waiting:
+            joint = waiting.pop()
+            ordered.append(joint)
+            waiting.extend(reversed(children[joint.child]))
+        if len(ordered) < len(joints):
+            reached = {joint.name for joint in ordered}
+            loop = [name for name in joints if name not in reached]
+            self._fail(
+                f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it"
+            )
+        return ordered

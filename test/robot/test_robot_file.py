@@ -1,0 +1,294 @@
+"""Robot files: the smallest one, those of the package, what they extend, and what users get wrong."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.errors import RobotError
+from proprio_ros.resources import resource_names
+from proprio_ros.robot import load_robot
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from small_urdf import THREE
+
+MINIMAL = """\
+name: arm
+urdf: arm.urdf
+payload_frame: two
+joints:
+  a:
+    motor: {nominal_torque_constant_N_m_per_A: 2.0, encoder_resolution_rad: 0.001}
+    drive_train:
+      torque_constant_N_m_per_A: 2.0
+      coulomb_N_m: {value: 0.1, std: 0.02}
+      viscous_N_m_s_per_rad: 0.01
+      load_friction: 0
+      armature_kg_m2: 1e-2
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "arm.urdf").write_text(THREE)
+    (tmp_path / "arm.yaml").write_text(MINIMAL)
+    return tmp_path
+
+
+def test_minimal_robot_file(folder: Path) -> None:
+    robot = load_robot(folder / "arm.yaml")
+    drive = robot.drive_trains["a"]
+    assert (drive.coulomb.value, drive.coulomb.std) == (0.1, 0.02)
+    assert (drive.armature.value, drive.armature.std) == (0.01, 0.0)
+    assert (drive.load_friction.value, drive.zero.value, drive.transmission) == (0.0, 0.0, 1.0)
+    assert drive.usable_velocity == math.inf
+    assert robot.motors["a"].id is None
+    assert (robot.delay.value, robot.arm_scale.value, robot.calibrated) == (0.0, 1.0, False)
+    np.testing.assert_array_equal(robot.gravity, [0.0, 0.0, -9.81])
+    assert robot.source == folder / "arm.yaml"
+
+
+def test_relative_path_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert load_robot("arm.yaml").name == "arm"
+
+
+@pytest.mark.parametrize("name", resource_names("robots"))
+def test_robots_of_the_package_load(name: str) -> None:
+    robot = load_robot(name)
+    assert robot.payload_frame in [link.name for link in robot.model.links]
+    assert set(robot.drive_trains) == set(robot.motors) <= set(robot.model.independent_joints)
+
+
+def test_open_manipulator_states_what_is_uncertain() -> None:
+    robot = load_robot("open_manipulator_x")
+    assert [robot.motors[name].id for name in robot.drive_trains] == [11, 12, 13, 14, 15]
+    for name, drive in robot.drive_trains.items():
+        assert drive.coulomb.value == 0.0 < drive.coulomb.std, name
+        assert drive.armature.std > 0.0 < drive.torque_constant.std, name
+        assert drive.nominal_torque_constant == pytest.approx(4.1 / 2.3)
+        assert drive.encoder_resolution == pytest.approx(2.0 * math.pi / 4096.0)
+    assert robot.drive_trains["gripper_left_joint"].transmission == 0.01149
+    assert robot.drive_trains["joint1"].transmission == 1.0
+    assert not robot.calibrated
+
+
+BAD_FILES = {
+    "unknown key": (
+        "payload_frame: two",
+        "payload_frame: two\npaylod: 1",
+        "arm.yaml: unknown key 'paylod'; did you mean",
+    ),
+    "unknown motor key": ("{nominal", "{torque: 1, nominal", "joints: a: motor: unknown key 'torque'"),
+    "unknown quantity key": (
+        "std: 0.02",
+        "sdt: 0.02",
+        "coulomb_N_m: unknown key 'sdt'; did you mean 'std'? valid keys: value, std",
+    ),
+    "missing friction": (
+        "      coulomb_N_m: {value: 0.1, std: 0.02}\n",
+        "",
+        "joints: a: drive_train: coulomb_N_m is missing",
+    ),
+    "missing value": ("{value: 0.1, std: 0.02}", "{std: 0.02}", "coulomb_N_m: value is missing"),
+    "text for a number": (
+        "load_friction: 0",
+        "load_friction: little",
+        "load_friction: expected a number, got 'little'",
+    ),
+    "truth for a number": ("load_friction: 0", "load_friction: yes", "load_friction: expected a number, got 'yes'"),
+    "NaN": ("load_friction: 0", "load_friction: .nan", "load_friction: expected a finite number, got nan"),
+    "negative std": ("std: 0.02", "std: -0.02", "coulomb_N_m: std: must not be negative, got -0.02"),
+    "negative friction": ("value: 0.1", "value: -0.1", "coulomb_N_m: value: must not be negative"),
+    "zero torque constant": ("A: 2.0,", "A: 0.0,", "nominal_torque_constant_N_m_per_A: must be positive, got 0.0"),
+    "perfect encoder": ("0.001", "0", "encoder_resolution_rad and encoder_noise_rad are both 0"),
+    "voltage without resistance": (
+        "{nominal",
+        "{supply_voltage_V: 12, nominal",
+        "supply_voltage_V needs resistance_ohm",
+    ),
+    "bus id": ("{nominal", "{id: 300, nominal", "id: expected a whole number from 0 to 252, got 300"),
+    "transmission of a turning joint": (
+        "    motor:",
+        "    transmission_m_per_rad: 0.1\n    motor:",
+        "is for a prismatic joint",
+    ),
+    "unknown joint": (
+        "  a:",
+        "  elbow:",
+        "joints: arm has no joint 'elbow' that a motor could drive; choose from: a, b",
+    ),
+    "fixed joint": ("  a:", "  c:", "no joint 'c' that a motor could drive"),
+    "unknown frame": (
+        "frame: two",
+        "frame: hand",
+        "payload_frame: arm has no link 'hand'; links: base, one, two, three",
+    ),
+    "no frame": ("payload_frame: two\n", "", "arm.yaml: payload_frame is missing; state it"),
+    "no urdf": ("urdf: arm.urdf\n", "", "arm.yaml: urdf is missing"),
+    "urdf not there": ("arm.urdf", "leg.urdf", "urdf: there is no"),
+    "flat gravity": (
+        "name: arm",
+        "name: arm\ngravity: [0, 9.81]",
+        "gravity: expected three numbers [x, y, z], got [0, 9.81]",
+    ),
+    "calibrated": ("name: arm", "name: arm\ncalibrated: 1", "calibrated: expected true or false, got 1"),
+    "not YAML": ("name: arm", "name: [arm", "not YAML"),
+    "key given twice": ("name: arm", "name: arm\nname: leg", "duplicate key"),
+    "no mapping": (MINIMAL, "- 1", "arm.yaml: expected keys and values, got [1]"),
+    "empty": (MINIMAL, "", "arm.yaml: expected keys and values, got None"),
+    "joints is a list": (
+        MINIMAL[MINIMAL.index("joints:") :],
+        "joints: [a]",
+        "joints: expected keys and values, got ['a']",
+    ),
+    "no joints": (MINIMAL[MINIMAL.index("joints:") :], "", "joints is missing or empty"),
+    "other URDF": ("name: arm", "name: arm\nmodel_fingerprint: abc", "was made with another URDF"),
+    "extends nothing": ("name: arm", "extends: leg", "unknown robot 'leg'; known robots: "),
+    "extends itself": ("name: arm", "extends: arm.yaml", "extend each other in a circle: arm.yaml -> arm.yaml"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BAD_FILES.values(), ids=BAD_FILES.keys())
+def test_bad_robot_file_is_refused_in_one_line(folder: Path, old: str, new: str, message: str) -> None:
+    assert old in MINIMAL
+    (folder / "arm.yaml").write_text(MINIMAL.replace(old, new, 1))
+    with pytest.raises(RobotError) as caught:
+        load_robot(folder / "arm.yaml")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_robot_names_are_refused(folder: Path) -> None:
+    with pytest.raises(RobotError, match=r"unknown robot 'scara'; known robots: .*open_manipulator_x.*pendulum"):
+        load_robot("scara")
+    with pytest.raises(RobotError, match="there is no robot file"):
+        load_robot(folder / "leg.yaml")
+    with pytest.raises(RobotError, match=r"bare URDF.*write .*arm\.yaml with 'urdf: arm\.urdf'"):
+        load_robot(folder / "arm.urdf")
+
+
+def test_sliding_joint_needs_its_transmission(folder: Path) -> None:
+    (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
+    with pytest.raises(RobotError, match="transmission_m_per_rad is missing"):
+        load_robot(folder / "arm.yaml")
+    (folder / "arm.yaml").write_text(MINIMAL + "    transmission_m_per_rad: 0.02\n")
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].transmission == 0.02
+
+
+TRAVELS = "    transmission_m_per_rad: 0.012\n    finger_travel: {at_rad: %s, open_m: %s}\n"
+
+
+def test_a_fingers_travel_as_measured(folder: Path) -> None:
+    """A crank closes slower at its ends; the measurements' own curve comes back, and two of them are a straight line."""
+    (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
+    angle = np.linspace(-0.8, 1.2, 7)
+
+    def crank(at: np.ndarray) -> np.ndarray:
+        return 0.0125 * np.sin(at) + 0.003
+
+    (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (angle.tolist(), crank(angle).tolist()))
+    drive = load_robot(folder / "arm.yaml").drive_trains["a"]
+    assert drive.finger_travel is not None and drive.transmission == 0.012
+    np.testing.assert_allclose(drive.finger_travel.ratio_at(angle[1:-1]), 0.0125 * np.cos(angle[1:-1]), rtol=0.01)
+    powers = angle[:, None] ** np.arange(1, 4)
+    np.testing.assert_allclose(powers @ drive.travel_coefficients, crank(angle) - 0.003, atol=5e-5)
+    (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % ([-0.5, 0.5], [0.001, 0.0125]))
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == pytest.approx((0.0115, 0.0, 0.0))
+    (folder / "arm.yaml").write_text(MINIMAL + "    transmission_m_per_rad: 0.012\n")
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].travel_coefficients == (0.012, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("at_rad", "open_m", "message"),
+    [
+        ([0.0, 1.0], [0.0, 12.0], "openings are in m, not mm"),
+        ([0.0, 57.3], [0.0, 0.7], "angles are in rad, not degrees"),
+        ([0.0, 0.5, 1.0], [0.0, 0.01], "3 angles and 2 openings"),
+        ([0.0, 1.0, 0.5], [0.0, 0.01, 0.02], "expected rising numbers"),
+        ([0.0], [0.0], "two or more numbers"),
+        ([0.0, 1.0], [0.0, 0.03], "opens by 30 mm per rad of the motor, transmission_m_per_rad is 12 mm per rad"),
+        ([0.0, 0.1, 0.2, 1.0], [0.0, 0.006, 0.0061, 0.0062], "turns back in between"),
+    ],
+)
+def test_a_fingers_travel_that_cannot_be(folder: Path, at_rad: list[float], open_m: list[float], message: str) -> None:
+    (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
+    (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (at_rad, open_m))
+    with pytest.raises(RobotError) as caught:
+        load_robot(folder / "arm.yaml")
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_extends_gives_only_what_differs(folder: Path) -> None:
+    below = folder / "calibrations"
+    below.mkdir()
+    (below / "mine.yaml").write_text(
+        "extends: ../arm.yaml\ncalibrated: true\n"
+        "joints: {a: {drive_train: {coulomb_N_m: {std: 0.001}, load_friction: 0.1}}}\n"
+    )
+    robot, base = load_robot(below / "mine.yaml"), load_robot(folder / "arm.yaml")
+    drive = robot.drive_trains["a"]
+    assert (drive.coulomb.value, drive.coulomb.std) == (0.1, 0.001)
+    assert drive.load_friction.value == 0.1
+    assert drive.viscous == base.drive_trains["a"].viscous
+    assert robot.calibrated and not base.calibrated
+    # the URDF is found beside the file that names it, not beside the one that extends it
+    assert robot.model.fingerprint() == base.model.fingerprint()
+    (below / "bound.yaml").write_text(f"extends: ../arm.yaml\nmodel_fingerprint: {base.model.fingerprint()}\n")
+    assert load_robot(below / "bound.yaml").name == "arm"
+
+
+def test_overrides_by_dotted_keys(folder: Path) -> None:
+    robot = load_robot(folder / "arm.yaml")
+    changed = robot.with_overrides(
+        {
+            "joints.a.drive_train.coulomb_N_m": 0.05,
+            "joints.a.motor.current_limit_A": 0.5,
+            "joints.a.usable_velocity_rad_s": 2,
+            "delay_s": {"value": 0.004, "std": 0.001},
+            "payload_frame": "three",
+            "gravity": [0.0, 0.0, -9.805],
+        }
+    )
+    drive = changed.drive_trains["a"]
+    assert (drive.coulomb.value, drive.coulomb.std) == (0.05, 0.0)
+    assert (changed.motors["a"].current_limit_A, drive.usable_velocity) == (0.5, 2.0)
+    assert (changed.delay.value, changed.delay.std) == (0.004, 0.001)
+    assert changed.payload_frame == "three"
+    assert changed.gravity[2] == -9.805
+    assert robot.drive_trains["a"].coulomb.value == 0.1, "the original stays as it was"
+    again = changed.with_overrides({"joints.a.drive_train.coulomb_N_m": {"value": 0.06, "std": 0.01}})
+    assert (again.drive_trains["a"].coulomb.value, again.delay.value) == (0.06, 0.004)
+    only_std = robot.with_overrides({"joints.a.drive_train.coulomb_N_m": {"std": 0.3}})
+    assert (only_std.drive_trains["a"].coulomb.value, only_std.drive_trains["a"].coulomb.std) == (0.1, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("joints.a.drive_train.coulomb", 0.1, "did you mean 'joints.a.drive_train.coulomb_N_m'"),
+        ("joints.z.drive_train.coulomb_N_m", 0.1, "where JOINT is one of a, b"),
+        ("urdf", "other.urdf", "unknown robot setting 'urdf'"),
+        ("joints.a.drive_train.coulomb_N_m", "much", "coulomb_N_m: expected a number, got 'much'"),
+        ("joints.a.drive_train.coulomb_N_m", -0.1, "must not be negative"),
+        ("payload_frame", "hand", "arm has no link 'hand'"),
+        ("joints.b.motor.id", 3, "joints: b: motor: nominal_torque_constant_N_m_per_A is missing"),
+    ],
+)
+def test_bad_overrides_are_refused(folder: Path, key: str, value: object, message: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        load_robot(folder / "arm.yaml").with_overrides({key: value})
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_joint_names_with_dots_can_be_overridden(folder: Path) -> None:
+    (folder / "arm.urdf").write_text(THREE.replace('name="a"', 'name="left.a"'))
+    (folder / "arm.yaml").write_text(MINIMAL.replace("  a:", "  left.a:"))
+    robot = load_robot(folder / "arm.yaml").with_overrides({"joints.left.a.drive_train.load_friction": 0.02})
+    assert robot.drive_trains["left.a"].load_friction.value == 0.02

@@ -1,0 +1,128 @@
+"""URDF text: the defaults of the format, and what users get wrong."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.errors import RobotError
+from proprio_ros.robot import RobotModel
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from small_urdf import chain, inertial, joint, link
+
+BAD_URDF = {
+    "not XML": ("joint: revolute", "not XML"),
+    "empty": ("", "not XML"),
+    "another document": ("<mujoco/>", "a <mujoco>, not a <robot>"),
+    "xacro": ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>', "xacro"),
+    "no links": ("<robot/>", "no <link>"),
+    "nameless link": ("<robot><link/></robot>", "a <link> has no name"),
+    "floating": (chain(joint("a", kind="floating")), "'floating' is not supported; supported: revolute, continuous"),
+    "planar": (chain(joint("a", kind="planar")), "'planar' is not supported"),
+    "no kind": (chain(joint("a", kind="")), "type '' is not supported"),
+    "no mass": (inertial(mass="0"), "link 'one': mass must be positive, got 0.0 kg"),
+    "negative mass": (inertial(mass="-1"), "mass must be positive"),
+    "NaN mass": (inertial(mass="nan"), "value='nan' of <mass> must be finite"),
+    "mass is no number": (inertial(mass="heavy"), "value='heavy' of <mass> is no number"),
+    "two masses": (inertial(mass="1 2"), "value of <mass> must be one number, got 2"),
+    "infinite inertia": (inertial(ixx="inf"), "ixx='inf' of <inertia> must be finite"),
+    "zero inertia": (inertial(ixx="0", iyy="0", izz="0"), "not positive definite"),
+    "indefinite": (inertial(ixy="0.02"), "link 'one': the inertia is not positive definite"),
+    "triangle": (inertial(izz="0.0201"), "link 'one': the inertia breaks the triangle inequality"),
+    "triangle by products": (inertial(ixx="0.02", ixy="0.009"), "triangle inequality"),
+    "inertial without inertia": (
+        chain(joint("a"), links=link("base") + link("one", '<inertial><mass value="1"/></inertial>')),
+        "link 'one': <inertial> needs both <mass> and <inertia>",
+    ),
+    "inertia without izz": (chain(joint("a")).replace(' izz="0.01"', ""), "<inertia> has no izz"),
+    "unknown parent": (
+        chain(joint("a", parent="bsae")),
+        "joint 'a' names an unknown parent link 'bsae'; links: base, one",
+    ),
+    "unknown child": (chain(joint("a", child="hand")), "unknown child link 'hand'"),
+    "no parent": (chain(joint("a").replace('<parent link="base"/>', "")), "joint 'a': has no <parent link=.../>"),
+    "two links of a name": (
+        chain(joint("a"), links=link("base") + link("one") + link("one")),
+        "two links are named 'one'",
+    ),
+    "two joints of a name": (chain(joint("a"), joint("a", "one", "two")), "two joints are named 'a'"),
+    "two parents": (
+        chain(joint("a"), joint("b", "base", "two"), joint("c", "one", "two")),
+        "child of both 'b' and 'c'",
+    ),
+    "all in a loop": (
+        chain(joint("a"), joint("b", "one", "base"), links=link("base") + link("one")),
+        "no link is the root",
+    ),
+    "loop apart": (
+        chain(joint("a"), joint("b", "two", "three"), joint("c", "three", "two")),
+        "joints b, c form a loop",
+    ),
+    "two roots": (chain(joint("a"), links=link("base") + link("one") + link("world")), "no parent: base, world"),
+    "no limits": (chain(joint("a", limit="")), "joint 'a': a revolute joint needs <limit lower=.. upper=../>"),
+    "no upper limit": (
+        chain(joint("a", kind="prismatic", limit='<limit lower="0"/>')),
+        "a prismatic joint needs <limit",
+    ),
+    "limits crossed": (chain(joint("a", limit='<limit lower="1" upper="-1"/>')), "above the upper limit"),
+    "limit is NaN": (
+        chain(joint("a", limit='<limit lower="nan" upper="1"/>')),
+        "lower='nan' of <limit> must be finite",
+    ),
+    "negative effort": (chain(joint("a", limit='<limit lower="0" upper="1" effort="-1"/>')), "must not be negative"),
+    "zero axis": (chain(joint("a", axis="0 0 0")), "joint 'a': the axis is zero"),
+    "flat axis": (chain(joint("a", axis="0 1")), "xyz of <axis> must be three numbers, got 2"),
+    "NaN axis": (chain(joint("a", axis="0 0 nan")), "must be finite"),
+    "mimic of nothing": (chain(joint("a", mimic='<mimic joint="b"/>')), "'a' mimics an unknown joint 'b'; joints: a"),
+    "mimic without a joint": (chain(joint("a", mimic="<mimic/>")), "<mimic> names no joint"),
+    "mimic of fixed": (
+        chain(joint("a", kind="fixed"), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
+        "'b' mimics 'a', which is fixed",
+    ),
+    "mimics in a circle": (
+        chain(joint("a", mimic='<mimic joint="b"/>'), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
+        "mimic each other in a circle: a -> b -> a",
+    ),
+}
+
+
+@pytest.mark.parametrize(("urdf", "message"), BAD_URDF.values(), ids=BAD_URDF.keys())
+def test_bad_urdf_is_refused_in_one_line(urdf: str, message: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        RobotModel.from_urdf_string(urdf)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_urdf_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=r"arm\.urdf: cannot be read \(No such file"):
+        RobotModel.from_urdf(tmp_path / "arm.urdf")
+
+
+def test_rounded_inertia_on_the_edge_is_accepted() -> None:
+    """A thin disc has izz = ixx + iyy exactly; sums in other digits may be off in the last one."""
+    RobotModel.from_urdf_string(inertial(ixx="0.1", iyy="0.2", izz="0.30000000000000004"))
+
+
+def test_defaults_of_the_format() -> None:
+    model = RobotModel.from_urdf_string(
+        chain(joint("a", kind="continuous", limit="").replace('<axis xyz="0 0 1"/>', ""))
+    )
+    turning = model.joint("a")
+    np.testing.assert_array_equal(turning.axis, [1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(turning.origin, np.eye(4))
+    assert (turning.lower, turning.upper) == (-math.inf, math.inf)
+    assert (turning.velocity_limit, turning.effort_limit) == (math.inf, math.inf)
+    assert model.lock(["a"], {}).kinds == ("revolute",)
+
+
+def test_axis_is_made_a_unit_vector() -> None:
+    np.testing.assert_allclose(
+        RobotModel.from_urdf_string(chain(joint("a", axis="0 3 4"))).joint("a").axis, [0, 0.6, 0.8]
+    )
