@@ -352,7 +352,7 @@ class LiveWeighing:
 def live_interval(estimate: Estimate) -> tuple[float, float] | None:
     """Mass and standard deviation as far as the run has come, also where a verdict would still withhold them [kg]."""
     for row in estimate.unknowns:
-        if row.name == "payload_mass" and np.isfinite(row.std):
+        if row.kind == "payload_mass" and np.isfinite(row.std):
             return float(row.value), float(row.std)
     return None
 

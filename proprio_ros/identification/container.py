@@ -29,7 +29,6 @@ from proprio_ros.identification.container_problem import (
     start_prior,
 )
 from proprio_ros.identification.estimate import (
-    Z95,
     Estimate,
     Fit,
     SolverSummary,
@@ -49,13 +48,12 @@ from proprio_ros.identification.gates import (
     unusable,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import PreparedRun, prepare_run, reduced_model
+from proprio_ros.identification.problem import PreparedRun, joints_of, prepare_run, reduced_model
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.identification.weighing import (
     FitResult,
     WeighingOptions,
     error_budget,
-    is_calibrated,
     misfit_over,
     misfit_reason,
     other_suspects,
@@ -63,6 +61,7 @@ from proprio_ros.identification.weighing import (
     solve_payload,
     unknown_rows,
 )
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, motion
 from proprio_ros.sim.joint import JointRun
@@ -183,7 +182,7 @@ def find_sphere(
 
     nominal = _solve(robot, data, facts, options, Role.FROZEN)
     opened = _solve(robot, data, facts, options, Role.FREE, nominal)
-    if not opened.explains and not is_calibrated(robot, data.runs):
+    if not opened.explains and not robot.is_calibrated(joints_of(data.runs)):
         again = _solve(robot, data, facts, options, Role.FREE)
         opened = again if again.chi2 < opened.chi2 else opened
     cut = _lost_at(opened)
@@ -258,8 +257,8 @@ def _solve(
     places = max(len(guess) for guess in guesses)
     starts = np.tile(problem.base, (places * len(options.starts_kg), 1))
     starts[:, problem.index["sphere_mass"]] = np.tile(options.starts_kg, places)
-    for row, guess in zip(np.flatnonzero(data.rolling), guesses, strict=True):
-        columns = [problem.index[f"sphere_{axis}[{row}]"] for axis in "xyz"]
+    for row, guess in zip(np.flatnonzero(data.rolling).tolist(), guesses, strict=True):
+        columns = [problem.index[f"sphere_{axis}", row] for axis in "xyz"]
         starts[:, columns] = np.repeat(guess[np.arange(places) % len(guess)], len(options.starts_kg), axis=0)
     internal = problem.coordinates.internal(starts[:, free])
     solution = solvers.levenberg_marquardt(
@@ -380,10 +379,10 @@ def _stiffness_shift(
     harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e)
     other, _ = _problem(robot, data, harder, options, Role.FREE)
     values = fit.values.copy()
-    for row in np.flatnonzero(data.rolling):  # rest is less deep in a harder wall
+    for row in np.flatnonzero(data.rolling).tolist():  # rest is less deep in a harder wall
         for axis in "xyz":
-            unknown = other.unknowns[other.index[f"sphere_{axis}[{row}]"]]
-            values[other.index[unknown.name]] = np.clip(values[other.index[unknown.name]], unknown.lower, unknown.upper)
+            unknown = other.unknowns[other.index[f"sphere_{axis}", row]]
+            values[other.index[unknown.key]] = np.clip(values[other.index[unknown.key]], unknown.lower, unknown.upper)
     soft, _, _ = fit.problem.simulate(fit.values[None], fit.problem.free[:1])
     hard, _, _ = other.simulate(values[None], other.free[:1])
     seen = fit.problem.weight > 0.0
@@ -403,7 +402,7 @@ def _conclude(
     doubt: str,
 ) -> Estimate:
     runs = data.runs
-    known = is_calibrated(robot, runs)
+    known = robot.is_calibrated(joints_of(runs))
     at = fit.problem.index
     row, shell = at["sphere_mass"], at["payload_mass"]
     fits, rms, expected = run_fits(fit.problem, fit.values, runs)
@@ -494,7 +493,7 @@ def _conclude(
         solver=_summary(nominal, fit, options, std),
         runs=run_count,
         run_fits=fits,
-        unknowns=tuple(replace(u, name=shown.get(u.name, u.name)) for u in unknown_rows(fit, covariance)),
+        unknowns=tuple(replace(u, kind=shown.get(u.kind, u.kind)) for u in unknown_rows(fit, covariance)),
         budget=tuple((shown.get(name, name), share) for name, share in budget),
         scan=misfit_over(fit, "sphere_mass", grid),
         paths=paths,
@@ -597,5 +596,5 @@ def _assumptions(
         f"that {where} when the current came on",
         f"law of contact {facts.law}: {constants}, friction {facts.friction.value:g} +- {facts.friction.std:g}",
         f"integrator {options.integrator}, steps of at most {1e3 * problem.contact_step_s:.3g} ms, as the contact needs them",
-        f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
+        f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated"),
     )

@@ -17,7 +17,6 @@ import numpy as np
 from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import (
-    Z95,
     BlockShape,
     Estimate,
     Fit,
@@ -39,7 +38,7 @@ from proprio_ros.identification.gates import (
     look_at_run,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.problem import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.squeeze_problem import (
     HIGHEST_RATIO,
     BlockFacts,
@@ -50,12 +49,12 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.identification.weighing import (
     FitResult,
     error_budget,
-    is_calibrated,
     misfit_over,
     other_suspects,
     say_if_uncalibrated,
     unknown_rows,
 )
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
 from proprio_ros.sim.energies import lame, lame_by_poissons_ratio, lame_of_small_strain
@@ -213,7 +212,7 @@ def _conclude(
 ) -> Estimate:
     problem = fit.problem
     assert isinstance(problem, SqueezeProblem)
-    known = is_calibrated(robot, data.runs)
+    known = robot.is_calibrated(joints_of(data.runs))
     at = problem.index
     fits, rms, expected = run_fits(problem, fit.values, data.runs)
     inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
@@ -454,7 +453,7 @@ def _assumptions(
         f"{facts.fingers} fingers that move {ratio} each: the modulus goes with one over the square of that",
         f"Poisson's ratio {facts.poissons_ratio.value:g} +- {facts.poissons_ratio.std:g} before the squeeze",
         f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms",
-        f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
+        f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated"),
     )
 
 

@@ -21,7 +21,6 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import (
-    Z95,
     Estimate,
     Fit,
     Scan,
@@ -50,10 +49,12 @@ from proprio_ros.identification.problem import (
     KnownLoad,
     PayloadProblem,
     PreparedRun,
+    joints_of,
     payload_unknowns,
     prepare_run,
 )
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -174,12 +175,12 @@ def weigh(
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     drift = _drift(robot, usable[weighing:], facts, options)
 
-    nominal = solve_payload(robot, usable, facts, options, Role.FROZEN, rough=is_calibrated(robot, usable))
+    nominal = solve_payload(robot, usable, facts, options, Role.FROZEN, rough=robot.is_calibrated(joints_of(usable)))
     opened = solve_payload(robot, usable, facts, options, Role.FREE, start=nominal)
-    if not (opened if is_calibrated(robot, usable) else nominal).explains:
+    if not (opened if robot.is_calibrated(joints_of(usable)) else nominal).explains:
         again = solve_payload(robot, usable, facts, options, Role.FREE)
         opened = again if again.chi2 < opened.chi2 else opened
-        if opened.chi2 < 0.5 * nominal.chi2 and not robot.calibrated and not _known_exactly(robot, usable):
+        if opened.chi2 < 0.5 * nominal.chi2 and not robot.is_calibrated() and not _known_exactly(robot, usable):
             found.notes.append(
                 "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, "
                 "under its priors"
@@ -197,7 +198,7 @@ def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, o
     row = fit.problem.index["payload_mass"]
     mass = float(fit.values[row])
     std = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[row, row]))
-    since = "its calibration" if robot.calibration is not None else "its robot file was written"
+    since = "its calibration" if robot.is_calibrated() else "its robot file was written"
     if not fit.explains:
         return (
             f"drift: the empty-hand run is no longer explained by the robot as it was at {since} (reduced chi-square "
@@ -242,11 +243,6 @@ def _contradiction(
     return contradiction(name, "kg", one, others, ALIKE_SHARE * abs(mass), ALIKE_KG, doubt)
 
 
-def is_calibrated(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
-    """Whether the robot's calibration knows the drive trains of all joints that these runs drive."""
-    return robot.calibration is not None and all(run.run.joint in robot.calibration.joints for run in runs)
-
-
 def _known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     """Whether the file leaves no drive-train term of the probed joints open."""
     return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
@@ -265,7 +261,7 @@ def solve_payload(
     """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
     unknowns = payload_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
     if start_velocity_std is not None:
-        unknowns = [replace(u, std=start_velocity_std) if u.name.startswith("v0[") else u for u in unknowns]
+        unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
     problem = PayloadProblem(robot, runs, facts, unknowns, options.integrator, options.step_s)
     coordinates = problem.coordinates
     if start is None:
@@ -296,7 +292,7 @@ def _conclude(
     run_count: int,
     drift: str,
 ) -> Estimate:
-    known = is_calibrated(robot, runs)
+    known = robot.is_calibrated(joints_of(runs))
     fit = nominal if nominal.explains and not known else opened
     row = fit.problem.index["payload_mass"]
     fits, rms, expected = run_fits(fit.problem, fit.values, runs)
@@ -441,14 +437,14 @@ def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], wit
 def say_if_uncalibrated(
     robot: Robot, runs: Sequence[PreparedRun], budget: list[tuple[str, float]], found: Findings
 ) -> None:
-    if robot.calibration is not None:
-        joints = dict.fromkeys(run.run.joint for run in runs if run.run.joint not in robot.calibration.joints)
-        if joints:
+    if robot.is_calibrated():
+        joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
+        if joints and robot.calibration is not None:  # a file that only says so leaves nothing to be said
             found.reasons.append(
                 f"{', '.join(joints)} was not calibrated, so the interval carries what the robot file leaves open of it"
             )
         return
-    if robot.calibrated or _known_exactly(robot, runs):
+    if _known_exactly(robot, runs):
         return
     largest = [f"{source} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
     found.reasons.append(
@@ -517,7 +513,7 @@ def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float)
 
 
 def other_suspects(robot: Robot) -> list[str]:
-    if robot.calibrated:
+    if robot.is_calibrated():
         return []
     return [
         "the robot has not been calibrated: friction, torque constant or armature outside what its file allows would do this"
@@ -536,7 +532,7 @@ def _moving_starts(
     rms = run_fits(moving.problem, moving.values, runs)[1]
     reasons = []
     for row, run in enumerate(runs):
-        velocity = float(moving.values[moving.problem.index[f"v0[{row}]"]])
+        velocity = float(moving.values[moving.problem.index["v0", row]])
         if abs(velocity) > MOVING_START:
             reasons.append(
                 f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when the "
@@ -575,7 +571,13 @@ def _summary(fit: FitResult, options: WeighingOptions, std: float) -> SolverSumm
 def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
     return tuple(
         UnknownRow(
-            u.name, u.unit, u.role.value, u.value, u.std, float(fit.values[row]), float(np.sqrt(covariance[row, row]))
+            u.kind,
+            u.role.value,
+            u.value,
+            u.std,
+            float(fit.values[row]),
+            float(np.sqrt(covariance[row, row])),
+            scope=u.scope,
         )
         for row, u in enumerate(fit.problem.unknowns)
     )
@@ -607,7 +609,7 @@ def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, no
         + f", its centre at [{place}] mm in {robot.payload_frame}",
         "each probe starts from rest; the held joints stand at their recorded mean",
         f"robot file {robot.source.name}, "
-        + ("calibrated" if robot.calibrated else "not calibrated")
+        + ("calibrated" if robot.is_calibrated() else "not calibrated")
         + (
             "; its values stay where the file puts them"
             if nominal

@@ -35,10 +35,11 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.container_problem import ContainerFacts
-from proprio_ros.identification.estimate import Z95, Estimate, Verdict, shown_unit
+from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.quantity import Z95, shown
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.report import write_calibration_report, write_report
 from proprio_ros.robot import Robot
@@ -620,7 +621,10 @@ class IdentifierNode(ManagedNode):
                     "payload_mass.std": std, "payload_mass.ci95": [mass - Z95 * std, mass + Z95 * std],
                 }  # fmt: skip
                 self._publish_estimate(
-                    "ok", "payload", f"live, {samples} samples: {1e3 * mass:.1f} +- {1e3 * Z95 * std:.1f} g", told
+                    "ok",
+                    "payload",
+                    f"live, {samples} samples: {shown('kg', mass, Z95 * std, spec='.1f', between=' +- ')}",
+                    told,
                 )
             time.sleep(period_s)
 
@@ -692,7 +696,7 @@ class IdentifierNode(ManagedNode):
             "runs": estimate.runs,
         }
         for row in estimate.unknowns:
-            if not row.name.startswith(("link_", "ripple_")):
+            if not row.is_detail:
                 told |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
         told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         accepted = estimate.verdict is Verdict.ACCEPTED
@@ -720,9 +724,8 @@ def _interval_of(estimate: Estimate) -> str:
     value = estimate.values[0]
     if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
         return ""
-    factor, unit = shown_unit(value.unit)
-    low, high = (factor * end for end in value.ci95)
-    return f"{factor * value.value:.1f} {unit}, 95 % interval {low:.1f} .. {high:.1f} {unit}"
+    number, interval = shown(value.unit, value.value, spec=".1f"), shown(value.unit, *value.ci95, spec=".1f")
+    return f"{number}, 95 % interval {interval}"
 
 
 def _refusal_of(estimate: Estimate) -> str:

@@ -14,6 +14,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from visualization_msgs.msg import Marker, MarkerArray
 
+from proprio_ros.quantity import Z95, shown
+
 LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
 
@@ -121,7 +123,7 @@ def payload_markers(stamp_ns: int, frame: str, com_m: Sequence[float], mass_kg: 
     """A ball of the payload's weight in the hand, and its mass in words."""
     # the ball of water that weighs as much
     size = max((6.0 * max(mass_kg, 1e-4) / (1000.0 * math.pi)) ** (1.0 / 3.0), 0.01)
-    return _markers(stamp_ns, frame, com_m, [(Marker.SPHERE, [size] * 3, np.eye(3), 0.7)], _grams(mass_kg, std_kg))
+    return _markers(stamp_ns, frame, com_m, [(Marker.SPHERE, [size] * 3, np.eye(3), 0.7)], _told("kg", mass_kg, std_kg))
 
 
 def container_markers(
@@ -138,19 +140,19 @@ def container_markers(
     """A container (`box`, `cylinder`, `sphere`), a sphere in its middle, and the sphere's mass in words."""
     kind = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}[shape]
     bodies = [(Marker.SPHERE, [2.0 * radius_m] * 3, np.eye(3), 0.9), (kind, inner_size_m, rotation, 0.25)]
-    return _markers(stamp_ns, frame, centre_m, bodies, _grams(mass_kg, std_kg))
+    return _markers(stamp_ns, frame, centre_m, bodies, _told("kg", mass_kg, std_kg))
 
 
 def block_markers(
     stamp_ns: int, frame: str, rotation: np.ndarray, size_m: Sequence[float], modulus_Pa: float, std_Pa: float
 ) -> MarkerArray:
     """A block between the fingers, and its Young's modulus in words."""
-    words = f"{1e-3 * modulus_Pa:.1f} kPa +- {1.96e-3 * std_Pa:.1f} kPa"
-    return _markers(stamp_ns, frame, [0.0, 0.0, 0.0], [(Marker.CUBE, size_m, rotation, 0.6)], words)
+    bodies = [(Marker.CUBE, size_m, rotation, 0.6)]
+    return _markers(stamp_ns, frame, [0.0, 0.0, 0.0], bodies, _told("Pa", modulus_Pa, std_Pa))
 
 
-def _grams(mass_kg: float, std_kg: float) -> str:
-    return f"{1e3 * mass_kg:.1f} g +- {1.96e3 * std_kg:.1f} g"
+def _told(unit: str, value: float, std: float) -> str:
+    return f"{shown(unit, value, spec='.1f')} +- {shown(unit, Z95 * std, spec='.1f')}"
 
 
 def _markers(
