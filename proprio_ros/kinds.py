@@ -30,25 +30,25 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {
-    # drive trains, by the names of their fields
+    # drive trains, by the names of their fields, and encoders (they err once per turn of the joint)
     "torque_constant": Kind("N m/A", "torque constant", "joint"),
     "coulomb": Kind("N m", "Coulomb friction", "joint"),
     "viscous": Kind("N m s/rad", "viscous friction", "joint"),
     "load_friction": Kind("1", "load friction", "joint"),
     "armature": Kind("kg m^2", "armature", "joint"),
     "stribeck": Kind("1", "rise at standstill", "joint"),
-    "stribeck_velocity": Kind("rad/s", "velocity of the rise at standstill", "joint"),
+    "stribeck_velocity": Kind("rad/s", "velocity of that rise", "joint"),
     "zero": Kind("rad", "zero", "joint"),
-    "ripple_cos": Kind("rad", "encoder's once-per-turn error, cosine", "joint"),
-    "ripple_sin": Kind("rad", "encoder's once-per-turn error, sine", "joint"),
-    # how a link differs from the URDF
-    "link_mass": Kind("1", "mass beyond the URDF's, relative", "link"),
-    "link_com_x": Kind("m", "centre of mass beyond the URDF's, x", "link"),
-    "link_com_y": Kind("m", "centre of mass beyond the URDF's, y", "link"),
-    "link_com_z": Kind("m", "centre of mass beyond the URDF's, z", "link"),
-    "link_inertia": Kind("1", "inertia beyond the URDF's, relative", "link"),
+    "ripple_cos": Kind("rad", "encoder error, cosine", "joint"),
+    "ripple_sin": Kind("rad", "encoder error, sine", "joint"),
+    # how a link differs from the URDF; mass and inertia relative
+    "link_mass": Kind("1", "link mass beyond the URDF's", "link"),
+    "link_com_x": Kind("m", "link centre beyond the URDF's, x", "link"),
+    "link_com_y": Kind("m", "link centre beyond the URDF's, y", "link"),
+    "link_com_z": Kind("m", "link centre beyond the URDF's, z", "link"),
+    "link_inertia": Kind("1", "link inertia beyond the URDF's", "link"),
     # the robot as a whole
-    "arm_scale": Kind("1", "weight of the arm over the URDF's"),
+    "arm_scale": Kind("1", "arm's weight over the URDF's"),
     "delay": Kind("s", "delay"),
     # runs
     "q0": Kind("rad", "start position", "run"),
@@ -61,7 +61,7 @@ KINDS: dict[str, Kind] = {
     "payload_com_x": Kind("m", "centre of mass of the payload, x"),
     "payload_com_y": Kind("m", "centre of mass of the payload, y"),
     "payload_com_z": Kind("m", "centre of mass of the payload, z"),
-    "shape_scale": Kind("1", "spread of the payload's mass over that of its shape"),
+    "shape_scale": Kind("1", "payload's spread over its shape's"),
     "container_mass": Kind("kg", "container mass"),
     "sphere_mass": Kind("kg", "sphere mass"),
     "sphere_x": Kind("m", "start of the sphere, x", "run"),

@@ -53,7 +53,7 @@ def correlation_figure(calibration: Calibration) -> str:
     chosen = [row for row in np.argsort(-strength) if strength[row] > NOTICEABLE][:MOST_CORRELATED]
     chosen = sorted(int(row) for row in chosen) or list(range(min(len(calibration.keys), 2)))
     names = [label_of(calibration.keys[row]) for row in chosen]
-    size = 2.6 + 0.2 * len(names)
+    size = 3.8 + 0.2 * len(names)
     with drawn(size + 1.0, size) as (figure, axis):
         shown = calibration.correlation[np.ix_(chosen, chosen)]
         edges = np.arange(len(names) + 1) - 0.5
