@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RobotError
+from proprio_ros.kinds import KINDS, Key, key_of, name_of
 from proprio_ros.quantity import Quantity
 
 FloatArray = NDArray[np.float64]
@@ -40,8 +41,7 @@ class Calibration:
     """The robot as its own recordings show it.
 
     Attributes:
-        names: Unknowns such as ``coulomb[joint3]``, length C.
-        units: SI unit of each.
+        keys: Of the unknowns, such as ``("coulomb", "joint3")``, length C.
         values: Shape (C,).
         covariance: Shape (C, C), positive definite.
         residual_scale: Residuals over what encoder and stamps explain.
@@ -51,8 +51,7 @@ class Calibration:
         runs: One mapping per run used: name, joint, current_A, load_kg, samples.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    keys: tuple[Key, ...]
     values: FloatArray
     covariance: FloatArray
     residual_scale: float = 1.0
@@ -62,10 +61,15 @@ class Calibration:
     runs: tuple[Mapping[str, Any], ...] = ()
 
     @functools.cached_property
-    def quantities(self) -> dict[str, Quantity]:
-        """Each unknown by name, with its own standard deviation."""
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns, such as ``coulomb[joint3]``."""
+        return tuple(name_of(key) for key in self.keys)
+
+    @functools.cached_property
+    def quantities(self) -> dict[Key, Quantity]:
+        """Each unknown by key, with its own standard deviation."""
         stds = np.sqrt(np.diag(self.covariance))
-        return {name: Quantity(float(v), float(s)) for name, v, s in zip(self.names, self.values, stds, strict=True)}
+        return {key: Quantity(float(v), float(s)) for key, v, s in zip(self.keys, self.values, stds, strict=True)}
 
     @functools.cached_property
     def correlation(self) -> FloatArray:
@@ -77,16 +81,14 @@ class Calibration:
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints whose drive trains were calibrated."""
-        prefix = "torque_constant["
-        return tuple(name[len(prefix) : -1] for name in self.names if name.startswith(prefix))
+        return tuple(str(key[1]) for key in self.keys if key[0] == "torque_constant")
 
-    def without(self, names: set[str]) -> Calibration:
-        """The same with some unknowns marginalised out; names that it does not hold are ignored."""
-        keep = [row for row, name in enumerate(self.names) if name not in names]
+    def without(self, keys: set[Key]) -> Calibration:
+        """The same with some unknowns marginalised out; keys that it does not hold are ignored."""
+        keep = [row for row, key in enumerate(self.keys) if key not in keys]
         return replace(
             self,
-            names=tuple(self.names[row] for row in keep),
-            units=tuple(self.units[row] for row in keep),
+            keys=tuple(self.keys[row] for row in keep),
             values=self.values[keep],
             covariance=self.covariance[np.ix_(keep, keep)],
         )
@@ -100,8 +102,8 @@ class Calibration:
             "torque_disturbance_N_m": _short(self.torque_disturbance),
             "start_velocity_rad_s": _short(self.start_velocity),
             "unknowns": {
-                name: {"value": _short(self.quantities[name].value, 15), "std": _short(self.quantities[name].std, 15), "unit": unit}
-                for name, unit in zip(self.names, self.units, strict=True)
+                name_of(key): {"value": _short(known.value, 15), "std": _short(known.std, 15), "unit": _unit(key)}
+                for key, known in self.quantities.items()
             },
             "correlation": "".join(
                 " ".join(f"{c:.12g}" for c in row[: n + 1]) + "\n" for n, row in enumerate(self.correlation)
@@ -120,21 +122,20 @@ class Calibration:
         unknowns = _part(section, "unknowns", Mapping, where)
         correlation = [line.split() for line in _part(section, "correlation", str, where).splitlines()]
         runs = _part(section, "runs", list, where)
-        names = tuple(str(name) for name in unknowns)
-        values, stds, units = [], [], []
+        keys = tuple(key_of(str(name)) for name in unknowns)
+        values, stds = [], []
         for name, entry in unknowns.items():
             if not isinstance(entry, Mapping):
                 raise RobotError(f"{where}: unknowns: {name}: expected value, std and unit, got {entry!r}")
             values.append(_number(entry.get("value"), f"{where}: unknowns: {name}: value"))
             stds.append(_number(entry.get("std"), f"{where}: unknowns: {name}: std"))
-            units.append(str(entry.get("unit", "")))
             if stds[-1] <= 0.0:
                 raise RobotError(f"{where}: unknowns: {name}: std must be positive, got {stds[-1]}")
-        if not names or [len(row) for row in correlation] != [n + 1 for n in range(len(names))]:
+        if not keys or [len(row) for row in correlation] != [n + 1 for n in range(len(keys))]:
             raise RobotError(
-                f"{where}: correlation must be the lower triangle of {len(names)} unknowns, one row each; calibrate again"
+                f"{where}: correlation must be the lower triangle of {len(keys)} unknowns, one row each; calibrate again"
             )
-        matrix = np.zeros((len(names), len(names)))
+        matrix = np.zeros((len(keys), len(keys)))
         for n, row in enumerate(correlation):
             try:
                 matrix[n, : n + 1] = [float(c) for c in row]
@@ -147,8 +148,7 @@ class Calibration:
             raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
         scale = np.array(stds)
         return cls(
-            names,
-            tuple(units),
+            keys,
             np.array(values),
             matrix * scale[:, None] * scale[None, :],
             _number(section.get("residual_scale", 1.0), f"{where}: residual_scale"),
@@ -157,6 +157,11 @@ class Calibration:
             _number(section.get("start_velocity_rad_s", 0.01), f"{where}: start_velocity_rad_s"),
             tuple(runs),
         )
+
+
+def _unit(key: Key) -> str:
+    kind = key if isinstance(key, str) else key[0]
+    return KINDS[kind].unit if kind in KINDS else ""
 
 
 def _part(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:

@@ -17,10 +17,10 @@ from typing import Any, NoReturn
 from proprio_ros import __version__
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.quantity import shown
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
-_SHOWN = {"kg": (1e3, 2, " g"), "Pa": (1e-3, 2, " kPa"), "1": (1.0, 3, ""), "N/m": (1.0, 0, " N/m")}
 
 
 def run() -> NoReturn:
@@ -302,13 +302,13 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
         content = {
             "probe": options.probe,
             "robot": robot.name,
-            "calibrated": robot.calibration is not None,
+            "calibrated": robot.is_calibrated(),
             "masses_kg": masses,
             "plans": [plan.as_json() for plan in plans],
         }
         print(json.dumps(content, indent=1))
         return EXIT_OK
-    if robot.calibration is None:
+    if not robot.is_calibrated():
         print("the robot has not been calibrated: the intervals carry what its file leaves open")
     for number, plan in enumerate(plans, start=1):
         print(f"{number:2d}. " + _plan_as_text(plan))
@@ -372,10 +372,8 @@ def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     )
     print(result.sentence)
     if result.value is not None:
-        from proprio_ros.identification.estimate import shown_unit
-
-        factor, unit = shown_unit(probe.answer[1])
-        print(f"{example.was} {factor * result.truth:.1f} {unit}, a hidden robot; {result.elapsed_s:.0f} s in all")
+        truth_shown = shown(probe.answer[1], result.truth, spec=".1f")
+        print(f"{example.was} {truth_shown}, a hidden robot; {result.elapsed_s:.0f} s in all")
     if result.report is not None:
         print(f"report: {result.report}")
     return EXIT_OK if result.accepted else EXIT_NO_ANSWER
@@ -413,7 +411,7 @@ def _as_text(estimate: Any) -> str:
     if estimate.fit is not None:
         fit = estimate.fit
         lines.append(
-            f"  fit: rms {1e3 * fit.rms:.3f} m{fit.unit}, expected {1e3 * fit.expected_rms:.3f} m{fit.unit}, "
+            f"  fit: rms {shown(fit.unit, fit.rms)}, expected {shown(fit.unit, fit.expected_rms)}, "
             f"reduced chi-square {fit.reduced_chi2:.2f}"
         )
     if estimate.solver is not None:
@@ -429,19 +427,19 @@ def _calibration_as_text(estimate: Any) -> str:
         f"{estimate.verdict.value}  (calibration, {estimate.robot}, {len(estimate.run_fits)} of {estimate.runs} runs used)"
     ]
     lines += [f"  - {reason}" for reason in estimate.reasons]
-    shown = [row for row in estimate.unknowns if not row.name.startswith(("link_", "ripple_", "zero["))]
-    for row in shown:
+    listed = [row for row in estimate.unknowns if not row.is_detail and row.kind != "zero"]
+    for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit
         lines.append(
             f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   (file: {row.prior:.5f} +- {row.prior_std:.5f})"
         )
-    if len(shown) < len(estimate.unknowns):
+    if len(listed) < len(estimate.unknowns):
         lines.append(
-            f"  and {len(estimate.unknowns) - len(shown)} more: zeros, encoder errors and links (see --json, --report)"
+            f"  and {len(estimate.unknowns) - len(listed)} more: zeros, encoder errors and links (see --json, --report)"
         )
     if estimate.fit is not None:
         fit = estimate.fit
-        lines.append(f"  fit: rms {1e3 * fit.rms:.3f} m{fit.unit}, expected {1e3 * fit.expected_rms:.3f} m{fit.unit}")
+        lines.append(f"  fit: rms {shown(fit.unit, fit.rms)}, expected {shown(fit.unit, fit.expected_rms)}")
     if estimate.held_out:
         worst = max(estimate.held_out, key=lambda run: run.reduced_chi2)
         lines.append(
@@ -456,8 +454,8 @@ def _calibration_as_text(estimate: Any) -> str:
 def _plan_as_text(plan: Any) -> str:
     start = ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items())
     return (
-        f"{plan.joint} {1e3 * plan.current_A:+.0f} mA for {plan.duration_s:g} s from ({start}), {plan.kind}: {plan.reason}; "
-        f"{100 * plan.clearance_m:.0f} cm above the table"
+        f"{plan.joint} {shown('A', plan.current_A, spec='+.0f')} for {plan.duration_s:g} s from ({start}), "
+        f"{plan.kind}: {plan.reason}; {100 * plan.clearance_m:.0f} cm above the table"
     )
 
 
@@ -468,12 +466,10 @@ def _value_text(value: Any) -> str:
         numbers = ", ".join("?" if v is None else f"{v:.4f}" for v in value.value)
         return f"{value.name}: [{numbers}] {value.unit}" + (f" ({value.reason})" if value.reason else "")
     # masses in g and moduli in kPa, as on the report's page; --json gives them in kg and Pa
-    factor, digits, unit = _SHOWN.get(value.unit, (1.0, 5, f" {value.unit}"))
-    number = f"{value.name}: {factor * value.value:.{digits}f}{unit}"
+    number = f"{value.name}: {shown(value.unit, value.value)}"
     if value.ci95 is None:
         return f"{number} ({value.reason})" if value.reason else number
-    low, high = value.ci95
-    return f"{number}   95 % interval {factor * low:.{digits}f} .. {factor * high:.{digits}f}{unit}"
+    return f"{number}   95 % interval {shown(value.unit, *value.ci95)}"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A number and how well it is known."""
+"""A number, how well it is known, and how it is shown."""
 
 from __future__ import annotations
 
@@ -6,6 +6,41 @@ import math
 from dataclasses import dataclass
 
 from proprio_ros.errors import RobotError
+
+Z95 = 1.959963984540054
+"""Half width of a 95 % interval in standard deviations (normal)."""
+_SHOWN = {
+    "kg": (1e3, "g", ".2f"),
+    "Pa": (1e-3, "kPa", ".2f"),
+    "N/m": (1.0, "N/m", ".0f"),
+    "1": (1.0, "", ".3f"),
+    "rad": (1e3, "mrad", ".3f"),
+    "m": (1e3, "mm", ".1f"),
+    "s": (1e3, "ms", ".2f"),
+    "N m": (1e3, "mN m", ".2f"),
+    "rad/s": (1e3, "mrad/s", ".1f"),
+    "A": (1e3, "mA", ".0f"),
+}
+"""Per SI unit the factor to the unit in which a reader wants a number, that unit, and the digits."""
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and name of the unit in which a value is shown."""
+    factor, name, _ = _SHOWN.get(unit, (1.0, unit, ""))
+    return factor, name
+
+
+def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> str:
+    """Values as a reader wants them, such as ``50.00 g`` or ``48.10 .. 51.90 g``.
+
+    Args:
+        unit: SI unit of the values.
+        values: What is shown.
+        spec: Format of each; default the unit's own.
+        between: What joins them.
+    """
+    factor, name, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
+    return f"{between.join(f'{factor * value:{spec or usual}}' for value in values)} {name}".rstrip()
 
 
 @dataclass(frozen=True)

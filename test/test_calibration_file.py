@@ -14,6 +14,7 @@ from proprio_ros.calibrate import calibrate_from_bags, write_calibration
 from proprio_ros.calibration import Calibration
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.kinds import key_of
 from proprio_ros.replay import ReplayOptions, replay, robot_of
 from proprio_ros.resources import resource
 from proprio_ros.robot import load_robot
@@ -28,8 +29,7 @@ def small() -> Calibration:
     correlation = factor @ factor.T
     correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
     return Calibration(
-        NAMES,
-        ("N m/A", "N m", "kg m^2", "1", "s", "1"),
+        tuple(key_of(name) for name in NAMES),
         np.array([1.7123456789, 0.041, 0.0143, 1.013, 0.0087, -0.004]),
         correlation * np.outer(stds, stds),
         1.07,
@@ -60,7 +60,7 @@ def edited(path: Path, change) -> Path:
 def test_everything_comes_back(written: Path) -> None:
     calibration, given = load_robot(written).calibration, small()
     assert calibration is not None
-    assert calibration.names == given.names and calibration.units == given.units
+    assert calibration.keys == given.keys and calibration.names == NAMES
     np.testing.assert_allclose(calibration.values, given.values, rtol=1e-12)
     np.testing.assert_allclose(calibration.covariance, given.covariance, rtol=1e-9)
     assert calibration.residual_scale == 1.07 and calibration.stamp_jitter_s == 2.6e-4
@@ -72,7 +72,8 @@ def test_everything_comes_back(written: Path) -> None:
 def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> None:
     base, robot = load_robot("open_manipulator_x"), load_robot(written)
     drive = robot.drive_trains["joint3"]
-    assert robot.calibrated and robot.name == base.name
+    assert robot.is_calibrated() and robot.is_calibrated(["joint3"]) and not robot.is_calibrated(["joint2", "joint3"])
+    assert not base.is_calibrated() and robot.name == base.name
     assert drive.torque_constant.value == pytest.approx(1.7123456789) and drive.torque_constant.std == pytest.approx(
         0.02
     )
@@ -155,7 +156,7 @@ def test_another_urdf_is_refused(tmp_path: Path) -> None:
     own.write_text("extends: open_manipulator_x\nurdf: arm.urdf\n")
     path = tmp_path / "calibrated.yaml"
     write_calibration(path, load_robot(own), small())
-    assert load_robot(path).calibrated
+    assert load_robot(path).is_calibrated()
     urdf.write_text(urdf.read_text().replace('mass value="0.14327573"', 'mass value="0.15"'))
     with pytest.raises(RobotError, match="was made with another URDF"):
         load_robot(path)

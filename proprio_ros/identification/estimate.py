@@ -9,15 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-Z95 = 1.959963984540054
-"""Half width of a 95 % interval in standard deviations (normal)."""
-SHOWN = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}
-"""Units in which a reader wants a number, and the factor to them."""
-
-
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and name of the unit in which a value is shown."""
-    return SHOWN.get(unit, (1.0, unit))
+from proprio_ros.kinds import Tag, label_of
 
 
 class Verdict(str, Enum):
@@ -38,6 +30,11 @@ class Value:
     std: float | list[float | None] | None = None
     ci95: Any = None
     reason: str = ""
+
+    @property
+    def label(self) -> str:
+        """For people: ``Young's modulus``."""
+        return label_of(self.name)
 
     def as_json(self) -> dict[str, Any]:
         record: dict[str, Any] = {
@@ -135,11 +132,9 @@ class SolverSummary:
 
 
 @dataclass(frozen=True)
-class UnknownRow:
+class UnknownRow(Tag):
     """One unknown in the table of the report."""
 
-    name: str
-    unit: str
     role: str
     prior: float
     prior_std: float

@@ -11,7 +11,13 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Scan, SolverSummary, StartPath, UnknownRow
 from proprio_ros.identification.gates import Findings, chi2_limit
-from proprio_ros.identification.problem import DRIVE_TERMS, PayloadProblem, PreparedRun, payload_unknowns
+from proprio_ros.identification.problem import (
+    DRIVE_TERMS,
+    PayloadProblem,
+    PreparedRun,
+    joints_of,
+    payload_unknowns,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -87,11 +93,6 @@ class FitResult:
         return self.chi2 <= chi2_limit(self.dof)
 
 
-def is_calibrated(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
-    """Whether the robot's calibration knows the drive trains of all joints that these runs drive."""
-    return robot.calibration is not None and all(run.run.joint in robot.calibration.joints for run in runs)
-
-
 def known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     """Whether the file leaves no drive-train term of the probed joints open."""
     return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
@@ -110,7 +111,7 @@ def solve_load(
     """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
     unknowns = payload_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
     if start_velocity_std is not None:
-        unknowns = [replace(u, std=start_velocity_std) if u.name.startswith("v0[") else u for u in unknowns]
+        unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
     problem = PayloadProblem(robot, runs, facts, unknowns, options.integrator, options.step_s)
     coordinates = problem.coordinates
     if start is None:
@@ -133,14 +134,14 @@ def solve_load(
 def say_if_uncalibrated(
     robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]], found: Findings
 ) -> None:
-    if robot.calibration is not None:
-        joints = dict.fromkeys(run.run.joint for run in runs if run.run.joint not in robot.calibration.joints)
-        if joints:
+    if robot.is_calibrated():
+        joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
+        if joints and robot.calibration is not None:  # a file that only says so leaves nothing to be said
             found.reasons.append(
                 f"{', '.join(joints)} was not calibrated, so the interval carries what the robot file leaves open of it"
             )
         return
-    if robot.calibrated or known_exactly(robot, runs):
+    if known_exactly(robot, runs):
         return
     largest = [f"{source} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
     found.reasons.append(
@@ -236,7 +237,7 @@ def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float)
 
 
 def other_suspects(robot: Robot) -> list[str]:
-    if robot.calibrated:
+    if robot.is_calibrated():
         return []
     return [
         "the robot has not been calibrated: friction, torque constant or armature outside what its file allows would do this"
@@ -246,7 +247,13 @@ def other_suspects(robot: Robot) -> list[str]:
 def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
     return tuple(
         UnknownRow(
-            u.name, u.unit, u.role.value, u.value, u.std, float(fit.values[row]), float(np.sqrt(covariance[row, row]))
+            u.kind,
+            u.role.value,
+            u.value,
+            u.std,
+            float(fit.values[row]),
+            float(np.sqrt(covariance[row, row])),
+            scope=u.scope,
         )
         for row, u in enumerate(fit.problem.unknowns)
     )

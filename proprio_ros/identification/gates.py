@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from proprio_ros.identification.estimate import shown_unit
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.identification.problem import PreparedRun, joints_of
+from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
 
 MIN_USED = 5
@@ -61,8 +61,7 @@ def contradiction(
         same: values that differ by less are not worth a sentence.
         doubt: a question to the user where they do.
     """
-    factor, shown = shown_unit(unit)
-    said = f"it says {factor * one:.1f} {shown}, they say {factor * others:.1f} {shown}"
+    said = f"it says {shown(unit, one, spec='.1f')}, they say {shown(unit, others, spec='.1f')}"
     apart = abs(one - others)
     if apart < same:
         return Contradiction("", 0.5 * apart)
@@ -122,7 +121,7 @@ def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     allowed = robot.motors[joint].current_limit_A
     if current > allowed:
         found.reasons.append(
-            f"{name}: {1e3 * current:.0f} mA were commanded, but {joint} is limited to {1e3 * allowed:.0f} mA, so less flowed than "
+            f"{name}: {shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}, so less flowed than "
             "the input says: probe below the limit, or correct current_limit_A in the robot file"
         )
     for held, span in run.run.held_span.items():
@@ -133,7 +132,7 @@ def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
 def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
     """A sentence for each joint that all runs drive in the same direction."""
     sentences = []
-    for joint in dict.fromkeys(run.run.joint for run in runs):
+    for joint in joints_of(runs):
         signs = {float(np.sign(run.travel)) for run in runs if run.run.joint == joint}
         if len(signs) == 1:
             towards, back = ("positive", "negative") if signs == {1.0} else ("negative", "positive")

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.identification.estimate import (
-    Z95,
     Detail,
     Estimate,
     Fit,
@@ -26,6 +25,7 @@ from proprio_ros.identification.fit import FitResult, error_budget, say_if_uncal
 from proprio_ros.identification.gates import Contradiction, Findings
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
 
 

@@ -25,6 +25,8 @@ from proprio_ros.identification.problem import (
     robot_unknowns,
 )
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.kinds import Key, name_of
+from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose, clearance
@@ -43,7 +45,6 @@ PUSHES = (0.1, 0.2, 0.4)
 """Torque beyond balance and friction, relative to the largest gravity load at that pose."""
 WIDEST = 1.5  # rad: the range searched of a joint without limits
 ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
-_PER_RUN = ("q0[", "v0[", "onset[", "disturbance[")
 SAME_KIND = 2  # plans shown of one joint and kind
 
 
@@ -63,18 +64,17 @@ class _Candidates:
     clearance_m: np.ndarray
     fits: np.ndarray
 
-    def posterior(self, s: int, r: int) -> tuple[list[str], np.ndarray]:
-        """Names of the unknowns that one run touches, and their covariance after it, everything else under its prior."""
+    def posterior(self, s: int, r: int) -> tuple[list[Key], np.ndarray]:
+        """Keys of the unknowns that one run touches, and their covariance after it, everything else under its prior."""
         problem = self.problem
-        names = [problem.unknowns[row].name for row in problem.free]
-        foreign = tuple(f"[{other}]" for other in range(len(problem.runs)) if other != r)
-        own = [f for f, name in enumerate(names) if not (name.startswith(_PER_RUN) and name.endswith(foreign))]
+        free = [problem.unknowns[row] for row in problem.free]
+        own = [f for f, u in enumerate(free) if u.shared or u.scope == r]
         alive = self.alive[s, r]
         rows = self.dq[s, r][alive][:, own] * problem.weight[r][: len(alive)][alive][:, None]
         normal = rows.T @ rows + problem.coordinates.prior_precision[np.ix_(own, own)]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
         inverse = np.linalg.pinv(normal * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
-        return [names[f] for f in own], inverse * scale[:, None] * scale[None, :]
+        return [free[f].key for f in own], inverse * scale[:, None] * scale[None, :]
 
 
 def plan(
@@ -115,8 +115,9 @@ def plan(
                 stds = [_std_of_mass(*candidates.posterior(s, int(r))) for s in range(len(masses))]
                 found.append(_as_plan(candidates, int(r), stds, _words_for_masses(masses, stds)))
     if not found:
+        ends = shown("kg", masses[0], masses[-1], spec=".0f", between=" to ")
         raise ConfigurationError(
-            f"no run of {duration_s} s suits all masses from {1e3 * masses[0]:.0f} to {1e3 * masses[-1]:.0f} g inside the robot's "
+            f"no run of {duration_s} s suits all masses from {ends} inside the robot's "
             "limits: narrow the range, plan for light and heavy objects apart, or allow more time"
         )
     found.sort(key=lambda p: max(p.std_kg))
@@ -130,10 +131,10 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
     """
     if robot.calibration is None:
         raise ConfigurationError("advice on further runs needs a calibration")
-    wanted = [f"{term}[{joint}]" for joint in joints for term in ADVISED_TERMS]
+    wanted: list[Key] = [(term, joint) for joint in joints for term in ADVISED_TERMS]
     before = robot.calibration
-    place = [before.names.index(name) for name in wanted if name in before.names]
-    wanted = [before.names[row] for row in place]
+    wanted = [key for key in wanted if key in before.keys]
+    place = [before.keys.index(key) for key in wanted]
     old = before.covariance[np.ix_(place, place)]
     found: list[tuple[float, ProbePlan]] = []
     for joint in joints:
@@ -144,15 +145,15 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
             if candidates is None:
                 continue
             for r in np.flatnonzero(candidates.fits[0]):
-                names, covariance = candidates.posterior(0, int(r))
+                keys, covariance = candidates.posterior(0, int(r))
                 # of other joints' drive trains this run tells only what is correlated with its own
-                shared = [name for name in wanted if name in names]
-                now = [names.index(name) for name in shared]
-                then = [wanted.index(name) for name in shared]
+                shared = [key for key in wanted if key in keys]
+                now = [keys.index(key) for key in shared]
+                then = [wanted.index(key) for key in shared]
                 gain = 0.5 * (_log_volume(old[np.ix_(then, then)]) - _log_volume(covariance[np.ix_(now, now)]))
                 ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
                 best = int(np.argmin(ratio))
-                words = f"would shrink the uncertainty of {shared[best]} to {100 * ratio[best]:.0f} %"
+                words = f"would shrink the uncertainty of {name_of(shared[best])} to {100 * ratio[best]:.0f} %"
                 found.append((gain, _as_plan(candidates, int(r), [], words)))
     found.sort(key=lambda entry: -entry[0])
     return _varied([entry for _, entry in found], count)
@@ -162,14 +163,15 @@ def _log_volume(covariance: np.ndarray) -> float:
     return float(np.linalg.slogdet(covariance)[1])
 
 
-def _std_of_mass(names: Sequence[str], covariance: np.ndarray) -> float:
-    row = names.index("payload_mass")
+def _std_of_mass(keys: Sequence[Key], covariance: np.ndarray) -> float:
+    row = keys.index("payload_mass")
     return float(np.sqrt(max(covariance[row, row], 0.0)))
 
 
 def _words_for_masses(masses: np.ndarray, stds: Sequence[float]) -> str:
     widest = int(np.argmax(stds))
-    return f"widest 95 % interval +-{1.96e3 * stds[widest]:.1f} g, at {1e3 * masses[widest]:.0f} g"
+    interval = shown("kg", Z95 * stds[widest], spec=".1f")
+    return f"widest 95 % interval +-{interval}, at {shown('kg', masses[widest], spec='.0f')}"
 
 
 def _varied(plans: Sequence[ProbePlan], count: int) -> list[ProbePlan]:
@@ -230,7 +232,7 @@ def _synthetic(joint: str, pose: Mapping[str, float], current_A: float, duration
     before_s = -np.arange(10, 0, -1) / RATE_HZ
     held = {name: position for name, position in pose.items() if name != joint}
     return Run(
-        name=f"{joint} {1e3 * current_A:+.0f} mA",
+        name=f"{joint} {shown('A', current_A, spec='+.0f')}",
         joint=joint,
         onset_ns=0,
         times_s=times_s,
@@ -297,8 +299,8 @@ def _candidates(
     if load is None:
         values[:, problem.index["payload_mass"]] = masses
     # friction that the file leaves open is half as large as it may be: none at all would make every plan too bold
-    coulomb = unknowns[problem.index[f"coulomb[{joint}]"]]
-    values[:, problem.index[coulomb.name]] += 0.5 * coulomb.std * (coulomb.value < coulomb.std)
+    coulomb = unknowns[problem.index["coulomb", joint]]
+    values[:, problem.index["coulomb", joint]] += 0.5 * coulomb.std * (coulomb.value < coulomb.std)
     with np.errstate(over="ignore", invalid="ignore"):
         q, v, dq = problem.simulate(values, problem.free)
     drive, limits = robot.drive_trains[joint], robot.model.joint(joint)
@@ -322,7 +324,6 @@ def _candidates(
 def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ProbePlan:
     prepared = candidates.problem.runs[r]
     run, travel = prepared.run, candidates.travel[:, r]
-    pose = {**run.held, run.joint: float(run.position[0])}
     pose = {**run.held, run.joint: float(run.position[0])}
     current = float(run.input_current_A[0])
     kind = _kind(prepared, current, float(travel[0]))

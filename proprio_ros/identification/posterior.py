@@ -106,7 +106,7 @@ def run_fits(
                 run.times_s[used:],
                 run.position[used:],
                 prepared.travel,
-                float(values[problem.index[f"v0[{row}]"]]),
+                float(values[problem.index["v0", row]]),
                 prepared.cut_reason,
                 run.notes,
             )

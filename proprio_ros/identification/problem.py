@@ -20,6 +20,7 @@ import numpy as np
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.held_joints import Motion, held_motions, loads_of_yielding
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
+from proprio_ros.kinds import KINDS, Key, Scope
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT, Run
 from proprio_ros.robot import DriveTrain, ReducedModel, Robot
@@ -33,16 +34,9 @@ from proprio_ros.sim.payload import (
     pseudo_inertia_basis,
 )
 
-DRIVE_TERMS = {
-    "torque_constant": "N m/A",
-    "coulomb": "N m",
-    "viscous": "N m s/rad",
-    "load_friction": "1",
-    "armature": "kg m^2",
-    "stribeck": "1",
-    "stribeck_velocity": "rad/s",
-}
-"""Fields of a ``DriveTrain`` that are unknowns of the driven joint, and their units."""
+PAYLOAD_TERMS = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale")
+DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
+"""Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
 SLOWEST_STRIBECK = 0.02
 """rad/s: a bump of friction narrower than this is over within a sample of any probe."""
 RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
@@ -69,7 +63,7 @@ class Coefficients:
         payload: per payload parameter, shape (4, 10).
         pose: names of the held joints whose zero matters.
         arm_by_pose: shape (H, 4); payload_by_pose: shape (H, 4, 10): change per unit of the held joint's position.
-        links: names of the link unknowns that matter, e.g. ``link_mass[link4]``, length L.
+        links: keys of the link unknowns that matter, e.g. ``("link_mass", "link4")``, length L.
         arm_by_link: change per unit of each, shape (L, 4).
     """
 
@@ -78,7 +72,7 @@ class Coefficients:
     pose: tuple[str, ...]
     arm_by_pose: np.ndarray
     payload_by_pose: np.ndarray
-    links: tuple[str, ...]
+    links: tuple[tuple[str, str], ...]
     arm_by_link: np.ndarray
 
 
@@ -162,12 +156,12 @@ def axis_and_gravity(model: ReducedModel) -> tuple[np.ndarray, np.ndarray]:
     return model.axes[0], model.placement[0][:3, :3].T @ model.gravity
 
 
-def _link_coefficients(robot: Robot, run: Run) -> tuple[tuple[str, ...], np.ndarray]:
+def _link_coefficients(robot: Robot, run: Run) -> tuple[tuple[tuple[str, str], ...], np.ndarray]:
     """What each link's deviations from the URDF add to the moving part (see ``LINK_TERMS``), where that is noticeable."""
     model = reduced_model(robot, run, {})
     axis, gravity = axis_and_gravity(model)
     stds = _link_stds(robot)
-    names: list[str] = []
+    keys: list[tuple[str, str]] = []
     rows: list[np.ndarray] = []
     for link in robot.model.links:
         body, body_from_link = model.frames[link.name]
@@ -188,9 +182,9 @@ def _link_coefficients(robot: Robot, run: Run) -> tuple[tuple[str, ...], np.ndar
             LINK_TERMS, stds, joint_coefficients(moved, model.kinds[0], axis, gravity), strict=True
         ):
             if np.abs(row).max() * std > _NEGLIGIBLE:
-                names.append(f"{term}[{link.name}]")
+                keys.append((term, link.name))
                 rows.append(row)
-    return tuple(names), np.array(rows).reshape(-1, 4)
+    return tuple(keys), np.array(rows).reshape(-1, 4)
 
 
 def _link_stds(robot: Robot) -> tuple[float, ...]:
@@ -236,6 +230,11 @@ def _slide_coefficients(robot: Robot, run: Run) -> Coefficients:
     arm = np.array([mass * per_rad**2, 0.0, 0.0, load * per_rad])
     empty = np.zeros((0, 4))
     return Coefficients(arm, np.zeros((4, 10)), (), empty, np.zeros((0, 4, 10)), (), empty)
+
+
+def joints_of(runs: Sequence[PreparedRun]) -> tuple[str, ...]:
+    """The joints that runs drive, each once."""
+    return tuple(dict.fromkeys(run.run.joint for run in runs))
 
 
 def at_the_shaft(robot: Robot, run: Run) -> Run:
@@ -411,53 +410,49 @@ def payload_unknowns(
     Args:
         drive_role: ``FROZEN`` keeps the robot at its file's values, ``FREE`` lets the recording move them under their priors.
     """
-    unknowns = [Unknown("payload_mass", "kg", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
+    unknowns = [Unknown("payload_mass", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
     for axis, name in enumerate("xyz"):
         spread = float(facts.com_std[axis])
-        unknowns.append(
-            Unknown(f"payload_com_{name}", "m", float(facts.com[axis]), spread, -1.0, 1.0).at_role(Role.FREE)
-        )
-    unknowns.append(Unknown("shape_scale", "1", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
+        unknowns.append(Unknown(f"payload_com_{name}", float(facts.com[axis]), spread, -1.0, 1.0).at_role(Role.FREE))
+    unknowns.append(Unknown("shape_scale", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
     return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
 
 
 def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) -> list[Unknown]:
     """What is open about the robot in these runs, shared and of each run on its own.
 
-    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown of that name.
+    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown.
     """
     shared = [
-        _from_quantity("arm_scale", "1", robot.arm_scale, lower=0.1),
-        _from_quantity("delay", "s", robot.delay, lower=-0.1, upper=0.1),
+        _from_quantity("arm_scale", None, robot.arm_scale, lower=0.1),
+        _from_quantity("delay", None, robot.delay, lower=-0.1, upper=0.1),
     ]
-    for name in dict.fromkeys(run.run.joint for run in runs):
+    for name in joints_of(runs):
         drive = robot.drive_trains[name]
-        for kind, unit in DRIVE_TERMS.items():
+        for kind in DRIVE_TERMS:
             lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
-            shared.append(_from_quantity(f"{kind}[{name}]", unit, getattr(drive, kind), lower=lower))
+            shared.append(_from_quantity(kind, name, getattr(drive, kind), lower=lower))
     for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
         moved = robot.drive_trains.get(name)
         if moved is not None and moved.transmission == 1.0:
             # a held joint's reading is rounded the same way in every sample
             std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
-            shared.append(_from_quantity(f"zero[{name}]", "rad", Quantity(moved.zero.value, std)))
+            shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
             for kind in RIPPLE_TERMS:
-                shared.append(_from_quantity(f"{kind}[{name}]", "rad", Quantity(0.0, moved.encoder_once_per_turn)))
+                shared.append(_from_quantity(kind, name, Quantity(0.0, moved.encoder_once_per_turn)))
     stds = dict(zip(LINK_TERMS, _link_stds(robot), strict=True))
-    for name in dict.fromkeys(name for run in runs for name in run.coefficients.links):
-        kind = name.split("[")[0]
-        unit = "m" if kind.startswith("link_com") else "1"
-        shared.append(_from_quantity(name, unit, Quantity(0.0, stds[kind])))
+    for kind, link in dict.fromkeys(key for run in runs for key in run.coefficients.links):
+        shared.append(_from_quantity(kind, link, Quantity(0.0, stds[kind])))
     known = {} if robot.calibration is None else robot.calibration.quantities
     unknowns = [
-        _from_quantity(u.name, u.unit, known[u.name], u.lower, u.upper) if u.name in known else u for u in shared
+        _from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u for u in shared
     ]
     unknowns = [u.at_role(drive_role) for u in unknowns]
     for row, run in enumerate(runs):
-        unknowns.append(Unknown(f"q0[{row}]", "rad", run.rest.value, run.rest.std))
-        unknowns.append(Unknown(f"v0[{row}]", "rad/s", 0.0, robot.start_velocity))
-        unknowns.append(Unknown(f"onset[{row}]", "s", 0.0, _onset_std(robot, run), -0.1, 0.1).at_role(drive_role))
-        unknowns.append(Unknown(f"disturbance[{row}]", "N m", 0.0, robot.torque_disturbance).at_role(drive_role))
+        unknowns.append(Unknown("q0", run.rest.value, run.rest.std, scope=row))
+        unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
+        unknowns.append(Unknown("onset", 0.0, _onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
+        unknowns.append(Unknown("disturbance", 0.0, robot.torque_disturbance, scope=row).at_role(drive_role))
     return unknowns
 
 
@@ -467,8 +462,10 @@ def _onset_std(robot: Robot, run: PreparedRun) -> float:
     return float(np.hypot(robot.onset_jitter_s, period / 2.0))
 
 
-def _from_quantity(name: str, unit: str, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf) -> Unknown:
-    return Unknown(name, unit, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper)
+def _from_quantity(
+    kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf
+) -> Unknown:
+    return Unknown(kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -501,12 +498,12 @@ class PayloadProblem:
         self.runs = tuple(runs)
         self.facts = facts
         self.unknowns = tuple(unknowns)
-        self.index = {u.name: row for row, u in enumerate(unknowns)}
+        self.index: dict[Key, int] = {u.key: row for row, u in enumerate(unknowns)}
         self.free = np.array([row for row, u in enumerate(unknowns) if u.role is Role.FREE])
         calibration = robot.calibration
         self.coordinates = Coordinates(
             [unknowns[row] for row in self.free],
-            None if calibration is None else (calibration.names, calibration.covariance),
+            None if calibration is None else (calibration.keys, calibration.covariance),
         )
         self.base = np.array([u.value for u in unknowns])
         self.simulator = self._simulator([self._joint_run(run, step_s) for run in runs], integrator)
@@ -516,42 +513,42 @@ class PayloadProblem:
         for row, run in enumerate(runs):
             self.measured[row, : run.used] = run.position
             self.weight[row, : run.used] = 1.0 / run.sigma
-        self._columns = np.arange(width)
         # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
-        bent = ("payload_com", "zero[", "shape_scale", "arm_scale", *RIPPLE_TERMS)
-        free_names = [unknowns[row].name for row in self.free]
-        self._affine = not any(name.startswith(bent) for name in free_names)
-        self._ripple = [
-            tuple(self.index.get(f"{kind}[{run.run.joint}]", -1) for kind in RIPPLE_TERMS) for run in self.runs
-        ]
-        self._ripples = any(name.startswith(RIPPLE_TERMS) for name in free_names) or any(
+        bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS}
+        free = [unknowns[row] for row in self.free]
+        kinds = {u.kind for u in free}
+        self._affine = kinds.isdisjoint(bent)
+        self._ripple = [tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS) for run in self.runs]
+        self._ripples = not kinds.isdisjoint(RIPPLE_TERMS) or any(
             self.base[row] != 0.0 for pair in self._ripple for row in pair if row >= 0
         )
         self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._world_runs: dict[int, np.ndarray] = {}
         self._identities: dict[int, np.ndarray] = {}
-        self._touching = [np.flatnonzero([self._touches(name, row) for name in free_names]) for row in range(len(runs))]
+        self._touching = [np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(runs))]
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator[Any]:
         return JointSimulator(runs, integrator)
 
-    def _touches(self, name: str, row: int) -> bool:
+    def _touches(self, unknown: Unknown, row: int) -> bool:
         """Whether an unknown can change anything in a run: its joints, its links, its own start, and what all share."""
-        kind, _, rest = name.partition("[")
-        owner, run = rest[:-1], self.runs[row]
-        if kind in ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale"):
+        run, owner = self.runs[row], unknown.scope
+        if unknown.kind in PAYLOAD_TERMS:
             return run.load is None
-        if not owner:
-            return True
-        if owner.isdigit():
-            return int(owner) == row
-        return owner == run.run.joint or owner in run.coefficients.pose or name in run.coefficients.links
+        match KINDS[unknown.kind].of:
+            case "run":
+                return owner == row
+            case "joint":
+                return owner == run.run.joint or owner in run.coefficients.pose
+            case "link":
+                return unknown.key in run.coefficients.links
+        return True
 
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
         drive = run.drive
         motor = float(np.abs(run.run.input_current_A).max()) * drive.torque_constant.value
-        friction = self._reach(f"coulomb[{run.run.joint}]") + self._reach(f"load_friction[{run.run.joint}]") * motor
-        friction *= 1.0 + self.unknowns[self.index[f"stribeck[{run.run.joint}]"]].value
+        friction = self._reach(("coulomb", run.run.joint)) + self._reach(("load_friction", run.run.joint)) * motor
+        friction *= 1.0 + self.unknowns[self.index["stribeck", run.run.joint]].value
         # near standstill Coulomb's law turns over within friction_velocity: the step must resolve v_s J / f_c
         lightest = float(run.coefficients.arm[0]) + 0.5 * drive.armature.value
         fine = self.robot.friction_velocity * lightest / friction if friction > 0.0 else step_s
@@ -579,9 +576,9 @@ class PayloadProblem:
         current = current_A[np.searchsorted(times_s, union, side="right") - 1]
         return union, current, run.yielding_load[np.searchsorted(begins, union, side="right") - 1]
 
-    def _reach(self, name: str) -> float:
+    def _reach(self, key: Key) -> float:
         """How large an unknown may get during the fit: its value, and two standard deviations more where it moves."""
-        unknown = self.unknowns[self.index[name]]
+        unknown = self.unknowns[self.index[key]]
         return unknown.value + (2.0 * unknown.std if unknown.role is Role.FREE else 0.0)
 
     def parameters(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -617,7 +614,7 @@ class PayloadProblem:
             g = arm_scale[:, None] * arm
             d = np.zeros((guesses, 4, len(self.unknowns)))
             d[:, :, at["arm_scale"]] = arm
-            links = [at[name] for name in c.links]
+            links = [at[key] for key in c.links]
             g += values[:, links] @ c.arm_by_link
             d[:, :, links] += c.arm_by_link.T
             if run.load is None:
@@ -632,7 +629,7 @@ class PayloadProblem:
                 change = arm_scale[:, None] * c.arm_by_pose[h] + carried @ c.payload_by_pose[h].T
                 for column, factor in by_zero:
                     d[:, :, column] += factor * change
-            zero_row = at.get(f"zero[{joint}]")
+            zero_row = at.get(("zero", joint))
             if zero_row is not None:
                 z = values[:, zero_row]
                 cos, sin = np.cos(z), np.sin(z)
@@ -645,18 +642,20 @@ class PayloadProblem:
                 d[:, 2, zero_row] -= g[:, 1]
             p[:, row, _GRAVITY_ROWS] = g
             dp[:, row, _GRAVITY_ROWS] = d
-            direct = {f"{kind}[{joint}]": (kind, 1.0) for kind in DRIVE_TERMS if kind != "armature"}
-            direct |= {
-                f"armature[{joint}]": ("inertia", 1.0),
-                f"disturbance[{row}]": ("gravity_constant", -1.0),
-                "delay": ("delay", 1.0),
-                f"onset[{row}]": ("delay", 1.0),
-                f"q0[{row}]": ("q0", 1.0),
-                f"v0[{row}]": ("v0", 1.0),
+            direct: dict[Key, tuple[str, float]] = {
+                (kind, joint): (kind, 1.0) for kind in DRIVE_TERMS if kind != "armature"
             }
-            for name, (parameter, sign) in direct.items():
-                p[:, row, INDEX[parameter]] += sign * values[:, at[name]]
-                dp[:, row, INDEX[parameter], at[name]] = sign
+            direct |= {
+                ("armature", joint): ("inertia", 1.0),
+                ("disturbance", row): ("gravity_constant", -1.0),
+                "delay": ("delay", 1.0),
+                ("onset", row): ("delay", 1.0),
+                ("q0", row): ("q0", 1.0),
+                ("v0", row): ("v0", 1.0),
+            }
+            for key, (parameter, sign) in direct.items():
+                p[:, row, INDEX[parameter]] += sign * values[:, at[key]]
+                dp[:, row, INDEX[parameter], at[key]] = sign
             if run.load is None:
                 p[:, row, INDEX["carried"]] = values[:, at["payload_mass"]]
                 dp[:, row, INDEX["carried"], at["payload_mass"]] = 1.0
@@ -683,12 +682,8 @@ class PayloadProblem:
 
     def _shift(self, name: str, reading: float, values: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
         """True position less reading of a held joint, shape (S,), and what it changes with."""
-        terms = [
-            (f"zero[{name}]", 1.0),
-            (f"ripple_cos[{name}]", -np.cos(reading)),
-            (f"ripple_sin[{name}]", -np.sin(reading)),
-        ]
-        present = [(self.index[term], float(factor)) for term, factor in terms if term in self.index]
+        terms = [("zero", 1.0), ("ripple_cos", -np.cos(reading)), ("ripple_sin", -np.sin(reading))]
+        present = [(self.index[kind, name], float(factor)) for kind, factor in terms if (kind, name) in self.index]
         return sum((values[:, row] * factor for row, factor in present), np.zeros(len(values))), present
 
     def _start_reading(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
@@ -701,7 +696,7 @@ class PayloadProblem:
         q = p[:, row, start].copy()
         cos, sin = np.cos(q), np.sin(q)
         p[:, row, start] = q - a * cos - b * sin
-        dp[:, row, start, self.index[f"q0[{row}]"]] = 1.0 + a * sin - b * cos
+        dp[:, row, start, self.index["q0", row]] = 1.0 + a * sin - b * cos
         dp[:, row, start, cos_row] = -cos
         dp[:, row, start, sin_row] = -sin
 

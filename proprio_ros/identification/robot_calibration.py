@@ -28,10 +28,12 @@ from proprio_ros.identification.problem import (
     KnownLoad,
     PayloadProblem,
     PreparedRun,
+    joints_of,
     prepare_run,
     robot_unknowns,
 )
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -139,9 +141,9 @@ def calibrate(
         return CalibrationEstimate(
             robot.name, Verdict.NOT_IDENTIFIABLE, tuple(found.reasons), len(runs), None, notes=tuple(found.notes)
         )
-    if not any(is_shared(u.name) and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
+    if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
         raise ConfigurationError(
-            f"{robot.source.name} states every number of {', '.join(dict.fromkeys(r.run.joint for r in usable))} as exactly known, "
+            f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known, "
             "so there is nothing to learn: give the numbers standard deviations"
         )
     progress(f"fitting {len(usable)} runs")
@@ -166,9 +168,9 @@ def calibrate(
         verdict = Verdict.REJECTED
         found.reasons.insert(
             0,
-            f"misfit: the runs only agree if {1e3 * fitted.noise.torque_disturbance:.0f} mN m come and go from run to run; the "
-            f"robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot in the recordings "
-            "(weights, unit of the current, gears?), or something pulls at it",
+            f"misfit: the runs only agree if {shown('N m', fitted.noise.torque_disturbance, spec='.0f')} come and go from "
+            f"run to run; the robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot "
+            "in the recordings (weights, unit of the current, gears?), or something pulls at it",
         )
     ends = fitted.solution.cost
     apart = int(np.sum(~(ends <= ends.min() + 2.0)))
@@ -246,10 +248,9 @@ def _rows(fitted: _Fitted) -> tuple[UnknownRow, ...]:
     rows = []
     for f, row in enumerate(fitted.problem.free):
         u = fitted.problem.unknowns[row]
-        if is_shared(u.name):
-            rows.append(
-                UnknownRow(u.name, u.unit, u.role.value, u.value, u.std, float(fitted.values[row]), float(stds[f]))
-            )
+        if u.shared:
+            value, std = float(fitted.values[row]), float(stds[f])
+            rows.append(UnknownRow(u.kind, u.role.value, u.value, u.std, value, std, scope=u.scope))
     return tuple(rows)
 
 
@@ -274,13 +275,11 @@ def _held_out(fitted: _Fitted) -> tuple[HeldOutRun, ...]:
 
 def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> tuple[str, ...]:
     """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
-    prior = {row.name: row for row in _rows(fitted)}
     sentences = []
-    for name, quantity in calibration.quantities.items():
-        kind = name.split("[")[0]
-        if kind in DRIVE_TERMS and kind != "stribeck_velocity" and quantity.std > UNLEARNT * prior[name].prior_std:
-            unit = "" if prior[name].unit == "1" else " " + prior[name].unit
-            sentences.append(f"{name} was not learnt: still {quantity.value:.3g} +- {quantity.std:.2g}{unit}")
+    for row in _rows(fitted):
+        if row.kind in DRIVE_TERMS and row.kind != "stribeck_velocity" and row.std > UNLEARNT * row.prior_std:
+            unit = "" if row.unit == "1" else " " + row.unit
+            sentences.append(f"{row.name} was not learnt: still {row.value:.3g} +- {row.std:.2g}{unit}")
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
     for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
@@ -327,7 +326,7 @@ def _starts(problem: PayloadProblem) -> np.ndarray:
     starts = np.tile(coordinates.prior_mean, (len(FRICTION_STARTS), 1))
     for column, row in enumerate(problem.free):
         unknown = problem.unknowns[row]
-        if unknown.name.startswith("coulomb[") and unknown.value < min(FRICTION_STARTS):
+        if unknown.kind == "coulomb" and unknown.value < min(FRICTION_STARTS):
             starts[:, column] = np.minimum(FRICTION_STARTS, unknown.value + 2.0 * unknown.std)
     return coordinates.internal(starts)
 
@@ -385,8 +384,8 @@ def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise
 
 def _of_runs(kind: str, problem: PayloadProblem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
     """An unknown of every run, and how much of it the recording tells rather than its prior (0 to 1); shapes (R,)."""
-    place = {problem.unknowns[row].name: f for f, row in enumerate(problem.free)}
-    columns = [place[f"{kind}[{r}]"] for r in range(len(problem.runs))]
+    place = problem.free.tolist()
+    columns = [place.index(problem.index[kind, r]) for r in range(len(problem.runs))]
     spread = np.diag(posterior.covariance)[columns]
     return posterior.values[problem.free[columns]], 1.0 - spread / std**2
 
@@ -397,18 +396,12 @@ def _spread(file_std: float, found: np.ndarray, told: np.ndarray) -> float:
     return float(np.sqrt((np.sum(found**2) + prior) / (max(float(told.sum()), 0.0) + PSEUDO_RUNS)))
 
 
-def is_shared(name: str) -> bool:
-    """Whether an unknown is the robot's, not a run's."""
-    return not name.startswith(("q0[", "v0[", "onset[", "disturbance["))
-
-
 def _as_calibration(fitted: _Fitted) -> Calibration:
     problem = fitted.problem
-    shared = [f for f, row in enumerate(problem.free) if is_shared(problem.unknowns[row].name)]
+    shared = [f for f, row in enumerate(problem.free) if problem.unknowns[row].shared]
     rows = problem.free[shared]
     return Calibration(
-        tuple(problem.unknowns[row].name for row in rows),
-        tuple(problem.unknowns[row].unit for row in rows),
+        tuple(problem.unknowns[row].key for row in rows),
         fitted.values[rows],
         fitted.posterior.covariance[np.ix_(shared, shared)],
         fitted.noise.residual_scale,

@@ -9,6 +9,7 @@ from enum import Enum
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.kinds import KINDS, Key, Tag
 
 
 class Role(Enum):
@@ -19,12 +20,11 @@ class Role(Enum):
 
 
 @dataclass(frozen=True)
-class Unknown:
+class Unknown(Tag):
     """One scalar unknown.
 
     Attributes:
-        name: e.g. ``payload_mass``, ``coulomb[joint3]``, ``q0[0]`` (run 0).
-        unit: SI unit of the physical value.
+        kind, scope: what it is, and whose; see ``Tag``.
         value: prior mean, and the value used while the unknown is not free.
         std: prior standard deviation; ``inf`` is no prior, 0 is known exactly.
         lower, upper: bounds on the physical value.
@@ -33,8 +33,6 @@ class Unknown:
         role: see ``Role``.
     """
 
-    name: str
-    unit: str
     value: float
     std: float
     lower: float = -np.inf
@@ -43,6 +41,8 @@ class Unknown:
     role: Role = Role.FREE
 
     def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ConfigurationError(f"{self.name}: no such kind of unknown; add it to KINDS")
         if not np.isfinite(self.value) or np.isnan(self.std) or self.std < 0.0:
             raise ConfigurationError(
                 f"{self.name}: value {self.value} and std {self.std} must be finite and std not negative"
@@ -62,11 +62,11 @@ class Coordinates:
 
     Args:
         unknowns: the free unknowns, in solver order.
-        correlated: names and covariance (physical units) of those whose priors belong together, as a calibration leaves them;
-            the others are independent. Names that are not among the unknowns are marginalised out.
+        correlated: keys and covariance (physical units) of those whose priors belong together, as a calibration leaves them;
+            the others are independent. Keys that are not among the unknowns are marginalised out.
     """
 
-    def __init__(self, unknowns: Sequence[Unknown], correlated: tuple[Sequence[str], np.ndarray] | None = None) -> None:
+    def __init__(self, unknowns: Sequence[Unknown], correlated: tuple[Sequence[Key], np.ndarray] | None = None) -> None:
         scales = np.array([u.asinh_scale for u in unknowns])
         self._curved = scales > 0.0
         self._scales = np.where(self._curved, scales, 1.0)
@@ -77,15 +77,15 @@ class Coordinates:
         with np.errstate(divide="ignore"):
             self.prior_precision = np.diag(np.where(np.isfinite(stds), 1.0 / stds**2, 0.0))
         if correlated is not None:
-            self._correlate([u.name for u in unknowns], *correlated)
+            self._correlate([u.key for u in unknowns], *correlated)
         # one step of the solver never leaves the range in which the linearisation means something
         self.step_limit = np.where(self._curved, 1.5, np.where(np.isfinite(stds), 5.0 * stds, np.inf))
         # a natural length per coordinate, for solvers that want one (Adam, CMA-ES)
         self.natural = np.where(self._curved, 1.0, np.where(np.isfinite(stds), stds, 1.0))
 
-    def _correlate(self, free: Sequence[str], names: Sequence[str], covariance: np.ndarray) -> None:
-        where = {name: row for row, name in enumerate(names)}
-        own = [row for row, name in enumerate(free) if name in where]
+    def _correlate(self, free: Sequence[Key], keys: Sequence[Key], covariance: np.ndarray) -> None:
+        where = {key: row for row, key in enumerate(keys)}
+        own = [row for row, key in enumerate(free) if key in where]
         if own:
             given = [where[free[row]] for row in own]
             block = covariance[np.ix_(given, given)]

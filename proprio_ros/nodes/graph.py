@@ -16,7 +16,6 @@ from typing import Any
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.messages import text_of
 
-NODES = ("virtual", "driver", "excitation", "identifier")
 END_S = 4.0
 """A node releases the arm and ends within a second; one that does not is killed."""
 _PR_SET_PDEATHSIG = 1
@@ -53,7 +52,7 @@ class Graph:
         self.stop()
 
     def start(self, node: str, parameters: Mapping[str, Any], namespace: str = "") -> subprocess.Popen[bytes]:
-        """Start one of `NODES` in a process and a session of its own, so that Ctrl-C reaches only us."""
+        """Start a node, such as `driver`, in a process and a session of its own, so that Ctrl-C reaches only us."""
         words = [sys.executable, "-m", f"proprio_ros.nodes.{node}", "--ros-args"]
         for name, value in parameters.items():
             words += ["-p", f"{name}:={text_of(value)}"]

@@ -33,12 +33,13 @@ from proprio_ros.calibrate import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
-from proprio_ros.identification.estimate import Z95, Estimate, Verdict, shown_unit
+from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
+from proprio_ros.quantity import Z95, shown
 from proprio_ros.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import write_calibration_report
 from proprio_ros.session import (
@@ -559,7 +560,6 @@ class IdentifierNode(ManagedNode):
             return
         told_samples = 0
         name, unit = probe_named(job.kind).answer
-        factor, shown = shown_unit(unit)
         while self._session is not None and not job.cancelled.is_set():
             if not self._driven:
                 time.sleep(0.005)
@@ -576,7 +576,7 @@ class IdentifierNode(ManagedNode):
                     "probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit,
                     f"{name}.std": std, f"{name}.ci95": [value - Z95 * std, value + Z95 * std],
                 }  # fmt: skip
-                words = f"{factor * value:.1f} +- {factor * Z95 * std:.1f} {shown}"
+                words = shown(unit, value, Z95 * std, spec=".1f", between=" +- ")
                 self._publish_estimate("ok", estimate.probe, f"live, {samples} samples: {words}", told)
             time.sleep(period_s)
 
@@ -621,7 +621,7 @@ class IdentifierNode(ManagedNode):
             "runs": estimate.runs,
         }
         for row in estimate.unknowns:
-            if not row.name.startswith(("link_", "ripple_")):
+            if not row.is_detail:
                 told |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
         told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         accepted = estimate.verdict is Verdict.ACCEPTED
@@ -649,9 +649,8 @@ def _interval_of(estimate: Estimate) -> str:
     value = estimate.values[0]
     if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
         return ""
-    factor, unit = shown_unit(value.unit)
-    low, high = (factor * end for end in value.ci95)
-    return f"{factor * value.value:.1f} {unit}, 95 % interval {low:.1f} .. {high:.1f} {unit}"
+    number, interval = shown(value.unit, value.value, spec=".1f"), shown(value.unit, *value.ci95, spec=".1f")
+    return f"{number}, 95 % interval {interval}"
 
 
 def _refusal_of(estimate: Estimate) -> str:

@@ -13,8 +13,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from visualization_msgs.msg import Marker, MarkerArray
 
-from proprio_ros.identification.estimate import Z95, shown_unit
 from proprio_ros.probes.base import Carried, Shapes
+from proprio_ros.quantity import Z95, shown
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
@@ -128,7 +128,6 @@ def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float,
     Args:
         value, std: in the SI unit ``unit``.
     """
-    factor, shown = shown_unit(unit)
     bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
     array = [Marker(action=Marker.DELETEALL)]
     written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
@@ -143,7 +142,7 @@ def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float,
         marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.1, 0.5, 0.9, opacity
         if kind == Marker.TEXT_VIEW_FACING:
             position.z += 0.06
-            marker.text = f"{factor * value:.1f} {shown} +- {factor * Z95 * std:.1f} {shown}"
+            marker.text = f"{shown(unit, value, spec='.1f')} +- {shown(unit, Z95 * std, spec='.1f')}"
         array.append(marker)
     return MarkerArray(markers=array)
 

@@ -6,17 +6,12 @@ import numpy as np
 
 from proprio_ros.calibration import Calibration
 from proprio_ros.identification.calibration_estimate import HeldOutRun
-from proprio_ros.identification.estimate import Z95, RunFit, UnknownRow
+from proprio_ros.identification.estimate import RunFit, UnknownRow
+from proprio_ros.kinds import KINDS, label_of
+from proprio_ros.quantity import Z95
 from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, svg
 
-TERMS = {
-    "torque_constant": "torque constant (N m/A)",
-    "coulomb": "Coulomb friction (N m)",
-    "viscous": "viscous friction (N m s/rad)",
-    "load_friction": "load friction (1)",
-    "armature": "armature (kg m²)",
-    "stribeck": "rise at standstill (1)",
-}
+TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck")
 NOTICEABLE = 0.3
 """Correlations below this are not worth a row of the picture."""
 MOST_CORRELATED = 30
@@ -25,18 +20,17 @@ RUNS_A_ROW = 4
 
 def joints_of(unknowns: tuple[UnknownRow, ...]) -> list[str]:
     """Joints whose drive trains are among the unknowns."""
-    prefix = "torque_constant["
-    return [row.name[len(prefix) : -1] for row in unknowns if row.name.startswith(prefix)]
+    return [str(row.scope) for row in unknowns if row.kind == "torque_constant"]
 
 
 def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
     """Every term of every joint: what the file said (pale), and what the runs say now (dark), 95 % each."""
-    rows = {row.name: row for row in unknowns}
+    rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
     with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (figure, axes):
-        for axis, (term, label) in zip(axes.ravel(), TERMS.items(), strict=True):
+        for axis, term in zip(axes.ravel(), TERMS, strict=True):
             for place, joint in enumerate(joints[::-1]):
-                row = rows.get(f"{term}[{joint}]")
+                row = rows.get((term, joint))
                 if row is None:
                     continue
                 for value, std, height, color in (
@@ -47,7 +41,7 @@ def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
                     axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
                 axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
             axis.set_yticks(range(len(joints)), joints[::-1])
-            axis.set_title(label, fontsize=9.5, loc="left")
+            axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
             axis.grid(axis="y", visible=False)
             axis.locator_params(axis="x", nbins=5)
         return svg(figure, "Drive-train terms of every joint with 95 % intervals, before and after")
@@ -55,11 +49,11 @@ def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
 
 def correlation_figure(calibration: Calibration) -> str:
     """Correlations between the unknowns that have any to speak of."""
-    strength = np.abs(calibration.correlation - np.eye(len(calibration.names))).max(axis=1)
+    strength = np.abs(calibration.correlation - np.eye(len(calibration.keys))).max(axis=1)
     chosen = [row for row in np.argsort(-strength) if strength[row] > NOTICEABLE][:MOST_CORRELATED]
-    chosen = sorted(int(row) for row in chosen) or list(range(min(len(calibration.names), 2)))
-    names = [calibration.names[row] for row in chosen]
-    size = 2.6 + 0.2 * len(names)
+    chosen = sorted(int(row) for row in chosen) or list(range(min(len(calibration.keys), 2)))
+    names = [label_of(calibration.keys[row]) for row in chosen]
+    size = 3.8 + 0.2 * len(names)
     with drawn(size + 1.0, size) as (figure, axis):
         shown = calibration.correlation[np.ix_(chosen, chosen)]
         edges = np.arange(len(names) + 1) - 0.5

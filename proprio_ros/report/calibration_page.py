@@ -8,6 +8,8 @@ from pathlib import Path
 
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.kinds import KINDS
+from proprio_ros.quantity import shown
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report.html import document, framed, listed, provenance, table
 from proprio_ros.resources import write_in_one_step
@@ -90,9 +92,9 @@ def _headline(estimate: CalibrationEstimate) -> list[str]:
     ]
     if estimate.fit is not None:
         fit = estimate.fit
-        parts.append(f"<p class=value>{1e3 * fit.rms:.2f} mrad</p>")
+        parts.append(f"<p class=value>{shown(fit.unit, fit.rms)}</p>")
         parts.append(
-            f"<p class=interval>rms of the residuals over all runs; {1e3 * fit.expected_rms:.2f} mrad expected of encoder and "
+            f"<p class=interval>rms of the residuals over all runs; {shown(fit.unit, fit.expected_rms)} expected of encoder and "
             "stamps as they were learnt</p>"
         )
     if estimate.reasons:
@@ -106,9 +108,9 @@ def _noise(estimate: CalibrationEstimate) -> list[str]:
         return []
     rows = [
         ["readings, over what the robot file says of encoder noise and rounding", f"{calibration.residual_scale:.2f}"],
-        ["stamps of the joint states", f"{1e3 * calibration.stamp_jitter_s:.2f} ms"],
-        ["torque that differs from run to run", f"{1e3 * calibration.torque_disturbance:.2f} mN m"],
-        ["velocity at which probes begin", f"{1e3 * calibration.start_velocity:.1f} mrad/s"],
+        ["stamps of the joint states", shown("s", calibration.stamp_jitter_s)],
+        [KINDS["disturbance"].label, shown("N m", calibration.torque_disturbance)],
+        ["velocity at which probes begin", shown("rad/s", calibration.start_velocity)],
     ]
     return ["<h3>Noise, as the runs show it (standard deviations)</h3>", table(["", ""], rows, numbers=(1,))]
 
@@ -121,7 +123,7 @@ def _advice(estimate: CalibrationEstimate) -> list[str]:
             plan.joint,
             plan.kind,
             ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items()),
-            f"{1e3 * plan.current_A:+.0f} mA, {plan.duration_s:g} s",
+            f"{shown('A', plan.current_A, spec='+.0f')}, {plan.duration_s:g} s",
             f"{100 * plan.clearance_m:.0f} cm",
             plan.reason,
         ]
@@ -136,7 +138,7 @@ def _unknowns(estimate: CalibrationEstimate) -> list[str]:
         return []
     rows = [
         [
-            row.name,
+            row.label,
             f"{row.prior:.6g} ± {row.prior_std:.3g}",
             f"{row.value:.6g} ± {row.std:.3g}",
             f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-",

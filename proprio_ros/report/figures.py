@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, RunFit, shown_unit
+from proprio_ros.identification.estimate import Estimate, RunFit
+from proprio_ros.kinds import key_of, label_of
+from proprio_ros.quantity import shown_unit
 
 INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
 
@@ -99,8 +101,8 @@ def run_figure(fit: RunFit, number: int) -> str:
 
 
 def searched_in_words(estimate: Estimate) -> str:
-    """What was searched for: "payload mass", "sphere mass", "youngs modulus"."""
-    return estimate.values[0].name.replace("_", " ")
+    """What was searched for: "payload mass", "sphere mass", "Young's modulus"."""
+    return estimate.values[0].label
 
 
 def _scale(estimate: Estimate) -> tuple[float, str]:
@@ -155,7 +157,8 @@ def budget_figure(estimate: Estimate) -> str:
     factor, unit = _scale(estimate)
     entries = list(estimate.budget[:8])[::-1]
     with drawn(7.4, 0.6 + 0.3 * len(entries)) as (figure, axes):
-        axes.barh([source for source, _ in entries], [factor * std for _, std in entries], color=ACCENT, height=0.62)
+        labels = [label_of(key_of(source)) for source, _ in entries]
+        axes.barh(labels, [factor * std for _, std in entries], color=ACCENT, height=0.62)
         axes.set_xlabel(f"standard deviation it puts on the {searched_in_words(estimate)} ({unit})")
         axes.grid(axis="y", visible=False)
         return svg(figure, f"Contributions to the uncertainty of the {searched_in_words(estimate)}")

@@ -7,7 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.identification.estimate import Estimate, Value, Verdict, shown_unit
+from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.quantity import shown, shown_unit
 from proprio_ros.report import figures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
@@ -80,22 +81,19 @@ def _in_words(value: Value) -> str:
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
-        numbers = ", ".join("?" if v is None else f"{1e3 * v:.1f}" for v in value.value)
-        return f"{value.name.replace('_', ' ')} [{numbers}] mm"
-    factor, unit = shown_unit(value.unit)
-    return f"{factor * value.value:.2f} {unit}" if factor != 1.0 else f"{value.value:.4g} {unit}".removesuffix(" 1")
+        factor, unit = shown_unit(value.unit)
+        numbers = ", ".join("?" if v is None else f"{factor * v:.1f}" for v in value.value)
+        return f"{value.label} [{numbers}] {unit}"
+    return shown(value.unit, value.value)
 
 
 def _interval_in_words(value: Value) -> str:
-    name = value.name.replace("_", " ")
     if isinstance(value.ci95, list) and not isinstance(value.value, list):
-        low, high = value.ci95
-        factor, unit = shown_unit(value.unit)
-        if factor == 1.0:
-            return f"{name}, 95 % interval {low:.4g} to {high:.4g} {unit}".removesuffix(" 1")
-        interval = f"95 % interval {factor * low:.2f} to {factor * high:.2f} {unit}"
-        return f"{name}, {interval} ({value.value:.6g} {value.unit}, standard deviation {value.std:.6g})"
-    return f"{name}: {value.reason}" if value.reason else name
+        words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, between=' to ')}"
+        if shown_unit(value.unit)[0] == 1.0:
+            return words
+        return f"{words} ({value.value:.6g} {value.unit}, standard deviation {value.std:.6g})"
+    return f"{value.label}: {value.reason}" if value.reason else value.label
 
 
 def _convergence(estimate: Estimate) -> list[str]:
@@ -130,7 +128,7 @@ def _convergence(estimate: Estimate) -> list[str]:
 def _values(estimate: Estimate) -> list[str]:
     parts = ["<h2>Values and intervals</h2>"]
     rows = [
-        [value.name, number(value.value), number(value.std), _interval(value.ci95), value.unit, value.reason]
+        [value.label, number(value.value), number(value.std), _interval(value.ci95), value.unit, value.reason]
         for value in estimate.values
     ]
     parts.append(table(["estimate", "value", "std", "95 % interval", "unit", ""], rows, numbers=(1, 2, 3)))
@@ -138,7 +136,7 @@ def _values(estimate: Estimate) -> list[str]:
         parts.append("<h3>Every unknown: what the robot file says, and what the recording adds</h3>")
         rows = [
             [
-                row.name,
+                row.label,
                 _ROLES.get(row.role, row.role),
                 "none" if row.prior_std == float("inf") else f"{row.prior:.6g} ± {row.prior_std:.3g}",
                 f"{row.value:.6g} ± {row.std:.3g}",
@@ -150,8 +148,8 @@ def _values(estimate: Estimate) -> list[str]:
     if estimate.fit is not None:
         fit = estimate.fit
         rows = [
-            ["rms residual", f"{1e3 * fit.rms:.3f} m{fit.unit}"],
-            ["expected from encoder and stamps", f"{1e3 * fit.expected_rms:.3f} m{fit.unit}"],
+            ["rms residual", shown(fit.unit, fit.rms)],
+            ["expected from encoder and stamps", shown(fit.unit, fit.expected_rms)],
             ["reduced chi-square", f"{fit.reduced_chi2:.3g}"],
             ["condition of the scaled normal matrix", number(fit.condition)],
         ]

@@ -6,7 +6,7 @@ import copy
 import difflib
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
@@ -18,6 +18,7 @@ from ruamel.yaml.error import YAMLError
 
 from proprio_ros.calibration import Calibration
 from proprio_ros.errors import RobotError
+from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
@@ -50,7 +51,6 @@ class Robot:
         payload_frame: Link in which objects are held.
         gravity: In the base frame [m/s^2], shape (3,).
         source: The YAML file.
-        calibrated: Whether the numbers come from a calibration of this very arm.
         settings: The YAML file's content with everything it extends merged in; `with_overrides` builds on it.
     """
 
@@ -65,7 +65,6 @@ class Robot:
     payload_frame: str
     gravity: FloatArray
     source: Path
-    calibrated: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
     onset_jitter_s: float = 0.0
     torque_disturbance: float = 0.0
@@ -75,6 +74,16 @@ class Robot:
     link_inertia_std: float = 0.0
     residual_scale: float = 1.0
     calibration: Calibration | None = None
+
+    def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
+        """Whether the numbers come from this very arm, as its file says and as every calibration does.
+
+        Args:
+            joints: Whether a calibration has learnt the drive trains of all of these; a file that only says so has learnt none.
+        """
+        if joints is None:
+            return self.calibration is not None or bool(self.settings.get("calibrated"))
+        return self.calibration is not None and set(joints) <= set(self.calibration.joints)
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> Robot:
         """The same robot with some settings replaced.
@@ -111,9 +120,7 @@ class Robot:
         known = calibration.quantities
         drives = {}
         for joint, drive in self.drive_trains.items():
-            terms: dict[str, Any] = {
-                term: known.get(f"{term}[{joint}]", getattr(drive, term)) for term in _CALIBRATED_TERMS
-            }
+            terms: dict[str, Any] = {term: known.get((term, joint), getattr(drive, term)) for term in _CALIBRATED_TERMS}
             drives[joint] = replace(drive, **terms)
         return replace(
             self,
@@ -124,7 +131,6 @@ class Robot:
             start_velocity=calibration.start_velocity,
             residual_scale=calibration.residual_scale,
             stamp_jitter_s=calibration.stamp_jitter_s,
-            calibrated=True,
             calibration=calibration,
         )
 
@@ -274,12 +280,12 @@ _CALIBRATED_TERMS = (
 )  # fmt: skip
 
 
-def _unknown_of(path: tuple[str, ...]) -> str:
-    """Name of the unknown that a setting states, such as ``coulomb[joint3]``; any other text where it states none."""
+def _unknown_of(path: tuple[str, ...]) -> Key:
+    """Key of the unknown that a setting states, such as ``("coulomb", "joint3")``; that of no unknown where it states none."""
     name = path[-1]
     for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad_s", "_rad", "_s"):
         name = name.removesuffix(unit)
-    return name if len(path) == 1 else f"{name}[{path[1]}]"
+    return name if len(path) == 1 else (name, path[1])
 
 
 def _as_mapping(value: Any, where: str) -> Mapping[str, Any]:
@@ -466,7 +472,6 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         payload_frame=given["payload_frame"],
         gravity=given["gravity"],
         source=source,
-        calibrated=given["calibrated"],
         settings=settings,
     )
     return robot if calibration is None else robot.with_calibration(calibration)

@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import NamedTuple
 
 BROADCAST_ID = 0xFE
-HIGHEST_ID = 252
 ALERT = 0x80
 """Bit of the error byte: look at Hardware Error Status."""
 

@@ -276,7 +276,7 @@ def mujoco_fit(box: Boxed, step_s: float, integrator: str) -> Callable[[], tuple
     unknowns = [problem.unknowns[row] for row in problem.free]
     mean, std = np.array([u.value for u in unknowns]), np.array([u.std for u in unknowns])
     mass = box.names.index("sphere_mass")
-    places = [problem.index[f"sphere_{axis}[0]"] for axis in "xyz"]
+    places = [problem.index[f"sphere_{axis}", 0] for axis in "xyz"]
     at = problem.index
     rollouts = 0
     # scipy's difference is a share of the coordinate, so none may lie at 0: priors lie at 10, and one step is 0.01 of their width
@@ -293,8 +293,8 @@ def mujoco_fit(box: Boxed, step_s: float, integrator: str) -> Callable[[], tuple
         shown = mujoco_box.positions(
             values[at["sphere_mass"]],
             values[places],
-            values[at["q0[0]"]],
-            values[at["v0[0]"]],
+            values[at["q0", 0]],
+            values[at["v0", 0]],
             CURRENT_A,
             prepared.times_s,
         )

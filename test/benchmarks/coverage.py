@@ -51,6 +51,7 @@ from proprio_ros.identification.problem import KnownLoad, PayloadProblem, Prepar
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
@@ -132,8 +133,7 @@ def true_values(hidden: HiddenRobot, problem: PayloadProblem, mass: float) -> np
     """The simulator's numbers for every unknown; what differs from run to run stays at its mean."""
     values = problem.base.copy()
     for row, unknown in enumerate(problem.unknowns):
-        kind, _, rest = unknown.name.partition("[")
-        owner = rest.rstrip("]")
+        kind, owner = unknown.kind, unknown.scope
         if owner in JOINTS:
             j = JOINTS.index(owner)
             wave = hidden.once_per_turn[j]
@@ -239,11 +239,11 @@ def line(name: str, answers: Sequence[Answer], refused: int | None = None, asked
     std = np.array([a.std for a in answers])
     bound = np.array([a.bound for a in answers])
     hits = float(np.mean([a.holds for a in answers]))
-    margin = 1.96 * np.sqrt(max(hits * (1.0 - hits), 1e-4) / len(answers))
+    margin = Z95 * np.sqrt(max(hits * (1.0 - hits), 1e-4) / len(answers))
     print(
         f"| {name} | {len(answers)}{'' if refused is None else f' of {asked}'} | {100 * hits:.1f} ± {100 * margin:.1f} % | "
         f"{1e3 * np.sqrt(np.mean(error**2)):.2f} | {1e3 * np.median(np.abs(error)):.2f} | "
-        f"{1e3 * 1.96 * np.median(std):.2f} | {np.median(std / bound):.2f} |",
+        f"{1e3 * Z95 * np.median(std):.2f} | {np.median(std / bound):.2f} |",
         flush=True,
     )
 

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "excitation"))
 
 from test_softness import GAP_M, calibrated, squeezed
 
-from proprio_ros.identification.estimate import Z95
+from proprio_ros.quantity import Z95
 from proprio_ros.virtual.objects import SoftBlock
 
 BLOCKS = ((8e3, 0.3), (30e3, 0.13), (150e3, 0.4))

@@ -403,7 +403,7 @@ def test_a_camera_makes_it_surer(realistic: Level) -> None:
     both = problem_of(realistic, folders, [track])
     assert both.camera_rms(values) < 1e-6
     assert both.samples == alone.samples + path.size
-    row = both.index["sphere_x[0]"]
+    row = both.index["sphere_x", 0]
     assert Posterior(both, values).whole_covariance()[row, row] < Posterior(alone, values).whole_covariance()[row, row]
 
 

@@ -154,7 +154,7 @@ def test_the_advised_run_teaches_more_than_a_middling_one(bags: Path) -> None:
 
     def uncertainty(runs) -> float:
         calibration = calibrate(robot, runs, advice=0).calibration
-        rows = [calibration.names.index(f"{term}[joint3]") for term in ADVISED_TERMS]
+        rows = [calibration.keys.index((term, "joint3")) for term in ADVISED_TERMS]
         return float(np.linalg.slogdet(calibration.covariance[np.ix_(rows, rows)])[1])
 
     first = calibrate(robot, known, advice=0).calibration

@@ -44,9 +44,9 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
         found = small.all_values(small.coordinates.physical(solution.internal))[0]
         # the run's own unknowns fall back to their priors
         foretold = problem.base.copy()
-        for name, row in small.index.items():
-            if not name.endswith("]") or not name.split("[")[1][:-1].isdigit():
-                foretold[problem.index[name]] = found[row]
+        for unknown, value in zip(small.unknowns, found, strict=True):
+            if unknown.shared:
+                foretold[problem.index[unknown.key]] = value
         q, _, _ = problem.simulate(foretold[None], problem.free)
         used = prepared[out].used
         expected = prepared[out].position - q[0, out, :used]
@@ -59,14 +59,10 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
 def _moved(problem: PayloadProblem, small: PayloadProblem, values: np.ndarray, out: int) -> np.ndarray:
     """Start values of the smaller problem: the larger one's, runs renumbered."""
     start = small.base.copy()
-    for name, row in small.index.items():
-        kind, _, rest = name.partition("[")
-        number = rest[:-1]
-        if number.isdigit():
-            larger = int(number) + (int(number) >= out)
-            start[row] = values[problem.index[f"{kind}[{larger}]"]]
-        else:
-            start[row] = values[problem.index[name]]
+    for row, unknown in enumerate(small.unknowns):
+        scope = unknown.scope
+        larger = unknown if unknown.shared else replace(unknown, scope=scope + (scope >= out))
+        start[row] = values[problem.index[larger.key]]
     return start
 
 
@@ -90,9 +86,9 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
     stds = np.array([u.std for u in problem.unknowns])
     assert np.all(np.sqrt(np.diag(whole)) <= stds * (1.0 + 1e-9))
     one = PayloadProblem(robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE))
-    single = Posterior(one, np.array([values[problem.index[name]] for name in one.index])).whole_covariance()
-    for name in ("coulomb[joint3]", "armature[joint3]", "torque_constant[joint3]"):
-        assert whole[problem.index[name], problem.index[name]] < single[one.index[name], one.index[name]]
+    single = Posterior(one, np.array([values[problem.index[key]] for key in one.index])).whole_covariance()
+    for key in (("coulomb", "joint3"), ("armature", "joint3"), ("torque_constant", "joint3")):
+        assert whole[problem.index[key], problem.index[key]] < single[one.index[key], one.index[key]]
 
 
 def test_inflation_widens_the_data_not_the_prior(fitted) -> None:

@@ -130,7 +130,7 @@ def test_the_truth_lies_inside_what_the_calibration_says(
         off = []
         for joint in ("joint2", "joint3", "joint4"):
             for ours, theirs in names.items():
-                quantity = known[f"{ours}[{joint}]"]
+                quantity = known[ours, joint]
                 off.append((quantity.value - truth["joints"][joint][theirs]) / quantity.std)
         off.append((known["arm_scale"].value - truth["link_mass_scale"]) / known["arm_scale"].std)
         assert np.abs(off).max() < 3.0 and np.sqrt(np.mean(np.square(off))) < 1.3
@@ -153,15 +153,15 @@ def test_a_reference_tells_torque_from_weight(learnt: dict[tuple[str, bool], Cal
     without, with_reference = (learnt["realistic_s00", told] for told in (False, True))
     assert any("only told as a ratio" in sentence for sentence in without.not_told_apart)
     assert not any("only told as a ratio" in sentence for sentence in with_reference.not_told_apart)
-    stds = [e.calibration.quantities["torque_constant[joint2]"].std for e in (without, with_reference)]
+    stds = [e.calibration.quantities["torque_constant", "joint2"].std for e in (without, with_reference)]
     assert stds[1] < 0.75 * stds[0]
 
 
 def test_frictionless_robots_are_found_frictionless(recordings: Path, robot: Robot) -> None:
     known = calibrate(robot, empty_runs(recordings / "quantised_s00", robot), advice=0).calibration.quantities
     for joint in ("joint2", "joint3", "joint4"):
-        assert known[f"coulomb[{joint}]"].value < 2.0 * known[f"coulomb[{joint}]"].std + 5e-4
-        assert known[f"armature[{joint}]"].value == pytest.approx(0.012, abs=2.0 * known[f"armature[{joint}]"].std)
+        assert known["coulomb", joint].value < 2.0 * known["coulomb", joint].std + 5e-4
+        assert known["armature", joint].value == pytest.approx(0.012, abs=2.0 * known["armature", joint].std)
 
 
 def test_the_gripper_is_calibrated_at_its_motor(recordings: Path, robot: Robot) -> None:
@@ -170,7 +170,7 @@ def test_the_gripper_is_calibrated_at_its_motor(recordings: Path, robot: Robot) 
     estimate = calibrate(robot, runs, advice=0)
     truth = truth_of(level / "squeeze_empty_0")["joints"]["gripper_left_joint"]
     for term in ("coulomb", "armature", "viscous"):
-        quantity = estimate.calibration.quantities[f"{term}[gripper_left_joint]"]
+        quantity = estimate.calibration.quantities[term, "gripper_left_joint"]
         assert abs(quantity.value - truth[term]) < 2.5 * quantity.std
     assert any("gripper_left_joint only ever moved" in reason for reason in estimate.reasons)
 
@@ -211,7 +211,7 @@ def test_what_was_not_probed_is_not_told(recordings: Path, robot: Robot) -> None
     assert any("load_friction[joint3] was not learnt" in sentence for sentence in estimate.not_told_apart)
     both = calibrate(robot, empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*"), advice=0)
     assert not any("only ever moved" in reason for reason in both.reasons)
-    stds = [e.calibration.quantities["coulomb[joint3]"].std for e in (estimate, both)]
+    stds = [e.calibration.quantities["coulomb", "joint3"].std for e in (estimate, both)]
     assert stds[1] < 0.5 * stds[0]
 
 
@@ -244,9 +244,9 @@ def test_a_calibration_is_not_calibrated_again(
 def test_the_posterior_does_not_depend_on_the_order_of_the_runs(recordings: Path, robot: Robot) -> None:
     known = empty_runs(recordings / "realistic_s01", robot, "empty_0[0-5]*")
     one, other = (calibrate(robot, runs, advice=0).calibration for runs in (known, known[::-1]))
-    for name, quantity in one.quantities.items():
-        assert other.quantities[name].value == pytest.approx(quantity.value, abs=0.02 * quantity.std)
-        assert other.quantities[name].std == pytest.approx(quantity.std, rel=0.02)
+    for key, quantity in one.quantities.items():
+        assert other.quantities[key].value == pytest.approx(quantity.value, abs=0.02 * quantity.std)
+        assert other.quantities[key].std == pytest.approx(quantity.std, rel=0.02)
 
 
 def test_pooled_runs_with_a_calibration(

@@ -17,7 +17,7 @@ class Valley:
 
     def __init__(self, upper_x: float = np.inf) -> None:
         self.coordinates = Coordinates(
-            [Unknown("x", "1", 0.0, np.inf, -5.0, upper_x), Unknown("y", "1", 0.0, np.inf, -50.0, 50.0)]
+            [Unknown("sphere_x", 0.0, np.inf, -5.0, upper_x), Unknown("sphere_y", 0.0, np.inf, -50.0, 50.0)]
         )
 
     def linearise(
@@ -76,7 +76,7 @@ def test_adam_and_cma_agree_with_the_known_minimum() -> None:
 
 
 def test_mass_coordinate_is_a_logarithm_that_passes_through_zero() -> None:
-    coordinates = Coordinates([Unknown("m", "kg", 0.05, np.inf, -0.5, 20.0, asinh_scale=0.005)])
+    coordinates = Coordinates([Unknown("payload_mass", 0.05, np.inf, -0.5, 20.0, asinh_scale=0.005)])
     masses = np.array([[-0.01], [0.0], [1e-4], [0.5]])
     u = coordinates.internal(masses)
     np.testing.assert_allclose(coordinates.physical(u), masses, atol=1e-15)
@@ -87,10 +87,10 @@ def test_mass_coordinate_is_a_logarithm_that_passes_through_zero() -> None:
 
 
 def test_an_unknown_that_is_known_exactly_stays_frozen() -> None:
-    known = Unknown("kt", "N m/A", 1.78, 0.0)
+    known = Unknown("torque_constant", 1.78, 0.0)
     assert known.at_role(Role.FREE).role is Role.FROZEN
-    assert Unknown("kt", "N m/A", 1.78, 0.1).at_role(Role.FREE).role is Role.FREE
+    assert Unknown("torque_constant", 1.78, 0.1).at_role(Role.FREE).role is Role.FREE
     with pytest.raises(ConfigurationError, match="outside"):
-        Unknown("fc", "N m", -0.1, 0.01, lower=0.0)
+        Unknown("coulomb", -0.1, 0.01, lower=0.0)
     with pytest.raises(ConfigurationError, match="std"):
-        Unknown("fc", "N m", 0.1, -1.0)
+        Unknown("coulomb", 0.1, -1.0)

@@ -33,7 +33,7 @@ def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path
     for sentence in (*estimate.reasons, *estimate.not_told_apart, *estimate.notes):
         assert sentence in words
     for row in estimate.unknowns:
-        assert row.name in words
+        assert row.label in words
     for plan in estimate.advice:
         assert plan.reason in words
     assert "proprio calibrate <bag>" in words and "one & two" in words and "accepted" in words

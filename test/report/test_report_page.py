@@ -39,7 +39,7 @@ def test_an_accepted_result(estimate: Estimate, tmp_path: Path) -> None:
     ):
         assert heading in text
     for row in estimate.unknowns:
-        assert row.name in text
+        assert row.label in text
     for reason in estimate.reasons:
         assert reason in text
     assert reader.tags.count("svg") == 4

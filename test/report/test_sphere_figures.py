@@ -227,6 +227,7 @@ def estimate() -> Estimate:
             Value("sphere_mass", "kg", 0.01189, 0.00065, [0.01062, 0.01317]),
             Value("container_mass", "kg", 0.03027, 0.0009, [0.02851, 0.03203]),
         ),
+        unknowns=(),  # those of a payload
         run_fits=weighed.run_fits * 6,
         paths=tuple(replace(rolled(shape), run=f"tilted <{shape}>") for shape in INSIDES),
     )

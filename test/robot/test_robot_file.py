@@ -48,7 +48,7 @@ def test_minimal_robot_file(folder: Path) -> None:
     assert (drive.load_friction.value, drive.zero.value, drive.transmission) == (0.0, 0.0, 1.0)
     assert drive.usable_velocity == math.inf
     assert robot.motors["a"].id is None
-    assert (robot.delay.value, robot.arm_scale.value, robot.calibrated) == (0.0, 1.0, False)
+    assert (robot.delay.value, robot.arm_scale.value, robot.is_calibrated()) == (0.0, 1.0, False)
     np.testing.assert_array_equal(robot.gravity, [0.0, 0.0, -9.81])
     assert robot.source == folder / "arm.yaml"
 
@@ -75,7 +75,7 @@ def test_open_manipulator_states_what_is_uncertain() -> None:
         assert drive.encoder_resolution == pytest.approx(2.0 * math.pi / 4096.0)
     assert robot.drive_trains["gripper_left_joint"].transmission == 0.01149
     assert robot.drive_trains["joint1"].transmission == 1.0
-    assert not robot.calibrated
+    assert not robot.is_calibrated()
 
 
 BAD_FILES = {
@@ -236,7 +236,7 @@ def test_extends_gives_only_what_differs(folder: Path) -> None:
     assert (drive.coulomb.value, drive.coulomb.std) == (0.1, 0.001)
     assert drive.load_friction.value == 0.1
     assert drive.viscous == base.drive_trains["a"].viscous
-    assert robot.calibrated and not base.calibrated
+    assert robot.is_calibrated() and not base.is_calibrated()
     # the URDF is found beside the file that names it, not beside the one that extends it
     assert robot.model.fingerprint() == base.model.fingerprint()
     (below / "bound.yaml").write_text(f"extends: ../arm.yaml\nmodel_fingerprint: {base.model.fingerprint()}\n")

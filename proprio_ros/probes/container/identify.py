@@ -18,11 +18,10 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import Z95, Estimate, no_answer
+from proprio_ros.identification.estimate import Estimate, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
-    is_calibrated,
     misfit_over,
     misfit_reason,
     other_suspects,
@@ -42,7 +41,7 @@ from proprio_ros.identification.gates import (
 )
 from proprio_ros.identification.judge import Assessment, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import PreparedRun, prepare_run, reduced_model
+from proprio_ros.identification.problem import PreparedRun, joints_of, prepare_run, reduced_model
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.problem import (
@@ -55,6 +54,7 @@ from proprio_ros.probes.container.problem import (
     sphere_run,
     start_prior,
 )
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, motion
 from proprio_ros.sim.joint import JointRun
@@ -175,7 +175,7 @@ def find_sphere(
 
     nominal = _solve(robot, data, facts, options, Role.FROZEN)
     opened = _solve(robot, data, facts, options, Role.FREE, nominal)
-    if not opened.explains and not is_calibrated(robot, data.runs):
+    if not opened.explains and not robot.is_calibrated(joints_of(data.runs)):
         again = _solve(robot, data, facts, options, Role.FREE)
         opened = again if again.chi2 < opened.chi2 else opened
     cut = _lost_at(opened)
@@ -250,8 +250,8 @@ def _solve(
     places = max(len(guess) for guess in guesses)
     starts = np.tile(problem.base, (places * len(options.starts_kg), 1))
     starts[:, problem.index["sphere_mass"]] = np.tile(options.starts_kg, places)
-    for row, guess in zip(np.flatnonzero(data.rolling), guesses, strict=True):
-        columns = [problem.index[f"sphere_{axis}[{row}]"] for axis in "xyz"]
+    for row, guess in zip(np.flatnonzero(data.rolling).tolist(), guesses, strict=True):
+        columns = [problem.index[f"sphere_{axis}", row] for axis in "xyz"]
         starts[:, columns] = np.repeat(guess[np.arange(places) % len(guess)], len(options.starts_kg), axis=0)
     internal = problem.coordinates.internal(starts[:, free])
     solution = solvers.levenberg_marquardt(
@@ -372,10 +372,10 @@ def _stiffness_shift(
     harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e)
     other, _ = _problem(robot, data, harder, options, Role.FREE)
     values = fit.values.copy()
-    for row in np.flatnonzero(data.rolling):  # rest is less deep in a harder wall
+    for row in np.flatnonzero(data.rolling).tolist():  # rest is less deep in a harder wall
         for axis in "xyz":
-            unknown = other.unknowns[other.index[f"sphere_{axis}[{row}]"]]
-            values[other.index[unknown.name]] = np.clip(values[other.index[unknown.name]], unknown.lower, unknown.upper)
+            unknown = other.unknowns[other.index[f"sphere_{axis}", row]]
+            values[other.index[unknown.key]] = np.clip(values[other.index[unknown.key]], unknown.lower, unknown.upper)
     soft, _, _ = fit.problem.simulate(fit.values[None], fit.problem.free[:1])
     hard, _, _ = other.simulate(values[None], other.free[:1])
     seen = fit.problem.weight > 0.0
@@ -397,7 +397,7 @@ def _conclude(
     problem = fit.problem
     assert isinstance(problem, ContainerProblem)
     runs = data.runs
-    known = is_calibrated(robot, runs)
+    known = robot.is_calibrated(joints_of(runs))
     shell = problem.index["payload_mass"]
     assessed = Assessment(fit, "sphere_mass", runs, known)
     mass = assessed.value
@@ -487,7 +487,7 @@ def _conclude(
         remarks=lambda: tuple(remarks()),
         open_drive_train=budget,
         unknowns=tuple(
-            replace(u, name=shown.get(u.name, u.name)) for u in unknown_rows(fit, assessed.covariance)
+            replace(u, kind=shown.get(u.kind, u.kind)) for u in unknown_rows(fit, assessed.covariance)
         ),
         detail=lambda withheld: ContainerDetail(paths),
     )  # fmt: skip
@@ -549,5 +549,5 @@ def _assumptions(
         f"that {where} when the current came on",
         f"law of contact {facts.law}: {constants}, friction {facts.friction.value:g} +- {facts.friction.std:g}",
         f"integrator {options.integrator}, steps of at most {1e3 * problem.contact_step_s:.3g} ms, as the contact needs them",
-        f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
+        f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated"),
     )

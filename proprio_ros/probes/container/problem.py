@@ -20,6 +20,7 @@ from proprio_ros.identification.problem import (
     reduced_model,
 )
 from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun
@@ -203,26 +204,24 @@ def container_unknowns(
     unknowns = payload_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
     lightest = LIGHTEST_KG if facts.law == "paper" else -0.2
-    unknowns.append(Unknown("sphere_mass", "kg", 0.01, np.inf, lightest, 5.0, asinh_scale=0.002))
+    unknowns.append(Unknown("sphere_mass", 0.01, np.inf, lightest, 5.0, asinh_scale=0.002))
     damping, friction = facts.damping_ratio, facts.friction
     if facts.law == "paper":  # it has a constant of its own
         damping = Quantity(damping.value)
     unknowns.append(
-        Unknown("contact_damping", "1", damping.value, damping.std, min(0.02, damping.value), 2.0).at_role(drive_role)
+        Unknown("contact_damping", damping.value, damping.std, min(0.02, damping.value), 2.0).at_role(drive_role)
     )
     unknowns.append(
-        Unknown("contact_friction", "1", friction.value, friction.std, min(0.02, friction.value), 2.0).at_role(
-            drive_role
-        )
+        Unknown("contact_friction", friction.value, friction.std, min(0.02, friction.value), 2.0).at_role(drive_role)
     )
     where = iter(priors)
-    for row in np.flatnonzero(rolling):
+    for row in np.flatnonzero(rolling).tolist():
         prior = next(where)
         for axis, name in enumerate("xyz"):
             unknowns.append(
                 Unknown(
-                    f"sphere_{name}[{row}]", "m", float(prior.mean[axis]), float(prior.std[axis]),
-                    float(prior.lower[axis]), float(prior.upper[axis]),
+                    f"sphere_{name}", float(prior.mean[axis]), float(prior.std[axis]),
+                    float(prior.lower[axis]), float(prior.upper[axis]), scope=row,
                 ).at_role(Role.FREE)
             )  # fmt: skip
     return unknowns
@@ -313,29 +312,29 @@ class ContainerProblem(PayloadProblem):
         special = SphereSimulator(rolling, self.container.enclosure, self.container.law, integrator)
         return MixedSimulator(special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator)
 
-    def _touches(self, name: str, row: int) -> bool:
-        if name == "sphere_mass" or name.startswith("contact_"):
+    def _touches(self, unknown: Unknown, row: int) -> bool:
+        if unknown.kind in ("sphere_mass", "contact_damping", "contact_friction"):
             return bool(self.rolling[row])
-        return super()._touches(name, row)
+        return super()._touches(unknown, row)
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         at, to = self.index, SPHERE_INDEX
         facts = self.container
         mass = values[:, at["sphere_mass"]]
-        for row in np.flatnonzero(self.rolling):
-            direct = [
+        for row in np.flatnonzero(self.rolling).tolist():
+            direct: list[tuple[Key, str, float]] = [
                 ("sphere_mass", "sphere_mass", 1.0),
                 ("sphere_mass", "carried", 1.0),
                 ("contact_friction", "friction", 1.0),
-                *((f"sphere_{axis}[{row}]", f"start_{axis}", 1.0) for axis in "xyz"),
+                *(((f"sphere_{axis}", row), f"start_{axis}", 1.0) for axis in "xyz"),
             ]
-            joint = self.runs[row].run.joint
-            if f"zero[{joint}]" in at:
-                direct.append((f"zero[{joint}]", "tilt", 1.0))
-            for name, parameter, factor in direct:
-                p[:, row, to[parameter]] += factor * values[:, at[name]]
-                dp[:, row, to[parameter], at[name]] += factor
+            zero = ("zero", self.runs[row].run.joint)
+            if zero in at:
+                direct.append((zero, "tilt", 1.0))
+            for key, parameter, factor in direct:
+                p[:, row, to[parameter]] += factor * values[:, at[key]]
+                dp[:, row, to[parameter], at[key]] += factor
             for name, share in self._turns[row]:
                 shift, by_unknown = self._shift(name, self.runs[row].run.held[name], values)
                 p[:, row, to["tilt"]] += share * shift

@@ -18,11 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Z95, Estimate, Value, Verdict, no_answer
+from proprio_ros.identification.estimate import Estimate, Value, Verdict, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
-    is_calibrated,
     known_exactly,
     misfit_over,
     misfit_reason,
@@ -52,8 +51,9 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, prepare_run
+from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -116,12 +116,12 @@ def weigh(
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     drift = _drift(robot, usable[weighing:], facts, options)
 
-    nominal = solve_load(robot, usable, facts, options, Role.FROZEN, rough=is_calibrated(robot, usable))
+    nominal = solve_load(robot, usable, facts, options, Role.FROZEN, rough=robot.is_calibrated(joints_of(usable)))
     opened = solve_load(robot, usable, facts, options, Role.FREE, start=nominal)
-    if not (opened if is_calibrated(robot, usable) else nominal).explains:
+    if not (opened if robot.is_calibrated(joints_of(usable)) else nominal).explains:
         again = solve_load(robot, usable, facts, options, Role.FREE)
         opened = again if again.chi2 < opened.chi2 else opened
-        if opened.chi2 < 0.5 * nominal.chi2 and not robot.calibrated and not known_exactly(robot, usable):
+        if opened.chi2 < 0.5 * nominal.chi2 and not robot.is_calibrated() and not known_exactly(robot, usable):
             found.notes.append(
                 "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, "
                 "under its priors"
@@ -139,7 +139,7 @@ def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, o
     row = fit.problem.index["payload_mass"]
     mass = float(fit.values[row])
     std = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[row, row]))
-    since = "its calibration" if robot.calibration is not None else "its robot file was written"
+    since = "its calibration" if robot.is_calibrated() else "its robot file was written"
     if not fit.explains:
         return (
             f"drift: the empty-hand run is no longer explained by the robot as it was at {since} (reduced chi-square "
@@ -195,7 +195,7 @@ def _conclude(
     run_count: int,
     drift: str,
 ) -> Estimate:
-    known = is_calibrated(robot, runs)
+    known = robot.is_calibrated(joints_of(runs))
     fit = nominal if nominal.explains and not known else opened
     assessed = Assessment(fit, "payload_mass", runs, known, opened)
     budget = assessed.budget()
@@ -330,7 +330,7 @@ def _moving_starts(
     rms = run_fits(moving.problem, moving.values, runs)[1]
     reasons = []
     for row, run in enumerate(runs):
-        velocity = float(moving.values[moving.problem.index[f"v0[{row}]"]])
+        velocity = float(moving.values[moving.problem.index["v0", row]])
         if abs(velocity) > MOVING_START:
             reasons.append(
                 f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when the "
@@ -352,7 +352,7 @@ def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, no
         + f", its centre at [{place}] mm in {robot.payload_frame}",
         "each probe starts from rest; the held joints stand at their recorded mean",
         f"robot file {robot.source.name}, "
-        + ("calibrated" if robot.calibrated else "not calibrated")
+        + ("calibrated" if robot.is_calibrated() else "not calibrated")
         + (
             "; its values stay where the file puts them"
             if nominal

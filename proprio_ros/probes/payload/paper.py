@@ -23,6 +23,7 @@ from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
 from proprio_ros.published import FRAME_S, PROBE_FRAMES
+from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointSimulator
@@ -114,13 +115,14 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         verdict = Verdict.REJECTED
         reasons.insert(
             0,
-            f"the mass that meets the last frame ({1e3 * best:.1f} g) misses the trajectory by {1e3 * rms:.1f} mrad rms where the "
-            f"encoder explains {1e3 * expected:.2f} mrad: the last frame alone is no weighing",
+            f"the mass that meets the last frame ({shown('kg', best, spec='.1f')}) misses the trajectory by "
+            f"{shown('rad', rms, spec='.1f')} rms where the encoder explains "
+            f"{shown('rad', expected, spec='.2f')}: the last frame alone is no weighing",
         )
     frozen = scheduled.internal[:, 0]
     reasons.append(
-        f"the schedule of {options.iterations} iterations stops at {', '.join(f'{1e3 * m:.1f}' for m in frozen)} g; "
-        f"the least error is at {1e3 * best:.1f} g"
+        f"the schedule of {options.iterations} iterations stops at {shown('kg', *frozen, spec='.1f', between=', ')}; "
+        f"the least error is at {shown('kg', best, spec='.1f')}"
     )
     return replace(
         honest,
@@ -185,7 +187,7 @@ class _LastFrame:
         at_rest = replace(at_rest, sigma=run.sigma[-1:])
         # nothing but the mass is unknown: everything else keeps the value of the robot file
         unknowns = [
-            u if u.name == "payload_mass" else replace(u, role=Role.FROZEN)
+            u if u.kind == "payload_mass" else replace(u, role=Role.FROZEN)
             for u in payload_unknowns(robot, [run], facts, Role.FROZEN, 0.05)
         ]
         self._problem = PayloadProblem(robot, [at_rest], facts, unknowns, "semi_implicit", step_s)

@@ -110,7 +110,7 @@ class Softness(Probe[SoftnessJob]):
         return sections(estimate)
 
     def remark(self, estimate: Estimate) -> str:
-        from proprio_ros.identification.estimate import Z95
+        from proprio_ros.quantity import Z95
 
         ratio = estimate.value("poissons_ratio")
         if isinstance(ratio.value, float) and isinstance(ratio.std, float):

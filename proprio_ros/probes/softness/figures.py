@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, shown_unit
+from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
+from proprio_ros.quantity import shown_unit
 from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, svg
 from proprio_ros.report.html import framed
 

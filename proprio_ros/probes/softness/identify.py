@@ -16,11 +16,10 @@ import numpy as np
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import Z95, Estimate, Value, no_answer
+from proprio_ros.identification.estimate import Estimate, Value, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
-    is_calibrated,
     misfit_over,
     other_suspects,
     summary,
@@ -44,10 +43,11 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.problem import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
 from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts, SqueezeProblem, block_unknowns
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
 from proprio_ros.sim.energies import lame, lame_by_poissons_ratio, lame_of_small_strain
@@ -205,7 +205,7 @@ def _conclude(
 ) -> Estimate:
     problem = fit.problem
     assert isinstance(problem, SqueezeProblem)
-    known = is_calibrated(robot, data.runs)
+    known = robot.is_calibrated(joints_of(data.runs))
     assessed = Assessment(fit, "youngs_modulus", data.runs, known)
     odd = contradicting(Posterior(problem, fit.values)) if len(data.runs) > 1 and not fit.explains else None
     apart = None if odd is None else _apart(robot, data, facts, options, odd, assessed.std)
@@ -418,7 +418,7 @@ def _assumptions(
         f"{facts.fingers} fingers that move {ratio} each: the modulus goes with one over the square of that",
         f"Poisson's ratio {facts.poissons_ratio.value:g} +- {facts.poissons_ratio.std:g} before the squeeze",
         f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms",
-        f"robot file {robot.source.name}, " + ("calibrated" if robot.calibrated else "not calibrated"),
+        f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated"),
     )
 
 

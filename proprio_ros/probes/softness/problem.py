@@ -106,12 +106,12 @@ def block_unknowns(
     """
     ratio, relaxation, gap = facts.poissons_ratio, facts.relaxation_s, facts.gap
     unknowns = [
-        Unknown("youngs_modulus", "Pa", start_pa, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA),
-        Unknown("poissons_ratio", "1", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(Role.FREE),
-        Unknown("block_relaxation", "s", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0).at_role(Role.FREE),
+        Unknown("youngs_modulus", start_pa, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA),
+        Unknown("poissons_ratio", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(Role.FREE),
+        Unknown("block_relaxation", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0).at_role(Role.FREE),
     ]
-    for row in np.flatnonzero(squeezing):
-        unknowns.append(Unknown(f"gap[{row}]", "m", gap.value, gap.std, -0.01, 0.1).at_role(Role.FREE))
+    for row in np.flatnonzero(squeezing).tolist():
+        unknowns.append(Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row).at_role(Role.FREE))
     return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
 
 
@@ -163,16 +163,16 @@ class SqueezeProblem(PayloadProblem):
             special, [runs[row] for row in np.flatnonzero(~self.squeezing)], self.squeezing, integrator
         )
 
-    def _touches(self, name: str, row: int) -> bool:
-        if name in ("youngs_modulus", "poissons_ratio", "block_relaxation"):
+    def _touches(self, unknown: Unknown, row: int) -> bool:
+        if unknown.kind in ("youngs_modulus", "poissons_ratio", "block_relaxation"):
             return bool(self.squeezing[row])
-        return super()._touches(name, row)
+        return super()._touches(unknown, row)
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
         at, to = self.index, SQUEEZE_INDEX
         modulus, relaxation = values[:, at["youngs_modulus"]], values[:, at["block_relaxation"]]
-        for row in np.flatnonzero(self.squeezing):
+        for row in np.flatnonzero(self.squeezing).tolist():
             for name in ("youngs_modulus", "poissons_ratio"):
                 p[:, row, to[name]] = values[:, at[name]]
                 dp[:, row, to[name], at[name]] = 1.0
@@ -181,8 +181,8 @@ class SqueezeProblem(PayloadProblem):
             dp[:, row, to["block_viscosity"], at["block_relaxation"]] = modulus
             # the fingers touch where they have closed by the gap from where they stood
             rest = self.runs[row].rest.value
-            p[:, row, to["gap"]] = self._closing[row] @ rest ** np.arange(1, 4) + values[:, at[f"gap[{row}]"]]
-            dp[:, row, to["gap"], at[f"gap[{row}]"]] = 1.0
+            p[:, row, to["gap"]] = self._closing[row] @ rest ** np.arange(1, 4) + values[:, at["gap", row]]
+            dp[:, row, to["gap"], at["gap", row]] = 1.0
         return p, dp
 
     def squeezes(self, values: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,147 @@
+"""Kinds of unknowns: what a fit may look for, its unit, what it belongs to, and how people call it.
+
+An unknown has a kind and a scope: the joint, link or run it belongs to, or nothing. Its name, such as ``coulomb[joint3]``, is
+made of both; files, messages and ``--json`` carry names, everything inside looks an unknown up by its key.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+Scope = str | int | None
+"""A joint, a link, the number of a run, or nothing."""
+Key = str | tuple[str, str | int]
+"""A kind that has no scope, or a kind and its scope."""
+
+
+class Kind(NamedTuple):
+    """What is the same for all unknowns of a kind.
+
+    Attributes:
+        unit: SI unit.
+        label: For people.
+        of: What its scope is: ``joint``, ``link``, ``run``, or nothing.
+    """
+
+    unit: str
+    label: str
+    of: str = ""
+
+
+KINDS: dict[str, Kind] = {
+    # drive trains, by the names of their fields, and encoders (they err once per turn of the joint)
+    "torque_constant": Kind("N m/A", "torque constant", "joint"),
+    "coulomb": Kind("N m", "Coulomb friction", "joint"),
+    "viscous": Kind("N m s/rad", "viscous friction", "joint"),
+    "load_friction": Kind("1", "load friction", "joint"),
+    "armature": Kind("kg m^2", "armature", "joint"),
+    "stribeck": Kind("1", "rise at standstill", "joint"),
+    "stribeck_velocity": Kind("rad/s", "velocity of that rise", "joint"),
+    "zero": Kind("rad", "zero", "joint"),
+    "ripple_cos": Kind("rad", "encoder error, cosine", "joint"),
+    "ripple_sin": Kind("rad", "encoder error, sine", "joint"),
+    # how a link differs from the URDF; mass and inertia relative
+    "link_mass": Kind("1", "link mass beyond the URDF's", "link"),
+    "link_com_x": Kind("m", "link centre beyond the URDF's, x", "link"),
+    "link_com_y": Kind("m", "link centre beyond the URDF's, y", "link"),
+    "link_com_z": Kind("m", "link centre beyond the URDF's, z", "link"),
+    "link_inertia": Kind("1", "link inertia beyond the URDF's", "link"),
+    # the robot as a whole
+    "arm_scale": Kind("1", "arm's weight over the URDF's"),
+    "delay": Kind("s", "delay"),
+    # runs
+    "q0": Kind("rad", "start position", "run"),
+    "v0": Kind("rad/s", "start velocity", "run"),
+    "onset": Kind("s", "delay that differs from run to run", "run"),
+    "disturbance": Kind("N m", "torque that differs from run to run", "run"),
+    # what is looked for
+    "payload_mass": Kind("kg", "payload mass"),
+    "payload_com": Kind("m", "centre of mass of the payload"),
+    "payload_com_x": Kind("m", "centre of mass of the payload, x"),
+    "payload_com_y": Kind("m", "centre of mass of the payload, y"),
+    "payload_com_z": Kind("m", "centre of mass of the payload, z"),
+    "shape_scale": Kind("1", "payload's spread over its shape's"),
+    "container_mass": Kind("kg", "container mass"),
+    "sphere_mass": Kind("kg", "sphere mass"),
+    "sphere_x": Kind("m", "start of the sphere, x", "run"),
+    "sphere_y": Kind("m", "start of the sphere, y", "run"),
+    "sphere_z": Kind("m", "start of the sphere, z", "run"),
+    "contact_damping": Kind("1", "damping ratio of a touch"),
+    "contact_friction": Kind("1", "friction between sphere and walls"),
+    "youngs_modulus": Kind("Pa", "Young's modulus"),
+    "poissons_ratio": Kind("1", "Poisson's ratio"),
+    "lame_mu": Kind("Pa", "Lam\u00e9's mu"),
+    "lame_lambda": Kind("Pa", "Lam\u00e9's lambda"),
+    "secant_stiffness": Kind("N/m", "secant stiffness"),
+    "largest_squeeze": Kind("1", "largest squeeze"),
+    "block_relaxation": Kind("s", "relaxation time of the block"),
+    "gap": Kind("m", "closing before the touch", "run"),
+}
+"""Unit and label of every kind; whoever fits something else adds it."""
+
+
+def key_of(name: str) -> Key:
+    """The key of a name: the only place where names are taken apart."""
+    kind, bracket, rest = name.partition("[")
+    if not bracket:
+        return name
+    scope = rest.removesuffix("]")
+    return kind, int(scope) if kind in KINDS and KINDS[kind].of == "run" else scope
+
+
+def name_of(key: Key) -> str:
+    """E.g. ``payload_mass``, ``coulomb[joint3]``, ``q0[0]`` (run 0)."""
+    return key if isinstance(key, str) else f"{key[0]}[{key[1]}]"
+
+
+def label_of(key: Key) -> str:
+    """For people: ``Coulomb friction, joint3``; runs are counted from 1."""
+    kind, scope = (key, None) if isinstance(key, str) else key
+    label = KINDS[kind].label if kind in KINDS else kind.replace("_", " ")
+    if scope is None:
+        return label
+    return f"{label}, run {scope + 1}" if isinstance(scope, int) else f"{label}, {scope}"
+
+
+@dataclass(frozen=True)
+class Tag:
+    """What tells an unknown from others.
+
+    Attributes:
+        kind: One of ``KINDS``.
+        scope: The joint or link, the number of the run, or nothing.
+    """
+
+    kind: str
+    scope: Scope = field(default=None, kw_only=True)
+
+    @property
+    def key(self) -> Key:
+        """Of tables of unknowns."""
+        return self.kind if self.scope is None else (self.kind, self.scope)
+
+    @property
+    def name(self) -> str:
+        """See ``name_of``."""
+        return name_of(self.key)
+
+    @property
+    def label(self) -> str:
+        """See ``label_of``."""
+        return label_of(self.key)
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return KINDS[self.kind].unit
+
+    @property
+    def is_detail(self) -> bool:
+        """Whether there are many of it, and few readers want them: how links differ from the URDF, and errors of encoders."""
+        return KINDS[self.kind].of == "link" or self.kind in ("ripple_cos", "ripple_sin")
+
+    @property
+    def shared(self) -> bool:
+        """Whether it is the robot's or the object's, not a run's."""
+        return KINDS[self.kind].of != "run"
