@@ -15,6 +15,7 @@ import importlib.abc
 import importlib.machinery
 import importlib.util
 import inspect
+import os
 import sys
 import tempfile
 import textwrap
@@ -190,11 +191,31 @@ def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str,
         called = getattr(tree.func, "attr", getattr(tree.func, "id", "")) if isinstance(tree, ast.Call) else ""
         return called if called in makers else ""
 
+    def names(expression: ast.AST) -> set[str]:
+        return {ast.unparse(part) for part in ast.walk(expression) if isinstance(part, (ast.Name, ast.Attribute))}
+
+    # assignments are computed where a topic or a loop over topics needs them, and no others
+    needed: set[str] = set()
+    for part in ast.walk(body):
+        if maker(part):
+            assert isinstance(part, ast.Call)
+            needed |= {
+                name for place in makers[maker(part)][1:3] if place is not None for name in names(part.args[place])
+            }
+        elif isinstance(part, (ast.For, ast.comprehension)):
+            needed |= names(part.iter)
+    for part in reversed([part for part in ast.walk(body) if isinstance(part, ast.Assign)]):
+        if ast.unparse(part.targets[0]) in needed:
+            needed |= names(part.value)
+
     def walk(tree: ast.AST, local: dict[str, Any]) -> Iterator[tuple[str, str, str, str]]:
-        if isinstance(tree, ast.Assign) and isinstance(tree.targets[0], ast.Name):
-            # what cannot be computed means something only when the node runs; no topic is named by it
-            with contextlib.suppress(Exception):
-                local[tree.targets[0].id] = of(tree.value, local)
+        if isinstance(tree, ast.Assign) and ast.unparse(tree.targets[0]) in needed:
+            target = tree.targets[0]
+            with contextlib.suppress(Exception):  # if a topic needs it all the same, that is an error there
+                if isinstance(target, ast.Attribute):
+                    setattr(of(target.value, local), target.attr, of(tree.value, local))
+                else:
+                    local.update(bound(target, of(tree.value, local)))
         if not any(maker(part) for part in ast.walk(tree)):
             return
         if isinstance(tree, ast.For):
@@ -290,6 +311,7 @@ def _table(columns: tuple[str, ...], rows: list[Any]) -> str:
 
 def pages() -> dict[Path, str]:
     """Every generated page, with what should be in it."""
+    os.environ.pop("PROPRIO_PROBES", None)  # the package's own probes
     return {PAGES / "command_line.md": command_line(), PAGES / "ros_interface.md": ros_interface()}
 
 
