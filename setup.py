@@ -55,6 +55,8 @@ setup(
         # blocks that are no boxes come from mesh files
         "mesh": ["meshio>=5.3"],
         "test": ["meshio>=5.3", "pytest>=7", "pytest-rerunfailures", "hypothesis", "ruff", "mypy"],
+        # the pages of docs/; equations become MathML when they are built
+        "docs": ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"],
     },
     entry_points={
         "console_scripts": [

@@ -118,8 +118,9 @@ class SoftBlock:
     """A weightless elastic block between the fingers: its pressed faces slip, the others are free.
 
     Both sides are pressed with ``A P + damping rate``, where ``A`` is the pressed face and ``P`` what a compressible
-    neo-Hookean solid (J. Bonet and R. D. Wood, Nonlinear Continuum Mechanics, section 6.4.3; the paper's equation (4)) answers
-    to a uniaxial stretch. It never pulls.
+    neo-Hookean solid (J. Bonet and R. D. Wood, Nonlinear Continuum Mechanics, section 6.4.3; equation (4) of Chen et al.,
+    "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction", ICRA 2025,
+    arXiv:2410.03920) answers to a uniaxial stretch. It never pulls.
 
     Attributes:
         youngs_modulus_Pa: E, for small strains.

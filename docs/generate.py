@@ -1,0 +1,320 @@
+"""Writes the pages that follow from the code: ``python docs/generate.py`` (after a change of an option, a parameter or a topic).
+
+``pages/command_line.md`` comes from the parser of ``proprio_ros/cli.py``; ``pages/ros_interface.md`` from the parameter tables
+of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. Neither needs ROS: where
+rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+PAGES = Path(__file__).resolve().parent / "pages"
+NOTE = "<!-- written by docs/generate.py from the code: change that instead -->"
+NODES = {
+    "driver": "DriverNode",
+    "excitation": "ExcitationNode",
+    "identifier": "IdentifierNode",
+    "virtual": "VirtualNode",
+}
+ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "sensor_msgs", "std_msgs",
+       "std_srvs", "visualization_msgs")  # fmt: skip
+ABOUT = {
+    "/joint_states": "positions [rad, m], velocities [rad/s, m/s], effort [N m, N]: present current x nominal torque constant",
+    "/applied_effort": "same stamps: commanded current x nominal torque constant [N m, N]",
+    "/applied_current": "commanded current [A], `layout.dim` labelled by joint, to plot",
+    "/diagnostics": "bus, servos, late cycles, left-out samples; once a second",
+    "/current_command": "currents [A], in the order of `joints`, or of the labels in `layout.dim`",
+    "/position_command": "goal positions [rad, m], labelled likewise",
+    "/excitation/status": "what the sequence is doing",
+    "/excitation/run": "make the sequence named by the parameter `probe`",
+    "/excitation/abort": "end it; the driven joint is braked and held",
+    "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
+    "/driver/torque": "torque on or off",
+    "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
+    "payload also while the probe is under way",
+    "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it",
+    "/identifier/mass": "kg, to plot",
+    "/identifier/youngs_modulus": "Pa, to plot",
+    "/identifier/lame_mu": "Pa, to plot",
+    "/identifier/lame_lambda": "Pa, to plot",
+    "/identifier/markers": "for RViz",
+    "/identifier/status": "progress, and what the hand should hold now",
+    "/identifier/calibrate_robot": "empty hand: learn the robot; once, and when something has changed",
+    "/identifier/record_container_baseline": "make the container's sequence with the empty container, and keep the recording",
+    "/identifier/cancel": "end the job; what was recorded is kept",
+    "/virtual/status": "what the virtual hand holds",
+    "/virtual/motors": "what is really going on: true positions [rad, m], and as effort the current in each motor [A]",
+}  # fmt: skip
+
+
+# --- command line -------------------------------------------------------------------------------------------------------
+
+
+def command_line() -> str:
+    """The page about ``proprio``."""
+    from proprio_ros.cli import _parser
+
+    parser = _parser()
+    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    helps = {choice.dest: choice.help for choice in commands._choices_actions}
+    parts = [
+        NOTE,
+        "# Command line",
+        "Results go to stdout, everything else to stderr. Exit codes: 0 accepted, 2 bad input, 3 rejected or not identifiable, "
+        "130 interrupted. `proprio --version` prints the version; every command explains itself with `--help`.",
+        _table(
+            ("command", "does"), [(f"[`proprio {name}`](#proprio-{name})", helps[name]) for name in commands.choices]
+        ),
+    ]
+    for name, command in commands.choices.items():
+        parts += [f"## proprio {name}", command.description or "", f"```\n{_usage(name, command)}\n```"]
+        options = [action for action in command._actions if action.dest != "help"]
+        parts.append(_table(("argument", "default", "meaning"), [_option(action) for action in options]))
+        if command.epilog:
+            parts.append(command.epilog)
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _invocation(action: argparse.Action) -> str:
+    """As it is written on the command line, without brackets."""
+    value = (
+        action.metavar
+        or (None if action.choices is None else "|".join(map(str, action.choices)))
+        or action.dest.upper()
+    )
+    if action.nargs == 0:
+        return action.option_strings[-1]
+    many = f"{value} [{value} ...]" if action.nargs in ("+", "*") else str(value)
+    again = " ..." if isinstance(action, argparse._AppendAction) and action.nargs is None else ""
+    return f"{action.option_strings[-1]} {many}{again}" if action.option_strings else many
+
+
+def _usage(name: str, command: argparse.ArgumentParser) -> str:
+    actions = [action for action in command._actions if action.dest != "help"]
+    words = [_invocation(a) if a.required and a.nargs != "*" else f"[{_invocation(a)}]" for a in actions]
+    return textwrap.fill(
+        " ".join(["proprio", name, *(word.replace(" ", "\0") for word in words)]),
+        width=100, subsequent_indent=" " * 8, break_long_words=False, break_on_hyphens=False,
+    ).replace("\0", " ")  # fmt: skip
+
+
+def _option(action: argparse.Action) -> tuple[str, str, str]:
+    default = "" if action.default in (None, [], False) or action.required else f"`{action.default}`"
+    choices = f" ({', '.join(f'`{choice}`' for choice in action.choices)})" if action.choices and action.metavar else ""
+    return f"`{_invocation(action)}`", default, (action.help or "") + choices
+
+
+# --- ROS interface ------------------------------------------------------------------------------------------------------
+
+
+class _Stand(type):
+    """A class that has any attribute, each again such a class; calling it makes nothing of interest."""
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return _Stand(name, (), {"__module__": cls.__module__, "__init__": lambda self, *args, **kwargs: None})
+
+
+class _StandInFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds a module of ROS where there is none."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
+        return importlib.machinery.ModuleSpec(name, self, is_package=True) if name.split(".")[0] in ROS else None
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
+        module = ModuleType(spec.name)
+        stand = _Stand(spec.name, (), {"__module__": spec.name})
+        module.__getattr__ = lambda name: getattr(stand, name)
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        pass
+
+
+def stand_in_for_ros() -> None:
+    """From now on whatever is imported from ROS is an empty class."""
+    sys.meta_path.insert(0, _StandInFinder())
+
+
+def nodes() -> dict[str, tuple[ModuleType, type]]:
+    """Module and class of every node, imported with rclpy or without it."""
+    if importlib.util.find_spec("rclpy") is None:
+        stand_in_for_ros()
+    found = {}
+    for name, kind in NODES.items():
+        module = importlib.import_module(f"proprio_ros.nodes.{name}")
+        found[name] = (module, getattr(module, kind))
+    return found
+
+
+def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str, str, str, str]]:
+    """What `configure` makes: ``publishes``, ``takes`` or ``serves``; the full name, the type, and how messages are kept.
+
+    The body is read, not run: loops over tables of the module are followed, and names are computed from what they hold.
+    """
+    body = ast.parse(textwrap.dedent(inspect.getsource(node.configure))).body[0]
+    values = {parameter.name: parameter.default for parameter in node.parameters}
+    scope = {**vars(module), "self": SimpleNamespace(values=values)}
+    # a kind of connection, and which of its arguments are type, name and quality of service
+    makers = {"create_publisher": ("publishes", 0, 1, 2), "create_subscription": ("takes", 0, 1, 3),
+              "create_service": ("serves", 0, 1, None), "LongService": ("serves", None, 1, None)}  # fmt: skip
+
+    def of(expression: ast.expr, local: dict[str, Any]) -> Any:
+        return eval(compile(ast.Expression(expression), name, "eval"), {**scope, **local})
+
+    def bound(target: ast.expr, value: Any) -> dict[str, Any]:
+        if isinstance(target, ast.Name):
+            return {target.id: value}
+        assert isinstance(target, ast.Tuple)
+        return {
+            key: part for one, each in zip(target.elts, value, strict=True) for key, part in bound(one, each).items()
+        }
+
+    def maker(tree: ast.AST) -> str:
+        called = getattr(tree.func, "attr", getattr(tree.func, "id", "")) if isinstance(tree, ast.Call) else ""
+        return called if called in makers else ""
+
+    def names(expression: ast.AST) -> set[str]:
+        return {ast.unparse(part) for part in ast.walk(expression) if isinstance(part, (ast.Name, ast.Attribute))}
+
+    # assignments are computed where a topic or a loop over topics needs them, and no others
+    needed: set[str] = set()
+    for part in ast.walk(body):
+        if maker(part):
+            assert isinstance(part, ast.Call)
+            needed |= {
+                name for place in makers[maker(part)][1:3] if place is not None for name in names(part.args[place])
+            }
+        elif isinstance(part, (ast.For, ast.comprehension)):
+            needed |= names(part.iter)
+    for part in reversed([part for part in ast.walk(body) if isinstance(part, ast.Assign)]):
+        if ast.unparse(part.targets[0]) in needed:
+            needed |= names(part.value)
+
+    def walk(tree: ast.AST, local: dict[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+        if isinstance(tree, ast.Assign) and ast.unparse(tree.targets[0]) in needed:
+            target = tree.targets[0]
+            with contextlib.suppress(Exception):  # if a topic needs it all the same, that is an error there
+                if isinstance(target, ast.Attribute):
+                    setattr(of(target.value, local), target.attr, of(tree.value, local))
+                else:
+                    local.update(bound(target, of(tree.value, local)))
+        if not any(maker(part) for part in ast.walk(tree)):
+            return
+        if isinstance(tree, ast.For):
+            for value in of(tree.iter, local):
+                for statement in tree.body:
+                    yield from walk(statement, {**local, **bound(tree.target, value)})
+            return
+        if isinstance(tree, (ast.DictComp, ast.ListComp)):
+            (loop,) = tree.generators
+            for value in of(loop.iter, local):
+                element = tree.value if isinstance(tree, ast.DictComp) else tree.elt
+                yield from walk(element, {**local, **bound(loop.target, value)})
+            return
+        if isinstance(tree, ast.Call) and maker(tree):
+            what, kind_at, name_at, quality_at = makers[maker(tree)]
+            kind = "std_srvs/Trigger" if kind_at is None else _message(of(tree.args[kind_at], local))
+            quality = "" if quality_at is None else ast.unparse(tree.args[quality_at])
+            topic = of(tree.args[name_at], local)
+            full = f"/{name}{topic[1:]}" if topic.startswith("~") else "/" + topic.lstrip("/")
+            yield what, full, kind, quality
+        for child in ast.iter_child_nodes(tree):
+            yield from walk(child, local)
+
+    local: dict[str, Any] = {}
+    assert isinstance(body, ast.FunctionDef)
+    for statement in body.body:
+        yield from walk(statement, local)
+
+
+def ros_interface() -> str:
+    """The page about topics, services and parameters."""
+    parts = [
+        NOTE,
+        "# ROS interface",
+        "All are lifecycle nodes that configure and activate themselves (`autostart:=false` leaves that to you). Names below are "
+        "those without a namespace; topics are relative, so remapping and `namespace:=arm1` work as usual. *Latched*: transient "
+        "local, depth 1, so who comes late still gets the last message. Services answer `success` and a sentence in `message`; "
+        "while a job is under way others are refused with the reason.",
+    ]
+    for name, (module, node) in nodes().items():
+        parts += [f"## {name}", f"`proprio_{name}`. " + inspect.cleandoc(node.__doc__ or "").split("\n\n")[0]]
+        found = list(dict.fromkeys(connections(name, module, node)))
+        for what, title in (("publishes", "Publishes"), ("takes", "Takes"), ("serves", "Services")):
+            rows = [
+                (f"`{topic}`", f"`{kind}`", ABOUT.get(topic) or _about_probe(topic), "latched" * (quality == "LATCHED"))
+                for way, topic, kind, quality in found
+                if way == what
+            ]
+            columns = ("topic", "type", "holds", "") if what != "serves" else ("service", "type", "does")
+            if rows:
+                parts += [f"### {title}", _table(columns, [row[: len(columns)] for row in rows])]
+        parameters = importlib.import_module("proprio_ros.nodes.parameters")
+        parts += [
+            "### Parameters",
+            _table(
+                ("parameter", "default", "range", "meaning"),
+                [_parameter(parameter) for parameter in (parameters.AUTOSTART, *node.parameters)],
+            ),
+        ]
+    parts.append(
+        "*running*: may be changed with `ros2 param set` while the node runs; the others are read when it is configured."
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def _about_probe(topic: str) -> str:
+    _, found, probe = topic.partition("/identifier/calibrate_")
+    return f"make the sequence named by `{probe}_sequence`, and identify" if found else ""
+
+
+def _message(kind: type) -> str:
+    return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+
+
+def _parameter(parameter: Any) -> tuple[str, str, str, str]:
+    stated = str(parameter.default).replace(tempfile.gettempdir(), "/tmp")
+    default = f"`{stated}`" if parameter.default not in ("", []) else "empty"
+    default = {"`True`": "`true`", "`False`": "`false`"}.get(default, default)
+    bounded = parameter.lowest is not None and parameter.highest is not None
+    about = parameter.description + (" *running*" if parameter.dynamic else "")
+    return f"`{parameter.name}`", default, f"{parameter.lowest:g} .. {parameter.highest:g}" if bounded else "", about
+
+
+# --- both ---------------------------------------------------------------------------------------------------------------
+
+
+def _table(columns: tuple[str, ...], rows: list[Any]) -> str:
+    def line(cells: Any) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+    return "\n".join([line(columns), "|" + "---|" * len(columns), *map(line, rows)])
+
+
+def pages() -> dict[Path, str]:
+    """Every generated page, with what should be in it."""
+    os.environ.pop("PROPRIO_PROBES", None)  # the package's own probes
+    return {PAGES / "command_line.md": command_line(), PAGES / "ros_interface.md": ros_interface()}
+
+
+if __name__ == "__main__":
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")

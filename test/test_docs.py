@@ -1,0 +1,127 @@
+"""The documentation follows from the code where it can, points at what is there, and names the paper. ``.ci/run`` builds it."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+import proprio_ros
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PAGES = sorted((REPOSITORY / "docs" / "pages").glob("*.md"))
+TEXTS = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "bags" / "README.md", *PAGES]
+COMMANDS = (
+    "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/proprio demo",
+    "python3 -m venv .venv && .venv/bin/pip install -e '.[ros,sim,test]' && .venv/bin/python -m pytest",
+)
+CURRENT = """
+import sys; sys.path.insert(0, "docs")
+import generate
+if {without_ros}: generate.stand_in_for_ros()
+sys.exit(" ".join(path.name for path, text in generate.pages().items() if path.read_text() != text) or 0)
+"""
+
+
+def yaml(name: str) -> Any:
+    return YAML(typ="safe", pure=True).load((REPOSITORY / name).read_text(encoding="utf-8"))
+
+
+def prose(path: Path) -> str:
+    """Its text without blocks of code."""
+    return re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(path: Path) -> set[str]:
+    """What its headings are linked by."""
+    headings = re.findall(r"^#+ (.*)$", prose(path), re.MULTILINE)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
+
+
+def test_readme_is_short_and_has_the_two_commands() -> None:
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    assert len(readme.encode()) <= 10_000
+    assert set(COMMANDS) <= set(readme.splitlines())
+
+
+@pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(REPOSITORY)))
+def test_every_link_and_every_file_that_is_named_is_there(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(path)):
+        if re.match(r"\w+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        found = path.parent / name if name else path
+        assert found.exists(), f"{target} is not there"
+        assert not anchor or anchor in anchors(found), f"{target}: no such heading"
+    rooms = "|".join(entry.name for entry in (REPOSITORY / "proprio_ros").iterdir() if entry.is_dir())
+    named = rf"(?<![\w/.])(?:config|urdf|bags|docs|test|{rooms})/[\w./*-]*(?:\.(?:py|yaml|md|urdf|svg)|/bag_mcap)\b"
+    for name in set(re.findall(named, path.read_text(encoding="utf-8"))):
+        assert any([*REPOSITORY.glob(name), *(REPOSITORY / "proprio_ros").glob(name)]), (
+            f"{name} is not in the repository"
+        )
+
+
+@pytest.mark.parametrize("without_ros", [True, False], ids=["without ROS", "with ROS"])
+def test_generated_pages_are_current(without_ros: bool) -> None:
+    if not without_ros:
+        pytest.importorskip("rclpy")
+    done = subprocess.run(
+        [sys.executable, "-c", CURRENT.format(without_ros=without_ros)],
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, f"run python docs/generate.py: {done.stderr[-2000:]}"
+
+
+def test_every_topic_and_service_is_explained() -> None:
+    interface = (REPOSITORY / "docs" / "pages" / "ros_interface.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(/\S+)` \| `(\S+)` \| (.*?) \|", interface, re.MULTILINE)
+    assert {"/joint_states", "/identifier/estimate", "/identifier/calibrate_payload", "/driver/stop"} <= {
+        r[0] for r in rows
+    }
+    assert [name for name, _, about in rows if not about.strip()] == [], (
+        "say what it holds in ABOUT of docs/generate.py"
+    )
+
+
+def generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("generate", REPOSITORY / "docs" / "generate.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_what_is_explained_exists() -> None:
+    interface = (REPOSITORY / "docs" / "pages" / "ros_interface.md").read_text(encoding="utf-8")
+    assert [name for name in generator().ABOUT if f"`{name}`" not in interface] == []
+
+
+def test_the_paper_is_cited() -> None:
+    citation = yaml("CITATION.cff")
+    assert citation["cff-version"] == "1.2.0" and citation["message"] and citation["title"] == "proprio_ros"
+    assert citation["version"] == proprio_ros.__version__
+    paper = citation["preferred-citation"]
+    assert paper["title"].startswith("Learning Object Properties Using Robot Proprioception")
+    assert paper["url"] == "https://arxiv.org/abs/2410.03920" and len(paper["authors"]) == 8
+    for path in (REPOSITORY / "README.md", REPOSITORY / "docs" / "pages" / "index.md"):
+        text = re.sub(r"\s+>?\s*", " ", path.read_text(encoding="utf-8"))
+        for words in [
+            paper["title"],
+            paper["url"],
+            *(f"{a['given-names']} {a['family-names']}" for a in paper["authors"]),
+        ]:
+            assert words in text, f"{path.name} lacks {words}"
+
+
+def test_the_workflow_runs_the_gate_and_the_gate_builds_the_pages() -> None:
+    jobs = yaml(".github/workflows/ci.yml")["jobs"]
+    assert {"run": ".ci/run"} in jobs["gate"]["steps"]
+    assert {"run": COMMANDS[1]} in jobs["tests"]["steps"]
+    assert "mkdocs build --strict -f docs/mkdocs.yml" in (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")
