@@ -9,6 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from proprio_ros.schema import header, reason_codes
+
 Z95 = 1.959963984540054
 """Half width of a 95 % interval in standard deviations (normal)."""
 SHOWN = {"kg": (1e3, "g"), "Pa": (1e-3, "kPa")}
@@ -189,6 +191,7 @@ class Estimate:
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
+    origin: dict[str, Any] = field(default_factory=dict)  # bags, baseline and calibration, as `as_json` gives them
 
     def value(self, name: str) -> Value:
         """The value called ``name``; KeyError lists what there is."""
@@ -210,11 +213,17 @@ class Estimate:
             }
         return plain(
             {
+                **header("estimate"),
+                "bags": [],
+                "baseline": [],
+                "calibration": None,
+                **self.origin,
                 "probe": self.probe,
                 "robot": self.robot,
                 "runs": self.runs,
                 "verdict": self.verdict.value,
                 "reasons": list(self.reasons),
+                "reason_codes": reason_codes(self.reasons),
                 "estimates": [value.as_json() for value in self.values],
                 **({} if self.detail is None else self.detail.as_json()),
                 "fit": fit,
