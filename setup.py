@@ -44,6 +44,7 @@ setup(
         "cma>=3.3",
         "dynamixel-sdk",
         "pyserial",
+        "threadpoolctl>=3.1",
     ],
     extras_require={
         # wheels of ROS 2 Jazzy exist for x86-64 only; never beside /opt/ros, whose rclpy they would shadow
@@ -54,7 +55,15 @@ setup(
         "sim": ["mujoco>=3.2"],
         # blocks that are no boxes come from mesh files
         "mesh": ["meshio>=5.3"],
-        "test": ["meshio>=5.3", "pytest>=7", "pytest-rerunfailures", "hypothesis", "ruff", "mypy"],
+        "test": [
+            "meshio>=5.3",
+            "pandas",
+            "jsonschema>=4",
+            "pytest>=7",
+            "hypothesis",
+            "ruff",
+            "mypy",
+        ],
         # the pages of docs/; equations become MathML when they are built
         "docs": ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"],
     },

@@ -1,3 +1,24 @@
 """A robot arm's sense of weight and softness from its own joints."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from proprio_ros.api import calibrate, check, plan, weigh
+
 __version__ = "0.1.0"
+__all__ = ["__version__", "calibrate", "check", "plan", "weigh"]
+
+
+def __getattr__(name: str) -> Any:
+    """The calls for scripts and notebooks, loaded with all they need when they are first asked for."""
+    if name in __all__:
+        from proprio_ros import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -625,6 +625,42 @@ def read_recording(
     return Recording(path.resolve().name, record, inputs, tuple(notes))
 
 
+@dataclass(frozen=True)
+class Contents:
+    """What a bag holds, before a message of it is read.
+
+    Attributes:
+        topics: Name, type and number of messages of each.
+        states: Topic of the joint states; None where `problem` says why none was chosen.
+        inputs: Topic of the input; None where there is none but the measured effort.
+        problem: Why a topic cannot be chosen, in one line, or an empty string.
+    """
+
+    topics: tuple[tuple[str, str, int], ...]
+    states: str | None
+    inputs: str | None
+    problem: str = ""
+
+
+def look_into(path: str | Path, state_topic: str | None = None, command_topic: str | None = None) -> Contents:
+    """List a bag's topics, and say which ones `read_recording` takes.
+
+    Raises:
+        RecordingError: It is no bag, or cannot be opened.
+    """
+    with _open(Path(path)) as bag:
+        topics = tuple((topic.name, topic.msgtype, topic.size) for topic in bag.topics)
+        try:
+            state = _state_topic(bag, state_topic, command_topic)
+        except RecordingError as error:
+            return Contents(topics, None, None, str(error))
+        try:
+            inputs = _input_topic(bag, command_topic, state)
+        except RecordingError as error:
+            return Contents(topics, state.name, None, str(error))
+    return Contents(topics, state.name, None if inputs is None or inputs == state else inputs.name)
+
+
 def read_points(path: str | Path, topic: str) -> PointTrack:
     """Read where something was seen from a topic of geometry_msgs/PointStamped.
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-from proprio_ros import __version__
+from proprio_ros import __version__, schema
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.quantity import shown
@@ -28,10 +28,6 @@ def run() -> NoReturn:
 
     Everything is written and closed by then; unloading Warp's native libraries would only cost the user 0.15 s.
     """
-    # matrices of a hundred unknowns gain nothing from several threads, and beside other work the threads wait for each other:
-    # a calibration then takes 7 s instead of 0.6. Numpy reads this when it is first imported, which is later.
-    for library in ("OPENBLAS", "OMP", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     gc.disable()  # one answer and out: collecting while the libraries are imported costs another tenth of a second
     code = main()
     for stream in (sys.stdout, sys.stderr):
@@ -43,23 +39,48 @@ def run() -> NoReturn:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and obey; returns the exit code: 0 accepted, 2 bad input, 3 rejected or not identifiable, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    options = _parser().parse_args(given)
     try:
+        options = _parser().parse_args(given)
         return int(options.command(options, given))
+    except _UsageError as error:
+        _json_error(given, error.sentence, EXIT_BAD_INPUT)
+        raise
     except ProprioError as error:
         print(f"proprio: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        return _json_error(given, str(error), EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         print("proprio: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return _json_error(given, "interrupted", EXIT_INTERRUPTED)
     except BrokenPipeError:
         # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
         sys.stderr.close()
         return EXIT_OK
 
 
+class _UsageError(SystemExit):
+    """A command line that does not parse; usage and sentence are on stderr already."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(EXIT_BAD_INPUT)
+        self.sentence = sentence
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        print(f"{self.prog}: error: {message}", file=sys.stderr)
+        raise _UsageError(message)
+
+
+def _json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
+    """With ``--json``, stdout always gets one object."""
+    if "--json" in given:
+        print(json.dumps(schema.error(sentence, exit_code), indent=1))
+    return exit_code
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="proprio", description="A robot arm's sense of weight and softness.")
+    parser = _Parser(prog="proprio", description="A robot arm's sense of weight and softness.")
     parser.add_argument("--version", action="version", version=f"proprio {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     replay = commands.add_parser(
@@ -119,6 +140,18 @@ def _parser() -> argparse.ArgumentParser:
     _add_topics(calibrate)
     _add_output(calibrate)
     calibrate.set_defaults(command=_calibrate)
+
+    check = commands.add_parser(
+        "check",
+        help="what is in a bag, and which runs of it could be used",
+        description="Joints, rate, gaps and topics of each bag, the input that would be used, and the runs in it: before any fit.",
+        epilog="Exit code: 0 at least one run is usable, 2 bad input, 3 none is.",
+    )
+    check.add_argument("bags", nargs="+", metavar="BAG", help="as for replay")
+    _add_robot(check)
+    _add_topics(check)
+    check.add_argument("--json", action="store_true", help="print one JSON object")
+    check.set_defaults(command=_check)
 
     plan = commands.add_parser(
         "plan",
@@ -211,7 +244,15 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="FILE.html", help="write a page with plots")
 
 
+def _refuse_unwritable(report: str | None) -> None:
+    """Before the work, and before anything is printed."""
+    folder = Path(report or ".").resolve().parent
+    if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")
+
+
 def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
+    _refuse_unwritable(options.report)
     settings = parse_settings(options.set)
     # heavy imports only now, so that --help and a mistyped option answer at once
     from proprio_ros.replay import ReplayOptions, replay
@@ -244,6 +285,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
+    _refuse_unwritable(options.report)
     settings = parse_settings(options.set)
     references = {}
     for pair in options.reference:
@@ -254,7 +296,7 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
             path = ""
         if not path:
             raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
-    from proprio_ros.calibrate import calibrate_from_bags
+    from proprio_ros.calibrating import calibrate_from_bags
     from proprio_ros.replay import ReplayOptions
 
     estimate = calibrate_from_bags(
@@ -288,25 +330,37 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     return EXIT_OK if accepted else EXIT_NO_ANSWER
 
 
+def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
+    from proprio_ros.checking import as_json, check_bags
+
+    robot, checks = check_bags(
+        options.bags,
+        options.robot,
+        state_topic=options.state_topic,
+        command_topic=options.command_topic,
+        effort_unit=options.effort_unit,
+    )
+    if options.json:
+        print(json.dumps(as_json(robot, checks), indent=1))
+    else:
+        print("\n".join(check.as_text() for check in checks))
+    return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
+
+
 def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     masses = _masses(options.mass)
     if options.count < 1:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
     settings = parse_settings(options.set)
-    from proprio_ros.calibrate import plan_probes
+    from proprio_ros.api import Plans
+    from proprio_ros.calibrating import plan_probes
     from proprio_ros.replay import ReplayOptions
 
     asked = ReplayOptions(robot=options.robot, settings=settings, calibration=options.calibration)
-    robot, plans = plan_probes(masses, asked, options.count, _progress)
+    plans = Plans(*plan_probes(masses, asked, options.count, _progress), masses)
+    robot = plans.robot
     if options.json:
-        content = {
-            "probe": options.probe,
-            "robot": robot.name,
-            "calibrated": robot.is_calibrated(),
-            "masses_kg": masses,
-            "plans": [plan.as_json() for plan in plans],
-        }
-        print(json.dumps(content, indent=1))
+        print(json.dumps(plans.as_json(), indent=1))
         return EXIT_OK
     if not robot.is_calibrated():
         print("the robot has not been calibrated: the intervals carry what its file leaves open")
@@ -327,6 +381,7 @@ def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
     phi = [table(squeezes, ratio)[0].tolist() for ratio in ratios]
     if options.json:
         content = {
+            **schema.header("table"),
             "file": str(path), "size_m": facts.size.tolist(), "area_m2": facts.area, "law": facts.law, "contact": facts.contact,
             "reach": table.reach, "squeeze": squeezes, "poissons_ratio": ratios, "force_per_E_A": phi, "elapsed_s": elapsed,
         }  # fmt: skip

@@ -16,9 +16,12 @@ from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
 from proprio_ros.records import Run
 from proprio_ros.report import write_page
+from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
+from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, number
+from proprio_ros.threads import one_blas_thread
 
 DEFAULT_ROBOT = "open_manipulator_x"
 TEXT_ROBOT = "open_manipulator_x_as_published"
@@ -48,17 +51,20 @@ class ReplayOptions:
     effort_unit: str | None = None
 
 
-def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) -> Estimate:
+@one_blas_thread
+def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | None = None) -> Estimate:
     """Identify what the probe names from one or more recordings of the same object.
 
     Args:
-        paths: bags (folders or files, either storage) or text recordings; all runs in all of them give one estimate.
+        paths: bags (folders or files, either storage) or text recordings; all runs in all of them give one estimate. One path
+            may stand alone.
         options: probe, robot and settings.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
     """
     options = options or ReplayOptions()
+    paths, baseline_paths = paths_of(paths), paths_of(options.baseline)
     started = time.perf_counter()
     probe = probe_asked_for(options)
     if not paths:
@@ -74,7 +80,7 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
     loaded = time.perf_counter()
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
-    baseline = [run for path in options.baseline for run in bag_runs(Path(path), robot, options, held)]
+    baseline = [run for path in baseline_paths for run in bag_runs(Path(path), robot, options, held)]
     text: TextRecording | None = None
     for path in paths:
         if Path(path) in texts:
@@ -88,7 +94,12 @@ def replay(paths: Sequence[str | Path], options: ReplayOptions | None = None) ->
     estimate = probe.identify(robot, Recorded(runs, baseline, sources, text), facts)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
-    return replace(estimate, timing_s=timing)
+    origin = {
+        "bags": [str(path) for path in paths],
+        "baseline": [str(path) for path in baseline_paths],
+        "calibration": None if robot.calibration is None else calibration_used(robot.source),
+    }
+    return replace(estimate, timing_s=timing, origin=origin)
 
 
 def probe_asked_for(options: ReplayOptions) -> Probe[Any]:

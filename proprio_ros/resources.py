@@ -11,7 +11,7 @@ import functools
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError
@@ -20,6 +20,7 @@ KINDS: dict[str, tuple[str, str]] = {
     "robots": ("config/robots", ".yaml"),
     "probes": ("config/probes", ".yaml"),
     "parameters": ("config", ".yaml"),
+    "schema": ("config/schema", ".json"),
     "urdf": ("urdf", ".urdf"),
     "bags": ("bags", ""),
 }
@@ -83,6 +84,11 @@ def resource(kind: str, name: str) -> Path:
         choices = ", ".join(resource_names(kind)) or "none"
         raise ConfigurationError(f"no {name!r} among the {kind}; there are: {choices}; or give a path")
     return path
+
+
+def paths_of(paths: str | Path | Sequence[str | Path]) -> list[str | Path]:
+    """A list of paths; one path that stands alone is a list of one."""
+    return [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
 
 
 def write_in_one_step(path: Path, text: str, option: str) -> None:

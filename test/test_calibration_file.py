@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from proprio_ros.calibrate import calibrate_from_bags, write_calibration
+from proprio_ros.calibrating import calibrate_from_bags, write_calibration
 from proprio_ros.calibration import Calibration
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RobotError

@@ -8,6 +8,7 @@ from typing import Any
 
 from proprio_ros.calibration import Calibration
 from proprio_ros.identification.estimate import Fit, RunFit, UnknownRow, Verdict, plain
+from proprio_ros.schema import header, reason_codes
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class CalibrationEstimate:
         held_out: one entry per run used.
         not_told_apart: sentences on what these runs leave open.
         advice: the runs that would help most, best first.
+        origin: bags, references, and the file that was written, as ``as_json`` gives them.
     """
 
     robot: str
@@ -93,6 +95,7 @@ class CalibrationEstimate:
     advice: tuple[ProbePlan, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
+    origin: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers; what is not a number is null."""
@@ -100,10 +103,16 @@ class CalibrationEstimate:
         calibration = self.calibration
         return plain(
             {
+                **header("calibration"),
+                "bags": [],
+                "references": [],
+                "calibration": None,
+                **self.origin,
                 "robot": self.robot,
                 "runs": self.runs,
                 "verdict": self.verdict.value,
                 "reasons": list(self.reasons),
+                "reason_codes": reason_codes(self.reasons),
                 "unknowns": [
                     {
                         "name": row.name,

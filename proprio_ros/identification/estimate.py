@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from proprio_ros.kinds import Tag, label_of
+from proprio_ros.schema import header, reason_codes
 
 
 class Verdict(str, Enum):
@@ -184,6 +185,7 @@ class Estimate:
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
+    origin: dict[str, Any] = field(default_factory=dict)  # bags, baseline and calibration, as `as_json` gives them
 
     def value(self, name: str) -> Value:
         """The value called ``name``; KeyError lists what there is."""
@@ -205,11 +207,17 @@ class Estimate:
             }
         return plain(
             {
+                **header("estimate"),
+                "bags": [],
+                "baseline": [],
+                "calibration": None,
+                **self.origin,
                 "probe": self.probe,
                 "robot": self.robot,
                 "runs": self.runs,
                 "verdict": self.verdict.value,
                 "reasons": list(self.reasons),
+                "reason_codes": reason_codes(self.reasons),
                 "estimates": [value.as_json() for value in self.values],
                 **({} if self.detail is None else self.detail.as_json()),
                 "fit": fit,

@@ -9,6 +9,7 @@ import numpy as np
 
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import PreparedRun, joints_of
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
 
@@ -66,10 +67,9 @@ def contradiction(
     if apart < same:
         return Contradiction("", 0.5 * apart)
     if apart < alike:
-        return Contradiction(
-            f"{name} differs from the other runs: {said}; the interval carries half of that", 0.5 * apart
-        )
-    return Contradiction(f"{name} contradicts the other runs: {said}; {doubt}")
+        differs = f"{name} differs from the other runs: {said}; the interval carries half of that"
+        return Contradiction(Reason("runs_differ", differs), 0.5 * apart)
+    return Contradiction(Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {doubt}"))
 
 
 def chi2_limit(dof: int) -> float:
@@ -85,11 +85,13 @@ def chi2_limit(dof: int) -> float:
 def unusable(run: PreparedRun) -> str:
     """Why a run tells nothing, or an empty string."""
     if run.used < MIN_USED:
-        return f"only {run.used} usable samples, because {run.cut_reason or 'the probe was too short'}"
+        why = run.cut_reason or "the probe was too short"
+        return Reason("few_samples", f"only {run.used} usable samples, because {why}")
     if abs(run.travel) < STUCK_TRAVEL:
-        return (
+        return Reason(
+            "stuck",
             f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is: "
-            f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
+            f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel",
         )
     return ""
 
@@ -101,12 +103,18 @@ def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     if run.used < MIN_USED:
         return
     if run.cut_reason:
-        found.reasons.append(f"{name}: {run.cut_reason}; {len(run.run.times_s) - run.used} later samples were left out")
+        later = len(run.run.times_s) - run.used
+        found.reasons.append(
+            Reason("left_out_samples", f"{name}: {run.cut_reason}; {later} later samples were left out")
+        )
     # fingers on a stiff block do not get that far
     if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and robot.model.joint(joint).kind != "prismatic":
         found.reasons.append(
-            f"{name}: {joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
-            f"{LITTLE_TRAVEL} rad tells much more"
+            Reason(
+                "short_travel",
+                f"{name}: {joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
+                f"{LITTLE_TRAVEL} rad tells much more",
+            )
         )
     limits = robot.model.joint(joint)
     per_rad = run.drive.transmission
@@ -114,31 +122,41 @@ def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     for limit, side in ((limits.lower / per_rad, -1.0), (limits.upper / per_rad, 1.0)):
         if side * (run.rest.value - limit) > -margin:
             found.reasons.append(
-                f"{name}: {joint} starts at its limit ({run.rest.value:.3f} rad), where the stop may carry part of the weight: "
-                "start away from it"
+                Reason(
+                    "starts_at_limit",
+                    f"{name}: {joint} starts at its limit ({run.rest.value:.3f} rad), where the stop may carry part of the weight: "
+                    "start away from it",
+                )
             )
     current = float(np.abs(run.run.input_current_A).max())
     allowed = robot.motors[joint].current_limit_A
     if current > allowed:
         found.reasons.append(
-            f"{name}: {shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}, so less flowed than "
-            "the input says: probe below the limit, or correct current_limit_A in the robot file"
+            Reason(
+                "current_above_limit",
+                f"{name}: {shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}, so less flowed "
+                "than the input says: probe below the limit, or correct current_limit_A in the robot file",
+            )
         )
     for held, span in run.run.held_span.items():
         if held in run.coefficients.pose and span > HELD_SPAN:
-            found.reasons.append(f"{name}: {held} should be held but moved by {span:.3f} rad")
+            moved = f"{name}: {held} should be held but moved by {span:.3f} rad"
+            found.reasons.append(Reason("held_joint_moved", moved))
 
 
 def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
     """A sentence for each joint that all runs drive in the same direction."""
-    sentences = []
+    sentences: list[str] = []
     for joint in joints_of(runs):
         signs = {float(np.sign(run.travel)) for run in runs if run.run.joint == joint}
         if len(signs) == 1:
             towards, back = ("positive", "negative") if signs == {1.0} else ("negative", "positive")
             sentences.append(
-                f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed and cannot be told "
-                f"from torque and weight: add a run in which it moves in the {back} direction"
+                Reason(
+                    "never_reversed",
+                    f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed and cannot be "
+                    f"told from torque and weight: add a run in which it moves in the {back} direction",
+                )
             )
     return sentences
 

@@ -29,7 +29,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from proprio_ros.calibrate import calibrate_from_bags
+from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate

@@ -1,6 +1,8 @@
 """One self-contained HTML page per result: what was measured, what was simulated, and what the number rests on."""
 
 from proprio_ros.report.calibration_page import write_calibration_report
+from proprio_ros.report.figures import runs_figure
+from proprio_ros.report.notebook import card
 from proprio_ros.report.page import write_page
 
-__all__ = ["write_calibration_report", "write_page"]
+__all__ = ["card", "runs_figure", "write_calibration_report", "write_page"]

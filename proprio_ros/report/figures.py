@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -83,21 +83,35 @@ def _leaner(text: str) -> str:
 def run_figure(fit: RunFit, number: int) -> str:
     """Measured against simulated above, residuals below."""
     with drawn(7.4, 4.4, nrows=2, sharex=True, height_ratios=[2.2, 1.0]) as (figure, (above, below)):
-        above.plot(fit.times_s, fit.simulated, color=SIMULATED, linewidth=1.6, label="simulated")
-        above.plot(fit.times_s, fit.measured, "o", color=MEASURED, markersize=3.4, label="measured")
-        if len(fit.left_out_times_s):
-            above.plot(
-                fit.left_out_times_s, fit.left_out, "o", color=MUTED, markersize=3.0, alpha=0.6, label="left out"
-            )
-        above.set_ylabel("position (rad)")
-        above.legend(loc="best")
-        residual = 1e3 * (fit.simulated - fit.measured)
-        below.fill_between(fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.15, linewidth=0)
-        below.axhline(0.0, color=MUTED, linewidth=0.8)
-        below.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=3.0, linewidth=0.8)
-        below.set_ylabel("residual (mrad)")
-        below.set_xlabel("time after the current came on (s); band: two standard deviations of the encoder")
+        _draw_run(above, below, fit)
         return svg(figure, f"Run {number}: measured and simulated position over time, and their residual")
+
+
+def runs_figure(fits: Sequence[RunFit]) -> Any:
+    """The same for every run, one below the other, as a matplotlib ``Figure``."""
+    count = len(fits)
+    with drawn(7.4, 4.4 * count, nrows=2 * count, squeeze=False, height_ratios=[2.2, 1.0] * count) as (figure, axes):
+        for n, fit in enumerate(fits):
+            above, below = axes[2 * n, 0], axes[2 * n + 1, 0]
+            below.sharex(above)
+            _draw_run(above, below, fit)
+            above.set_title(f"{fit.name}: {fit.joint}, {fit.current_A:+.3f} A", loc="left", fontsize=9.5)
+        return figure
+
+
+def _draw_run(above: Any, below: Any, fit: RunFit) -> None:
+    above.plot(fit.times_s, fit.simulated, color=SIMULATED, linewidth=1.6, label="simulated")
+    above.plot(fit.times_s, fit.measured, "o", color=MEASURED, markersize=3.4, label="measured")
+    if len(fit.left_out_times_s):
+        above.plot(fit.left_out_times_s, fit.left_out, "o", color=MUTED, markersize=3.0, alpha=0.6, label="left out")
+    above.set_ylabel("position (rad)")
+    above.legend(loc="best")
+    residual = 1e3 * (fit.simulated - fit.measured)
+    below.fill_between(fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.15, linewidth=0)
+    below.axhline(0.0, color=MUTED, linewidth=0.8)
+    below.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=3.0, linewidth=0.8)
+    below.set_ylabel("residual (mrad)")
+    below.set_xlabel("time after the current came on (s); band: two standard deviations of the encoder")
 
 
 def searched_in_words(estimate: Estimate) -> str:

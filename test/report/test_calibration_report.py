@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from proprio_ros.calibrate import calibrate_from_bags
+from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Verdict

@@ -42,6 +42,7 @@ from proprio_ros.identification.gates import (
 from proprio_ros.identification.judge import Assessment, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import PreparedRun, joints_of, prepare_run, reduced_model
+from proprio_ros.identification.reasons import of_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.problem import (
@@ -155,7 +156,7 @@ def find_sphere(
         prepared = prepare_run(robot, run, None, facts.shell)
         problem = unusable(prepared)
         if problem:
-            found.reasons.append(f"{run.name}: {problem}")
+            found.reasons.append(of_run(run.name, problem))
         else:
             usable.append((prepared, rolls, track))
         look_at_run(robot, prepared, found)

@@ -52,6 +52,7 @@ from proprio_ros.identification.judge import (
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.reasons import of_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
@@ -107,7 +108,7 @@ def weigh(
         prepared = prepare_run(robot, run, load, facts)
         problem = unusable(prepared)
         if problem:
-            found.reasons.append(f"{run.name}: {problem}")
+            found.reasons.append(of_run(run.name, problem))
         else:
             usable.append(prepared)
             weighing += load is None

@@ -24,15 +24,18 @@ from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.replay import ReplayOptions, bag_runs, held_positions, robot_of
-from proprio_ros.resources import resource, resource_names, write_in_one_step
+from proprio_ros.resources import paths_of, resource, resource_names, write_in_one_step
 from proprio_ros.robot import Robot, nested_settings
+from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, probe_file
+from proprio_ros.threads import one_blas_thread
 
 HEAVIEST_REFERENCE_KG = 5.0
 
 
+@one_blas_thread
 def calibrate_from_bags(
-    paths: Sequence[str | Path],
+    paths: str | Path | Sequence[str | Path],
     references: Mapping[str | Path, float],
     options: ReplayOptions | None = None,
     output: str | Path | None = None,
@@ -51,6 +54,7 @@ def calibrate_from_bags(
         ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
     """
     options = options or ReplayOptions()
+    paths = paths_of(paths)
     started = time.perf_counter()
     if not paths and not references:
         raise ConfigurationError("no recording given: name at least one bag with an empty hand")
@@ -75,11 +79,19 @@ def calibrate_from_bags(
         runs += [LoadedRun(run, load) for run in bag_runs(path, robot, options, held)]
     read = time.perf_counter()
     estimate = calibrate(robot, runs, progress=progress)
+    written = None
     if output is not None and estimate.calibration is not None and estimate.verdict.value == "accepted":
         write_calibration(Path(output), robot, estimate.calibration, overrides)
-    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s})
+        written = calibration_used(Path(output))
+    origin = {
+        "bags": [str(path) for path in paths],
+        "references": [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()],
+        "calibration": written,
+    }
+    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
 
 
+@one_blas_thread
 def plan_probes(
     masses_kg: Sequence[float],
     options: ReplayOptions | None = None,

@@ -1,0 +1,42 @@
+"""A sentence for the user that carries a code for programs."""
+
+from __future__ import annotations
+
+CODES = {
+    "few_samples": "a run has too few usable samples",
+    "stuck": "the joint hardly moved, so friction and not the load decides where it is",
+    "left_out_samples": "samples at the end of a run were left out",
+    "short_travel": "the joint moved, but less than a trustworthy result needs",
+    "starts_at_limit": "the joint starts at its limit, where the stop may carry part of the weight",
+    "current_above_limit": "more current was commanded than the motor's limit lets flow",
+    "held_joint_moved": "a joint that should be held moved",
+    "never_reversed": "a joint moved in one direction only, so its friction was never seen reversed",
+    "runs_differ": "a run differs from the others; the interval carries half of that",
+    "runs_contradict": "a run contradicts the others",
+    "other": "a reason without a code of its own",
+}
+"""Every code and what it means. A code keeps its meaning; the words of a sentence may change."""
+
+
+class Reason(str):
+    """A sentence, and why it was said.
+
+    Attributes:
+        code: One of `CODES`.
+    """
+
+    code: str
+
+    def __new__(cls, code: str, sentence: str) -> Reason:
+        reason = super().__new__(cls, sentence)
+        reason.code = code
+        return reason
+
+    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
+        """What copies and pickles are made from."""
+        return self.code, str(self)
+
+
+def of_run(name: str, sentence: str) -> str:
+    """The same reason with the run's name in front."""
+    return Reason(getattr(sentence, "code", "other"), f"{name}: {sentence}")
