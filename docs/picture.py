@@ -14,8 +14,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch, Rectangle
-from proprio_ros.calibrate import calibrate_from_bags
 
+from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import load_robot
 

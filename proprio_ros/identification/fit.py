@@ -18,6 +18,7 @@ from proprio_ros.identification.problem import (
     joints_of,
     payload_unknowns,
 )
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -137,17 +138,15 @@ def say_if_uncalibrated(
     if robot.is_calibrated():
         joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
         if joints and robot.calibration is not None:  # a file that only says so leaves nothing to be said
-            found.reasons.append(
-                f"{', '.join(joints)} was not calibrated, so the interval carries what the robot file leaves open of it"
-            )
+            open_of_it = "was not calibrated, so the interval carries what the robot file leaves open of it"
+            found.reasons.append(Reason("not_calibrated", f"{', '.join(joints)} {open_of_it}"))
         return
     if known_exactly(robot, runs):
         return
     largest = [f"{source} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
-    found.reasons.append(
-        "the robot has not been calibrated: the interval carries what its file leaves open"
-        + (f" (standard deviations: {', '.join(largest)})" if largest else "")
-    )
+    sentence = "the robot has not been calibrated: the interval carries what its file leaves open"
+    sentence += f" (standard deviations: {', '.join(largest)})" if largest else ""
+    found.reasons.append(Reason("not_calibrated", sentence))
 
 
 def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_mass") -> list[tuple[str, float]]:

@@ -25,6 +25,7 @@ from proprio_ros.identification.fit import FitResult, error_budget, say_if_uncal
 from proprio_ros.identification.gates import Contradiction, Findings
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
 
@@ -44,20 +45,20 @@ class Refusal:
     reasons: Sequence[str]
 
 
-def rejected(withheld: str, *reasons: str) -> Refusal:
-    """The model does not explain the recording."""
-    return Refusal(Verdict.REJECTED, withheld, reasons)
+def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
+    """The model does not explain the recording; ``code`` is that of ``sentence`` (see ``reasons.CODES``)."""
+    return Refusal(Verdict.REJECTED, withheld, (Reason(code, sentence), *more))
 
 
-def not_identifiable(withheld: str, *reasons: str) -> Refusal:
+def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
     """The recording cannot tell."""
-    return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, reasons)
+    return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, (Reason(code, sentence),))
 
 
 def contradicted(apart: Contradiction | None) -> Iterable[Refusal]:
     """A refusal where runs say different values."""
     if apart is not None and apart.half is None:
-        yield rejected("the runs contradict each other", apart.sentence)
+        yield rejected("runs_contradict", "the runs contradict each other", apart.sentence)
 
 
 class Assessment:
@@ -152,8 +153,11 @@ def judge(
             found.reasons.append(apart.sentence)
         if assessed.inflation > 1.0 and not fit.explains:
             found.reasons.append(
-                f"the fit is {np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} "
-                "mrad): the interval was widened by that factor"
+                Reason(
+                    "coarse_fit",
+                    f"the fit is {np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} "
+                    "mrad): the interval was widened by that factor",
+                )
             )
         found.reasons += remarks()
         say_if_uncalibrated(robot, assessed.runs, open_drive_train, found)

@@ -13,6 +13,17 @@ CODES = {
     "never_reversed": "a joint moved in one direction only, so its friction was never seen reversed",
     "runs_differ": "a run differs from the others; the interval carries half of that",
     "runs_contradict": "a run contradicts the others",
+    "unsimulated": "no guess could be simulated",
+    "drift": "the empty hand contradicts the calibration",
+    "on_bound": "the value ended on a bound of the search",
+    "misfit": "the best simulation does not follow the recording",
+    "coarse_fit": "the residuals are coarser than the encoder; the interval is wider for it",
+    "lighter_than_empty": "the hand seems lighter than it was empty",
+    "interval_too_wide": "the interval is too wide to be of use",
+    "several_values": "more than one value explains the recording",
+    "baseline_not_empty": "the baseline contradicts what is known about it",
+    "hardly_pressed": "the block was hardly pressed",
+    "not_calibrated": "what the robot's file leaves open counts as uncertainty",
     "other": "a reason without a code of its own",
 }
 """Every code and what it means. A code keeps its meaning; the words of a sentence may change."""

@@ -13,7 +13,7 @@ import pytest
 
 from proprio_ros.cli import _as_text
 from proprio_ros.identification.estimate import Estimate, Value
-from proprio_ros.probes.container.detail import SpherePath
+from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
 from proprio_ros.replay import ReplayOptions, replay, write_report
 
@@ -229,7 +229,7 @@ def estimate() -> Estimate:
         ),
         unknowns=(),  # those of a payload
         run_fits=weighed.run_fits * 6,
-        paths=tuple(replace(rolled(shape), run=f"tilted <{shape}>") for shape in INSIDES),
+        detail=ContainerDetail(tuple(replace(rolled(shape), run=f"tilted <{shape}>") for shape in INSIDES)),
     )
 
 
@@ -260,7 +260,7 @@ def test_the_page_of_three_runs(estimate: Estimate, tmp_path: Path) -> None:
 def test_a_page_without_a_path_says_nothing_of_it(estimate: Estimate, tmp_path: Path) -> None:
     lost = replace(rolled(), position=np.full((25, 3), np.nan))
     for paths in ((), (lost,)):
-        write_report(replace(estimate, paths=paths), tmp_path / "page.html")
+        write_report(replace(estimate, detail=ContainerDetail(paths)), tmp_path / "page.html")
         assert "Where the sphere was" not in read(tmp_path / "page.html")[1]
 
 

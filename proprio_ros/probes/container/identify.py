@@ -413,11 +413,12 @@ def _conclude(
         if not np.isfinite(fit.chi2):
             unsimulated = "no guess of the mass could be simulated"
             sizes = ": check container.inner_size, sphere.radius and the robot file's inertias"
-            yield rejected(unsimulated, unsimulated + sizes)
+            yield rejected("unsimulated", unsimulated, unsimulated + sizes)
         if doubt:
-            yield rejected("the baseline contradicts what was told", doubt)
+            yield rejected("baseline_not_empty", "the baseline contradicts what was told", doubt)
         if len(runs) > 1 and not fit.explains and (odd := contradicting(Posterior(problem, fit.values))) is not None:
             yield rejected(
+                "runs_contradict",
                 "the runs contradict each other",
                 f"{runs[odd].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
                 "was the same sphere in the same container, held in the same place?",
@@ -425,21 +426,24 @@ def _conclude(
         if fit.reduced_chi2 > MISFIT_LIMIT:
             suspects = _bounces(robot, data, facts, options) or other_suspects(robot)
             misfit = misfit_reason(assessed.rms, assessed.expected, mass, fit.reduced_chi2)
-            yield rejected("the model does not explain the recording", misfit, *suspects)
+            yield rejected("misfit", "the model does not explain the recording", misfit, *suspects)
         if mass + Z95 * std < 0.0:
             yield rejected(
+                "lighter_than_empty",
                 "the container seems lighter than empty",
                 f"the container seems {-1e3 * mass:.1f} g lighter than it was empty: was the baseline empty, and held in the same "
                 "place?",
             )
         if Z95 * std > options.widest_interval_kg:
             yield not_identifiable(
+                "interval_too_wide",
                 "the interval is too wide to tell a mass",
                 f"the sphere's mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
                 + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
             )
         if others := rivals(fit, "sphere_mass", mass, std, DISTINCT):
             yield not_identifiable(
+                "several_values",
                 "more than one mass explains the recording",
                 "more than one mass explains the recording: "
                 + ", ".join(f"{1e3 * m:.1f} g" for m in sorted((mass, *others)))

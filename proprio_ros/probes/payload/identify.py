@@ -216,20 +216,24 @@ def _conclude(
     def refusals() -> Iterator[Refusal]:
         if not np.isfinite(fit.chi2):
             unsimulated = "no guess of the mass could be simulated"
-            yield rejected(unsimulated, unsimulated + ": check the robot file's inertias")
+            yield rejected("unsimulated", unsimulated, unsimulated + ": check the robot file's inertias")
         if drift:
-            yield rejected("the robot has changed since its calibration", drift)
+            yield rejected("drift", "the robot has changed since its calibration", drift)
         yield from contradicted(apart)
         if on_bound(fit):
             yield rejected(
+                "on_bound",
                 "the mass ended on a bound of the search",
                 f"the mass ended on a bound of the search ({mass:.3g} kg): is this the right robot, joint and unit of current?",
             )
         if fit.reduced_chi2 > MISFIT_LIMIT or moving:
             misfit = misfit_reason(assessed.rms, assessed.expected, mass, fit.reduced_chi2)
-            yield rejected("the model does not explain the recording", misfit, *(moving or other_suspects(robot)))
+            yield rejected(
+                "misfit", "the model does not explain the recording", misfit, *(moving or other_suspects(robot))
+            )
         if mass + Z95 * std < 0.0:
             yield rejected(
+                "lighter_than_empty",
                 "the hand seems lighter than empty",
                 f"the hand with its load seems {-1e3 * mass:.1f} g lighter than it was empty: "
                 + ("has the robot changed since? calibrate it again" if known else "calibrate the robot"),
@@ -237,18 +241,21 @@ def _conclude(
         slow = [run for run in runs if abs(run.travel) < LITTLE_TRAVEL]
         if fit is opened and not known and len(slow) == len(runs):
             yield not_identifiable(
+                "short_travel",
                 "too little travel to tell friction from weight",
                 f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to tell friction from weight: "
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         if fit is opened and Z95 * std > options.widest_interval_kg:
             yield not_identifiable(
+                "interval_too_wide",
                 "the interval is too wide to tell a mass",
                 f"the mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of "
                 f"{budget[0][0] if budget else 'encoder noise'}: calibrate the robot on empty-hand runs, or probe with more travel",
             )
         if others := rivals(fit, "payload_mass", mass, std, 0.02):
             yield not_identifiable(
+                "several_values",
                 "more than one mass explains the recording",
                 "more than one mass explains the recording: " + ", ".join(f"{1e3 * m:.1f} g" for m in (mass, *others)),
             )

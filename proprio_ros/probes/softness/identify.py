@@ -220,19 +220,21 @@ def _conclude(
     def refusals() -> Iterator[Refusal]:
         if not np.isfinite(fit.chi2):
             unsimulated = "no guess of the modulus could be simulated"
-            yield rejected(unsimulated, unsimulated + ": check block.size and the robot file")
+            yield rejected("unsimulated", unsimulated, unsimulated + ": check block.size and the robot file")
         yield from contradicted(apart)
         if fit.reduced_chi2 > MISFIT_LIMIT:
             misfit = _misfit(assessed.rms, assessed.expected, modulus, fit.reduced_chi2)
-            yield rejected("the model does not explain the recording", misfit, *other_suspects(robot))
+            yield rejected("misfit", "the model does not explain the recording", misfit, *other_suspects(robot))
         if largest < UNTOUCHED or modulus <= unknown.lower * 1.01:
             yield not_identifiable(
+                "hardly_pressed",
                 "the block was hardly pressed",
                 f"the block was squeezed by {100.0 * max(largest, 0.0):.1f} % at most: is it between the fingers, and block.size "
                 "right?",
             )
         if modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
             yield not_identifiable(
+                "interval_too_wide",
                 "the interval is too wide to tell a modulus",
                 f"Young's modulus can only be told to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of {budget[0][0]}: "
                 + (
