@@ -1,8 +1,8 @@
 """The enclosed sphere: one driven joint that carries a container with a sphere rolling in it, coupled by contact both ways.
 
-The second interaction of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction" (Chen
-et al.), with its equation (1) for the joint. The sphere is a rigid body of its own with three coordinates and a spin; the walls push it with
-penalty forces, and what they give to it they take from the joint:
+The second interaction of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction"
+(Chen et al.), with its equation (1) for the joint. The sphere is a rigid body of its own with three coordinates and a spin; the
+walls push it with penalty forces, and what they give to it they take from the joint:
 
     J a + g(q) = tau_m - friction - m sum V(x_c) . f           (joint.py has the rest of this line)
     du/dt = g_C(q) + sum f - Omega x u
