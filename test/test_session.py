@@ -268,11 +268,11 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
 
     def compiled_in_replay(prepared: ReplayOptions) -> int:
-        sphere._tangent_kernel.cache_clear()
+        sphere.tangent_kernel.cache_clear()
         prepare(prepared)
-        before = sphere._tangent_kernel.cache_info().misses
+        before = sphere.tangent_kernel.cache_info().misses
         replay([full], options)
-        return int(sphere._tangent_kernel.cache_info().misses - before)
+        return int(sphere.tangent_kernel.cache_info().misses - before)
 
     assert compiled_in_replay(options) == 0
     other = replace(options, settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]})
@@ -281,11 +281,11 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
 
 def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
     options = ReplayOptions(probe="softness", settings={"block.size": 0.03})
-    squeeze._tangent_kernel.cache_clear()
+    squeeze.squeeze_law.cache_clear()
     prepare(options)
-    before = squeeze._tangent_kernel.cache_info().misses
+    before = squeeze.squeeze_law.cache_info().misses
     replay([bags / "realistic_s00_squeeze_heavy" / "bag_mcap"], options)
-    assert squeeze._tangent_kernel.cache_info().misses == before
+    assert squeeze.squeeze_law.cache_info().misses == before
 
 
 def test_how_far_a_block_may_be_squeezed() -> None:

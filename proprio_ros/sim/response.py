@@ -25,16 +25,13 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.sim import runtime
 from proprio_ros.sim.energies import check_law, lame, lame_by_poissons_ratio, lame_of_small_strain
 from proprio_ros.sim.mesh import TetMesh, box
 from proprio_ros.sim.quasistatic import CONTACTS, QuasiStatic
-from proprio_ros.sim.runtime import FLOAT
 
 CELLS = 6
 """Of the octant, along a mean edge: 12 for the block. Its error of E with bonded faces at 30 % squeeze, against second-order
@@ -46,9 +43,6 @@ SQUEEZES = {"log": (0.0, 0.6, 25), "linear": (0.0, 0.6, 25), "smith": (0.0, 0.3,
 FARTHEST = (0.0, 0.8, 49)
 """The same for the laws that stand it, with frictionless faces, where every element is squeezed alike."""
 _SOURCES = ("mesh.py", "energies.py", "quasistatic.py", "response.py")
-
-runtime.start()
-_VEC4 = wp.types.vector(length=4, dtype=FLOAT)
 
 
 @dataclass(frozen=True)
@@ -108,59 +102,6 @@ class Response:
         basis = [[(1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2], [t**2 * (3 - 2 * t), t**2 * (t - 1)]]
         by_t = [[6 * t * (t - 1), (1 - t) * (1 - 3 * t)], [6 * t * (1 - t), t * (3 * t - 2)]]
         return basis, cell, [[part / step for part in pair] for pair in by_t], value - inside
-
-
-@wp.func
-def _basis(t: FLOAT):
-    """Hermite's cubic polynomials: values at the two nodes, slopes at the two nodes."""
-    one = FLOAT(1.0)
-    two = FLOAT(2.0)
-    r = one - t
-    return _VEC4((one + two * t) * r * r, t * r * r, t * t * (FLOAT(3.0) - two * t), -t * t * r)
-
-
-@wp.func
-def _basis_slope(t: FLOAT):
-    one = FLOAT(1.0)
-    six = FLOAT(6.0)
-    three = FLOAT(3.0)
-    r = one - t
-    return _VEC4(-six * t * r, r * (one - three * t), six * t * r, t * (three * t - FLOAT(2.0)))
-
-
-@wp.func
-def tabulated(s: FLOAT, nu: FLOAT, table: wp.int32, grid: wp.array(dtype=FLOAT), nodes: wp.array3d(dtype=_VEC4)):
-    """phi, dphi/ds and dphi/dnu of one of several tables over the same grid: ``Response.__call__`` for kernels."""
-    rows = nodes.shape[1] - 1
-    columns = nodes.shape[2] - 1
-    zero = FLOAT(0.0)
-    u = wp.clamp((s - grid[0]) / grid[1], zero, FLOAT(rows))
-    w = wp.clamp((nu - grid[2]) / grid[3], zero, FLOAT(columns))
-    i = wp.min(wp.int32(u), rows - 1)
-    j = wp.min(wp.int32(w), columns - 1)
-    beyond_s = s - grid[0] - u * grid[1]
-    beyond_nu = nu - grid[2] - w * grid[3]
-    a = _basis(u - FLOAT(i))
-    b = _basis(w - FLOAT(j))
-    da = _basis_slope(u - FLOAT(i)) / grid[1]
-    db = _basis_slope(w - FLOAT(j)) / grid[3]
-    phi = zero
-    by_s = zero
-    by_nu = zero
-    both = zero
-    for k in range(2):
-        for m in range(2):
-            node = nodes[table, i + k, j + m]
-            left = node[0] * b[2 * m] + node[2] * b[2 * m + 1]
-            right = node[1] * b[2 * m] + node[3] * b[2 * m + 1]
-            d_left = node[0] * db[2 * m] + node[2] * db[2 * m + 1]
-            d_right = node[1] * db[2 * m] + node[3] * db[2 * m + 1]
-            phi = phi + a[2 * k] * left + a[2 * k + 1] * right
-            by_s = by_s + da[2 * k] * left + da[2 * k + 1] * right
-            by_nu = by_nu + a[2 * k] * d_left + a[2 * k + 1] * d_right
-            both = both + da[2 * k] * d_left + da[2 * k + 1] * d_right
-    phi = phi + by_s * beyond_s + by_nu * beyond_nu + both * beyond_s * beyond_nu
-    return phi, by_s + both * beyond_nu, by_nu + both * beyond_s
 
 
 def build(

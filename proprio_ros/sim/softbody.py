@@ -1,7 +1,11 @@
 """The block as the paper moves it: explicit elastodynamics of its nodes between two fingers that one motor closes.
 
-With nodal forces f = -dE/dx of the energy of ``quasistatic.py`` and a viscosity of the material as warp.sim has it, the paper's
-equations (2) and (4) for a gripper with joint coordinate q, positive when closing:
+What it is for: it is the paper's way, and it checks the quasi-static block of ``quasistatic.py`` and ``squeeze.py``, which is what
+a fit runs. Nothing here is fast enough for that: the step is limited by the block's fastest wave (``most_step_s``).
+
+With nodal forces f = -dE/dx of the energy of ``quasistatic.py`` and a viscosity of the material as warp.sim has it, equations
+(2) and (4) of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction" (Chen et al.)
+for a gripper with joint coordinate q, positive when closing:
 
     d = travel q - gap                                     squeeze; each finger moves by d / 2
     J dw/dt = k_t i - f_c tanh(w / v_s) - f_v w - travel P,      P = (push on one finger + push on the other) / 2
@@ -16,13 +20,10 @@ All steps of a segment of frames run in one launch and every step writes its own
 overwritten). The gradient comes from the adjoint of the same kernel, segment by segment from the last one backwards.
 ``keep="states"`` holds the states of all steps; ``keep="starts"`` holds those at the start of each segment and computes the
 others again: the same gradient for a third more time and a fraction of the memory.
-
-This is the paper's solver and the oracle for ``squeeze.py``, which is what a fit runs: nothing here is fast enough for that,
-and the step is limited by the block's fastest wave (``most_step_s``).
 """
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,35 +32,19 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import eigsh
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.sim import runtime
-from proprio_ros.sim.energies import LEAST_J, check_law, check_material
+from proprio_ros.sim.energies import check_law, check_material
+from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.mesh import TetMesh
 from proprio_ros.sim.quasistatic import CONTACTS, Elastic
 from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.sim.softbody_kernels import MAT33, SOFT_PARAMETERS, carry, frame_kernel
 
-SOFT_PARAMETERS = (
-    "inertia",
-    "torque_constant",
-    "coulomb",
-    "viscous",
-    "q0",
-    "v0",
-    "gap",
-    "lame_mu",
-    "lame_lambda",
-    "viscosity",
-)
-"""Rows of a parameter vector, SI: kg m^2, N m/A, N m, N m s/rad, rad, rad/s, m, Pa, Pa, Pa s (kg, N, m for a slide)."""
 SOFT_INDEX = {name: row for row, name in enumerate(SOFT_PARAMETERS)}
 KEEP = ("states", "starts")
 SEGMENT_BYTES = 2**20
 """States of a segment: as many whole frames as fit, at least one. A launch costs 50 us, and what fits into the cache is faster."""
 MARGIN = 0.8
 """Of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency."""
-
-runtime.start()
-_VEC3 = wp.types.vector(length=3, dtype=FLOAT)
-_MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
 
 
 @dataclass(frozen=True)
@@ -92,205 +77,6 @@ class SoftRun:
         return np.asarray(self.input_current_A, dtype=np.float64)[last]
 
 
-@wp.func
-def _log_slope(j: FLOAT):
-    """d log J / dJ, continued (``energies.log_j``)."""
-    least = FLOAT(LEAST_J)
-    below = wp.min(j - least, FLOAT(0.0)) / least
-    return (FLOAT(1.0) - below) / wp.max(j, least)
-
-
-@wp.func
-def _log(j: FLOAT):
-    least = FLOAT(LEAST_J)
-    below = wp.min(j - least, FLOAT(0.0)) / least
-    return wp.log(wp.max(j, least)) + below - FLOAT(0.5) * below * below
-
-
-@wp.func
-def _edges(x: wp.array3d(dtype=_VEC3), w: wp.int32, n: wp.int32, tets: wp.array2d(dtype=wp.int32), t: wp.int32):
-    """Of a nodal field, from the first corner of a tetrahedron to the others."""
-    origin = x[w, n, tets[t, 0]]
-    return x[w, n, tets[t, 1]] - origin, x[w, n, tets[t, 2]] - origin, x[w, n, tets[t, 3]] - origin
-
-
-@cache
-def _law_functions(law: str) -> tuple[Any, Any]:
-    """j of a tetrahedron, and V P dm^T from its edges and the cell's j: ``energies.py`` for kernels.
-
-    With the edges D now and the inverse dm of those at rest, F = D dm and 6 V det dm = 1. So F dm^T = D G with G = dm dm^T, and
-    V cof(F) dm^T = cof(D) / 6, whose columns are cross products of the edges: that saves F.
-    """
-    linear, compat = law == "linear", law == "warp_compat"
-
-    @wp.func
-    def change(e1: _VEC3, e2: _VEC3, e3: _VEC3, volume: FLOAT, dm: _MAT33):
-        if wp.static(linear):
-            f = wp.matrix_from_cols(e1, e2, e3) * dm
-            return f[0, 0] + f[1, 1] + f[2, 2] - FLOAT(2.0)
-        else:
-            return wp.dot(e1, wp.cross(e2, e3)) / (FLOAT(6.0) * volume)
-
-    @wp.func
-    def pull(
-        e1: _VEC3,
-        e2: _VEC3,
-        e3: _VEC3,
-        rates: _MAT33,
-        cell_j: FLOAT,
-        volume: FLOAT,
-        dm: _MAT33,
-        gram: _MAT33,
-        mu: FLOAT,
-        lam: FLOAT,
-        eta: FLOAT,
-    ):
-        one = FLOAT(1.0)
-        d = wp.matrix_from_cols(e1, e2, e3)
-        if wp.static(linear):
-            f = d * dm
-            side = wp.transpose(f * (mu * volume))
-            spherical = volume * (lam * (cell_j - one) - FLOAT(2.0) * mu)
-            return (volume * (mu * d + eta * rates)) * gram + side * wp.transpose(dm) + spherical * wp.transpose(dm)
-        else:
-            c1 = wp.cross(e2, e3)
-            j = wp.dot(e1, c1) / (FLOAT(6.0) * volume)
-            push = lam * (cell_j - one)
-            shear = mu
-            if wp.static(law == "log"):
-                push = lam * _log(cell_j) * _log_slope(cell_j) - mu * _log_slope(j)
-            if wp.static(law == "smith"):
-                push = lam * (cell_j - one) + mu * (j - FLOAT(2.0))
-            if wp.static(compat):
-                push = lam * (cell_j - one) - FLOAT(0.75) * mu
-                shear = mu * (one - one / (wp.ddot(d, d * gram) + one))
-            cofactor = wp.matrix_from_cols(c1, wp.cross(e3, e1), wp.cross(e1, e2))
-            return (volume * (shear * d + eta * rates)) * gram + (push / FLOAT(6.0)) * cofactor
-
-    return change, pull
-
-
-@cache
-def _frame_kernel(law: str, bonded: bool) -> Any:
-    """All steps of a segment; thread = world."""
-    change, pull = _law_functions(law)
-
-    @wp.kernel(module="unique")
-    def frame(
-        # Block:
-        tets: wp.array2d(dtype=wp.int32),
-        cells: wp.array(dtype=wp.int32),
-        shares: wp.array(dtype=FLOAT),
-        volumes: wp.array(dtype=FLOAT),
-        inverses: wp.array(dtype=_MAT33),
-        grams: wp.array(dtype=_MAT33),
-        masses: wp.array(dtype=FLOAT),
-        sides: wp.array(dtype=FLOAT),
-        end_nodes: wp.array(dtype=wp.int32),
-        # Gripper and run: half length, travel, smoothing velocity, faces' mass, step
-        constants: wp.array(dtype=FLOAT),
-        current_in: wp.array(dtype=FLOAT),
-        # World data in:
-        p_in: wp.array2d(dtype=FLOAT),
-        # World data in and out: row 0 is given, one more row for every step
-        q: wp.array2d(dtype=FLOAT),
-        u: wp.array2d(dtype=FLOAT),
-        x: wp.array3d(dtype=_VEC3),
-        v: wp.array3d(dtype=_VEC3),
-        # World data out, zero before:
-        cell_j: wp.array3d(dtype=FLOAT),
-        force: wp.array3d(dtype=_VEC3),
-        push: wp.array2d(dtype=FLOAT),
-    ):
-        w = wp.tid()
-        half_length = constants[0]
-        travel = constants[1]
-        smooth = constants[2]
-        h = constants[4]
-        half = FLOAT(0.5)
-        inertia = p_in[w, 0] + FLOAT(0.25) * travel * travel * constants[3]
-        torque_constant = p_in[w, 1]
-        coulomb = p_in[w, 2]
-        drag = p_in[w, 3]
-        gap = p_in[w, 6]
-        mu = p_in[w, 7]
-        lam = p_in[w, 8]
-        eta = p_in[w, 9]
-        for n in range(current_in.shape[0]):
-            for t in range(tets.shape[0]):
-                e1, e2, e3 = _edges(x, w, n, tets, t)
-                wp.atomic_add(cell_j, w, n, cells[t], shares[t] * change(e1, e2, e3, volumes[t], inverses[t]))
-            for t in range(tets.shape[0]):
-                e1, e2, e3 = _edges(x, w, n, tets, t)
-                r1, r2, r3 = _edges(v, w, n, tets, t)
-                rates = wp.matrix_from_cols(r1, r2, r3)
-                j = cell_j[w, n, cells[t]]
-                inward = pull(e1, e2, e3, rates, j, volumes[t], inverses[t], grams[t], mu, lam, eta)
-                f1 = _VEC3(inward[0, 0], inward[1, 0], inward[2, 0])
-                f2 = _VEC3(inward[0, 1], inward[1, 1], inward[2, 1])
-                f3 = _VEC3(inward[0, 2], inward[1, 2], inward[2, 2])
-                wp.atomic_sub(force, w, n, tets[t, 1], f1)
-                wp.atomic_sub(force, w, n, tets[t, 2], f2)
-                wp.atomic_sub(force, w, n, tets[t, 3], f3)
-                wp.atomic_add(force, w, n, tets[t, 0], f1 + f2 + f3)
-            for k in range(end_nodes.shape[0]):
-                i = end_nodes[k]
-                outward = force[w, n, i]
-                wp.atomic_add(push, w, n, half * sides[i] * outward[0])
-            turn = u[w, n]
-            pressing = wp.float64(0.0)
-            if travel * q[w, n] - gap > FLOAT(0.0):
-                pressing = push[w, n]
-            torque = torque_constant * current_in[n] - coulomb * wp.tanh(turn / smooth) - drag * turn
-            u[w, n + 1] = turn + h * (torque - travel * pressing) / inertia
-            q[w, n + 1] = q[w, n] + h * u[w, n + 1]
-            for i in range(masses.shape[0]):
-                side = sides[i]
-                place = x[w, n, i]
-                speed = v[w, n, i] + (h / masses[i]) * force[w, n, i]
-                moved = place + h * speed
-                if side != FLOAT(0.0):
-                    squeeze = travel * q[w, n + 1] - gap
-                    at = side * half_length
-                    along = FLOAT(0.0)
-                    if squeeze > FLOAT(0.0):
-                        at = side * (half_length - half * squeeze)
-                        along = -half * side * travel * u[w, n + 1]
-                    if wp.static(bonded):
-                        v[w, n + 1, i] = _VEC3(along, FLOAT(0.0), FLOAT(0.0))
-                        x[w, n + 1, i] = _VEC3(at, place[1], place[2])
-                    else:
-                        v[w, n + 1, i] = _VEC3(along, speed[1], speed[2])
-                        x[w, n + 1, i] = _VEC3(at, moved[1], moved[2])
-                else:
-                    v[w, n + 1, i] = speed
-                    x[w, n + 1, i] = moved
-
-    return frame
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def _carry(
-    row_in: wp.int32,
-    row_out: wp.int32,
-    q_in: wp.array2d(dtype=FLOAT),
-    u_in: wp.array2d(dtype=FLOAT),
-    x_in: wp.array3d(dtype=_VEC3),
-    v_in: wp.array3d(dtype=_VEC3),
-    q_out: wp.array2d(dtype=FLOAT),
-    u_out: wp.array2d(dtype=FLOAT),
-    x_out: wp.array3d(dtype=_VEC3),
-    v_out: wp.array3d(dtype=_VEC3),
-):
-    """Copy one row of the states to another."""
-    w, i = wp.tid()
-    x_out[w, row_out, i] = x_in[w, row_in, i]
-    v_out[w, row_out, i] = v_in[w, row_in, i]
-    if i == 0:
-        q_out[w, row_out] = q_in[w, row_in]
-        u_out[w, row_out] = u_in[w, row_in]
-
-
 class _Rows:
     """States of some steps (or their adjoints) and what the kernel needs beside them."""
 
@@ -301,10 +87,10 @@ class _Rows:
         self.states = [
             zeros((worlds, steps + 1)),
             zeros((worlds, steps + 1)),
-            zeros((worlds, steps + 1, nodes), _VEC3),
-            zeros((worlds, steps + 1, nodes), _VEC3),
+            zeros((worlds, steps + 1, nodes), VEC3),
+            zeros((worlds, steps + 1, nodes), VEC3),
         ]
-        self.sums = [zeros((worlds, steps, cells)), zeros((worlds, steps, nodes), _VEC3), zeros((worlds, steps))]
+        self.sums = [zeros((worlds, steps, cells)), zeros((worlds, steps, nodes), VEC3), zeros((worlds, steps))]
 
     @staticmethod
     def bytes_of(worlds: int, steps: int, nodes: int, cells: int) -> int:
@@ -374,8 +160,8 @@ class SoftBody:
             array(mesh.cells.astype(np.int32), wp.int32),
             array(shares),
             array(mesh.volumes),
-            array(inverses, _MAT33),
-            array(inverses @ np.swapaxes(inverses, 1, 2), _MAT33),
+            array(inverses, MAT33),
+            array(inverses @ np.swapaxes(inverses, 1, 2), MAT33),
             array(self.masses),
             array(self._sides),
             array(self._ends.astype(np.int32), wp.int32),
@@ -462,7 +248,7 @@ class SoftBody:
         return x, v
 
 
-def _largest(matrix: Any, masses: np.ndarray, moves: np.ndarray) -> float:
+def _largest(matrix: Any, masses: np.ndarray, moves: Any) -> float:
     """Largest eigenvalue of a symmetric matrix over masses, of the coordinates that move."""
     root = diags(1.0 / np.sqrt(masses[moves]))
     scaled = root @ matrix.tocsr()[moves][:, moves] @ root
@@ -495,7 +281,7 @@ class SoftRollout:
         faces_mass = float(owner.masses[owner._ends].sum())
         constants = [0.5 * owner.mesh.length, owner.travel, owner._smooth, faces_mass, run.step_s]
         self._constants = wp.array(np.array(constants), dtype=FLOAT, device=owner.device)
-        self._kernel = _frame_kernel(owner.law, owner.contact == "bonded")
+        self._kernel = frame_kernel(owner.law, owner.contact == "bonded")
         per_frame = _Rows.bytes_of(len(p), run.substeps, len(owner.mesh.points), owner.mesh.cell_count)
         whole = max(1, min(run.frames, SEGMENT_BYTES // per_frame))
         self._first = list(range(0, run.frames, whole))  # frame of each segment
@@ -546,7 +332,7 @@ class SoftRollout:
 
     def _copy(self, source: list[wp.array], row_in: int, target: list[wp.array], row_out: int) -> None:
         dim = (len(self._given), len(self._owner.mesh.points))
-        wp.launch(_carry, dim=dim, inputs=[row_in, row_out, *source], outputs=target, device=self._owner.device)
+        wp.launch(carry, dim=dim, inputs=[row_in, row_out, *source], outputs=target, device=self._owner.device)
 
     def _inputs(self, segment: int) -> list[wp.array]:
         return [*self._owner._block, self._constants, self._currents[segment], self._p]

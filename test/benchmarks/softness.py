@@ -26,15 +26,12 @@ from proprio_ros.sim.quasistatic import QuasiStatic
 from proprio_ros.sim.response import Response, build
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.softbody import (
-    _MAT33,
-    _VEC3,
     SOFT_INDEX,
     SOFT_PARAMETERS,
     SoftBody,
     SoftRun,
-    _frame_kernel,
-    _law_functions,
 )
+from proprio_ros.sim.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SQUEEZE_PARAMETERS, SqueezeRun, SqueezeSimulator
 
 EDGE, MASS, TRAVEL = 0.03, 0.023, 0.023
@@ -47,7 +44,7 @@ _change, _pull = _law_functions("log")
 
 
 @wp.func
-def _edges(x: wp.array(dtype=_VEC3), tets: wp.array2d(dtype=wp.int32), t: wp.int32):
+def _edges(x: wp.array(dtype=VEC3), tets: wp.array2d(dtype=wp.int32), t: wp.int32):
     origin = x[tets[t, 0]]
     return x[tets[t, 1]] - origin, x[tets[t, 2]] - origin, x[tets[t, 3]] - origin
 
@@ -58,8 +55,8 @@ def _cell_kernel(
     cells: wp.array(dtype=wp.int32),
     shares: wp.array(dtype=FLOAT),
     volumes: wp.array(dtype=FLOAT),
-    inverses: wp.array(dtype=_MAT33),
-    x: wp.array(dtype=_VEC3),
+    inverses: wp.array(dtype=MAT33),
+    x: wp.array(dtype=VEC3),
     cell_j: wp.array(dtype=FLOAT),
 ):
     t = wp.tid()
@@ -72,14 +69,14 @@ def _force_kernel(
     tets: wp.array2d(dtype=wp.int32),
     cells: wp.array(dtype=wp.int32),
     volumes: wp.array(dtype=FLOAT),
-    inverses: wp.array(dtype=_MAT33),
-    grams: wp.array(dtype=_MAT33),
+    inverses: wp.array(dtype=MAT33),
+    grams: wp.array(dtype=MAT33),
     p: wp.array(dtype=FLOAT),
-    x: wp.array(dtype=_VEC3),
-    v: wp.array(dtype=_VEC3),
+    x: wp.array(dtype=VEC3),
+    v: wp.array(dtype=VEC3),
     cell_j: wp.array(dtype=FLOAT),
     sides: wp.array(dtype=FLOAT),
-    force: wp.array(dtype=_VEC3),
+    force: wp.array(dtype=VEC3),
     push: wp.array(dtype=FLOAT),
 ):
     t = wp.tid()
@@ -88,9 +85,9 @@ def _force_kernel(
     rates = wp.matrix_from_cols(r1, r2, r3)
     j = cell_j[cells[t]]
     pull = -_pull(e1, e2, e3, rates, j, volumes[t], inverses[t], grams[t], p[7], p[8], p[9])
-    f1 = _VEC3(pull[0, 0], pull[1, 0], pull[2, 0])
-    f2 = _VEC3(pull[0, 1], pull[1, 1], pull[2, 1])
-    f3 = _VEC3(pull[0, 2], pull[1, 2], pull[2, 2])
+    f1 = VEC3(pull[0, 0], pull[1, 0], pull[2, 0])
+    f2 = VEC3(pull[0, 1], pull[1, 1], pull[2, 1])
+    f3 = VEC3(pull[0, 2], pull[1, 2], pull[2, 2])
     wp.atomic_add(force, tets[t, 1], f1)
     wp.atomic_add(force, tets[t, 2], f2)
     wp.atomic_add(force, tets[t, 3], f3)
@@ -108,14 +105,14 @@ def _node_kernel(
     constants: wp.array(dtype=FLOAT),
     current: FLOAT,
     p: wp.array(dtype=FLOAT),
-    force: wp.array(dtype=_VEC3),
+    force: wp.array(dtype=VEC3),
     push: wp.array(dtype=FLOAT),
     q: wp.array(dtype=FLOAT),
-    x: wp.array(dtype=_VEC3),
-    v: wp.array(dtype=_VEC3),
+    x: wp.array(dtype=VEC3),
+    v: wp.array(dtype=VEC3),
     q_out: wp.array(dtype=FLOAT),
-    x_out: wp.array(dtype=_VEC3),
-    v_out: wp.array(dtype=_VEC3),
+    x_out: wp.array(dtype=VEC3),
+    v_out: wp.array(dtype=VEC3),
 ):
     """Nodes, and the gripper (its state is ``q``: coordinate and velocity) as the last of them; bonded faces, in touch."""
     i = wp.tid()
@@ -133,8 +130,8 @@ def _node_kernel(
         v_out[i] = speed
         x_out[i] = x[i] + h * speed
     else:
-        x_out[i] = _VEC3(sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2])
-        v_out[i] = _VEC3(-half * sides[i] * travel * turn, FLOAT(0.0), FLOAT(0.0))
+        x_out[i] = VEC3(sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2])
+        v_out[i] = VEC3(-half * sides[i] * travel * turn, FLOAT(0.0), FLOAT(0.0))
 
 
 class PerSubstep:
@@ -164,7 +161,7 @@ class PerSubstep:
         """Positions at the end of every frame (K,), and the gradient of their sum by the parameters (P,)."""
         steps, substeps = len(self._currents), self.run.substeps
         p0 = self._p.numpy()
-        x, v = (wp.array(part[0], dtype=_VEC3, requires_grad=True) for part in self._start)
+        x, v = (wp.array(part[0], dtype=VEC3, requires_grad=True) for part in self._start)
         q = wp.array(p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]], dtype=FLOAT, requires_grad=True)
         tets, nodes = self._tets.shape[0], len(self.body.mesh.points)
         states = [q]
@@ -172,7 +169,7 @@ class PerSubstep:
         with tape:
             for n in range(steps):
                 cell_j = wp.zeros(self.body.mesh.cell_count, dtype=FLOAT, requires_grad=True)
-                force = wp.zeros(nodes, dtype=_VEC3, requires_grad=True)
+                force = wp.zeros(nodes, dtype=VEC3, requires_grad=True)
                 push = wp.zeros(1, dtype=FLOAT, requires_grad=True)
                 next_q = wp.empty_like(q)
                 next_x = wp.empty_like(x)
@@ -215,10 +212,10 @@ class OnePerSubstep:
         steps, nodes = run.frames * run.substeps, len(body.mesh.points)
         self._rest = PerSubstep(body, run, p)
         self._p = wp.array(p, dtype=FLOAT, requires_grad=True)
-        self._kernel = _frame_kernel(body.law, True)
+        self._kernel = frame_kernel(body.law, True)
         currents = wp.array(run.currents(), dtype=FLOAT)
-        shapes = [((1, steps + 1), FLOAT)] * 2 + [((1, steps + 1, nodes), _VEC3)] * 2
-        shapes += [((1, steps, body.mesh.cell_count), FLOAT), ((1, steps, nodes), _VEC3), ((1, steps), FLOAT)]
+        shapes = [((1, steps + 1), FLOAT)] * 2 + [((1, steps + 1, nodes), VEC3)] * 2
+        shapes += [((1, steps, body.mesh.cell_count), FLOAT), ((1, steps, nodes), VEC3), ((1, steps), FLOAT)]
         self._arrays = [wp.zeros(shape, dtype=kind, requires_grad=True) for shape, kind in shapes]
         start = (*p[:, [SOFT_INDEX["q0"], SOFT_INDEX["v0"]]].T, *body._start(p, None))
         for array, value in zip(self._arrays, start, strict=False):

@@ -14,7 +14,8 @@ from proprio_ros.sim import response as module
 from proprio_ros.sim.energies import lame, lame_of_small_strain
 from proprio_ros.sim.mesh import TetMesh, box
 from proprio_ros.sim.quasistatic import QuasiStatic
-from proprio_ros.sim.response import Response, build, cache_folder, response, response_of_mesh, tabulated
+from proprio_ros.sim.response import Response, build, cache_folder, response, response_of_mesh
+from proprio_ros.sim.response_kernels import tabulated
 from proprio_ros.sim.runtime import FLOAT
 
 CUBE = np.full(3, 0.03)

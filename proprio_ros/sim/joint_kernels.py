@@ -1,0 +1,427 @@
+"""The law of one driven joint for Warp: what ``joint.py`` says, with its exact change along any direction."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from proprio_ros.sim import runtime
+from proprio_ros.sim.rollout import TIME_EPS, Law
+from proprio_ros.sim.runtime import FLOAT
+
+PARAMETERS = (
+    "inertia",
+    "gravity_cos",
+    "gravity_sin",
+    "gravity_constant",
+    "torque_constant",
+    "coulomb",
+    "viscous",
+    "load_friction",
+    "delay",
+    "q0",
+    "v0",
+    "carried",
+    "stribeck",
+    "stribeck_velocity",
+)
+"""Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg, 1, rad/s (kg, N, m for a
+slide)."""
+(
+    INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONSTANT, TORQUE_CONSTANT, COULOMB, VISCOUS, LOAD_FRICTION, DELAY, Q0, V0, CARRIED,
+    STRIBECK, STRIBECK_VELOCITY,
+) = range(len(PARAMETERS))  # fmt: skip
+
+VOLTAGE, BACK_EMF, RESISTANCE, FRICTION_VELOCITY = range(4)
+"""Columns of ``JointData.constants``."""
+CURRENT, LOAD, LOAD_PER_KG = range(3)
+"""Entries of the input."""
+
+runtime.start()
+VEC2 = wp.types.vector(length=2, dtype=FLOAT)
+VEC3 = wp.types.vector(length=3, dtype=FLOAT)
+
+
+@wp.struct
+class JointData:
+    """What is known about the runs: a row of constants each."""
+
+    constants: wp.array2d(dtype=FLOAT)
+
+
+@wp.func
+def limited_current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOAT):
+    """The current that flows, and its derivative by the velocity."""
+    i = command
+    slope = FLOAT(0.0)
+    if volt > FLOAT(0.0):
+        high = (volt - emf * v) / ohm
+        low = -(volt + emf * v) / ohm
+        if command > FLOAT(0.0) and command > high:
+            i = wp.max(high, FLOAT(0.0))
+            if high > FLOAT(0.0):
+                slope = -emf / ohm
+        if command < FLOAT(0.0) and command < low:
+            i = wp.min(low, FLOAT(0.0))
+            if low < FLOAT(0.0):
+                slope = -emf / ohm
+    return i, slope
+
+
+@wp.func
+def acceleration(
+    q: FLOAT,
+    v: FLOAT,
+    command: FLOAT,
+    extra: FLOAT,
+    p: wp.array2d(dtype=FLOAT),
+    world: wp.int32,
+    constants: wp.array2d(dtype=FLOAT),
+    run: wp.int32,
+):
+    i, _slope = limited_current(
+        command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE]
+    )
+    motor = p[world, TORQUE_CONSTANT] * i
+    dry = p[world, COULOMB] + p[world, LOAD_FRICTION] * wp.abs(motor)
+    if p[world, STRIBECK_VELOCITY] > FLOAT(0.0):
+        slow = v / p[world, STRIBECK_VELOCITY]
+        dry = dry * (FLOAT(1.0) + p[world, STRIBECK] * wp.exp(-slow * slow))
+    friction = dry * wp.tanh(v / constants[run, FRICTION_VELOCITY]) + p[world, VISCOUS] * v
+    load = p[world, GRAVITY_COS] * wp.cos(q) + p[world, GRAVITY_SIN] * wp.sin(q) + p[world, GRAVITY_CONSTANT] + extra
+    return (motor - friction - load) / p[world, INERTIA]
+
+
+@cache
+def linearised_acceleration(directions: int, stribeck: bool) -> Any:
+    """The joint's acceleration and its exact change along ``directions`` tangents, as a Warp function.
+
+    Without ``stribeck`` its terms are left out at compile time: a robot whose friction does not rise towards standstill does not
+    pay for the exponential.
+    """
+    vec = wp.types.vector(length=directions, dtype=FLOAT)
+
+    @wp.func
+    def linearised(
+        q: FLOAT,
+        v: FLOAT,
+        dq: vec,
+        dv: vec,
+        command: FLOAT,
+        gc: FLOAT,
+        d_gc: vec,
+        p: wp.array2d(dtype=FLOAT),
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        constants: wp.array2d(dtype=FLOAT),
+        r: wp.int32,
+    ):
+        """``gc`` is the load that neither angle nor speed changes."""
+        i, slope = limited_current(command, v, constants[r, VOLTAGE], constants[r, BACK_EMF], constants[r, RESISTANCE])
+        vs = constants[r, FRICTION_VELOCITY]
+        ga = p[w, GRAVITY_COS]
+        gb = p[w, GRAVITY_SIN]
+        kt = p[w, TORQUE_CONSTANT]
+        fc = p[w, COULOMB]
+        fv = p[w, VISCOUS]
+        fl = p[w, LOAD_FRICTION]
+        motor = kt * i
+        side = wp.tanh(v / vs)
+        load = wp.abs(motor)
+        c = wp.cos(q)
+        s = wp.sin(q)
+        inverse = FLOAT(1.0) / p[w, INERTIA]
+        if wp.static(stribeck):
+            rise = p[w, STRIBECK]
+            width = p[w, STRIBECK_VELOCITY]
+            slow = v / width
+            bump = wp.exp(-slow * slow)
+            level = FLOAT(1.0) + rise * bump
+            dry = fc + fl * load
+            a = (motor - dry * level * side - fv * v - ga * c - gb * s - gc) * inverse
+            # d motor / d(.) enters the friction through |motor| as well
+            gain = FLOAT(1.0) - fl * level * wp.sign(motor) * side
+            by_q = ga * s - gb * c
+            by_v = gain * kt * slope - dry * level * (FLOAT(1.0) - side * side) / vs - fv
+            by_v = by_v + FLOAT(2.0) * dry * rise * bump * slow / width * side
+            total = by_q * dq + by_v * dv + (gain * i) * dp[w, TORQUE_CONSTANT]
+            total = total - (level * side) * dp[w, COULOMB] - v * dp[w, VISCOUS]
+            total = total - (load * level * side) * dp[w, LOAD_FRICTION]
+            total = total - (dry * bump * side) * dp[w, STRIBECK]
+            total = total - (FLOAT(2.0) * dry * rise * bump * slow * slow / width * side) * dp[w, STRIBECK_VELOCITY]
+        else:
+            a = (motor - (fc + fl * load) * side - fv * v - ga * c - gb * s - gc) * inverse
+            gain = FLOAT(1.0) - fl * wp.sign(motor) * side
+            by_q = ga * s - gb * c
+            by_v = gain * kt * slope - (fc + fl * load) * (FLOAT(1.0) - side * side) / vs - fv
+            total = by_q * dq + by_v * dv + (gain * i) * dp[w, TORQUE_CONSTANT]
+            total = total - side * dp[w, COULOMB] - v * dp[w, VISCOUS] - (load * side) * dp[w, LOAD_FRICTION]
+        total = total - c * dp[w, GRAVITY_COS] - s * dp[w, GRAVITY_SIN] - d_gc - a * dp[w, INERTIA]
+        return a, inverse * total
+
+    return linearised
+
+
+def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
+    """The law of a state (q, v), whatever its rates."""
+    vec = wp.types.vector(length=directions, dtype=FLOAT)
+    mat = wp.types.matrix(shape=(2, directions), dtype=FLOAT)
+
+    @wp.struct
+    class Out:
+        q: wp.array2d(dtype=FLOAT)
+        v: wp.array2d(dtype=FLOAT)
+        dq: wp.array2d(dtype=vec)
+
+    @wp.func
+    def start(p: wp.array2d(dtype=FLOAT), dp: wp.array2d(dtype=vec), w: wp.int32, data: data_type, r: wp.int32):
+        return VEC2(p[w, Q0], p[w, V0]), wp.matrix_from_rows(dp[w, Q0], dp[w, V0])
+
+    @wp.func
+    def moved(y: VEC2, dy: mat, z: VEC2, dz: mat, k: VEC2, dk: mat, data: data_type, r: wp.int32):
+        return VEC2(z[1], k[1]), wp.matrix_from_rows(dz[1], dk[1])
+
+    @wp.func
+    def still(y: VEC2, k: VEC2, data: data_type, r: wp.int32, step: FLOAT):
+        return wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
+
+    @wp.func
+    def record(out: Out, w: wp.int32, k: wp.int32, y: VEC2, dy: mat, lead: FLOAT, d_lead: vec):
+        out.v[w, k] = y[1]
+        if lead < FLOAT(0.0):
+            out.q[w, k] = y[0] + y[1] * lead
+            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        else:
+            out.q[w, k] = y[0]
+            out.dq[w, k] = dy[0]
+
+    return Law(directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, still, record)
+
+
+@cache
+def joint_law(directions: int, stribeck: bool) -> Law:
+    """One joint with nothing that moves by itself in the hand."""
+    vec = wp.types.vector(length=directions, dtype=FLOAT)
+    mat = wp.types.matrix(shape=(2, directions), dtype=FLOAT)
+    linearised = linearised_acceleration(directions, stribeck)
+
+    @wp.func
+    def rates(
+        y: VEC2,
+        dy: mat,
+        u: VEC3,
+        p: wp.array2d(dtype=FLOAT),
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: JointData,
+        r: wp.int32,
+    ):
+        load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
+        d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
+        a, da = linearised(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
+
+    return one_joint_law(directions, JointData, rates)
+
+
+@wp.func
+def plain_rate(
+    q: FLOAT,
+    v: FLOAT,
+    command: FLOAT,
+    extra: FLOAT,
+    p: wp.array2d(dtype=FLOAT),
+    w: wp.int32,
+    data: JointData,
+    r: wp.int32,
+):
+    return acceleration(q, v, command, extra, p, w, data.constants, r)
+
+
+@cache
+def plain_step(rate: Callable[..., Any], data_type: Any, integrator: str) -> Any:
+    """Position and velocity of one joint a step later as a Warp function that is right for ``wp.Tape``.
+
+    Args:
+        rate: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function.
+    """
+    rk4 = integrator == "rk4"
+
+    @wp.func
+    def step(
+        q: FLOAT,
+        v: FLOAT,
+        h: FLOAT,
+        command: FLOAT,
+        extra: FLOAT,
+        p: wp.array2d(dtype=FLOAT),
+        w: wp.int32,
+        data: data_type,
+        r: wp.int32,
+    ):
+        a1 = rate(q, v, command, extra, p, w, data, r)
+        if wp.static(rk4):
+            half = FLOAT(0.5)
+            two = FLOAT(2.0)
+            v2 = v + half * h * a1
+            a2 = rate(q + half * h * v, v2, command, extra, p, w, data, r)
+            v3 = v + half * h * a2
+            a3 = rate(q + half * h * v2, v3, command, extra, p, w, data, r)
+            v4 = v + h * a3
+            a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
+            sixth = h / FLOAT(6.0)
+            return q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4)
+        else:
+            later = v + h * a1
+            return q + h * later, later
+
+    return step
+
+
+@cache
+def schedule(rate: Callable[..., Any], data_type: Any, integrator: str) -> Any:
+    """Rollout without tangents that writes down every step it takes, for the adjoint to follow."""
+    step = plain_step(rate, data_type, integrator)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def kernel(
+        # Run data:
+        sample_times: wp.array2d(dtype=FLOAT),
+        sample_count: wp.array(dtype=wp.int32),
+        input_times: wp.array2d(dtype=FLOAT),
+        inputs: wp.array2d(dtype=VEC3),
+        input_count: wp.array(dtype=wp.int32),
+        steps: wp.array2d(dtype=FLOAT),
+        data: data_type,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p_in: wp.array2d(dtype=FLOAT),
+        capacity: wp.int32,
+        # World data out: step length, its change with the delay, input, and the step after which each sample is taken
+        step_out: wp.array2d(dtype=FLOAT),
+        step_by_delay_out: wp.array2d(dtype=FLOAT),
+        input_out: wp.array2d(dtype=VEC3),
+        steps_out: wp.array(dtype=wp.int32),
+        sample_step_out: wp.array2d(dtype=wp.int32),
+    ):
+        w = wp.tid()
+        r = world_run[w]
+        vs = data.constants[r, FRICTION_VELOCITY]
+        coarse = steps[r, 0]
+        fine = steps[r, 1]
+        delay = p_in[w, DELAY]
+        q = p_in[w, Q0]
+        v = p_in[w, V0]
+        t = FLOAT(0.0)
+        moved = FLOAT(0.0)  # d t / d delay
+        segment = wp.int32(0)
+        u = inputs[r, 0]
+        extra = u[LOAD] + p_in[w, CARRIED] * u[LOAD_PER_KG]
+        n = wp.int32(0)
+        for k in range(sample_count[r]):
+            goal = sample_times[r, k] - delay
+            sample_step_out[w, k] = -1
+            if goal > FLOAT(0.0):
+                arrived = wp.int32(0)
+                while arrived == 0:
+                    end = goal
+                    d_end = FLOAT(-1.0)
+                    switches = wp.int32(0)
+                    if segment + 1 < input_count[r]:
+                        if input_times[r, segment + 1] < goal:
+                            end = input_times[r, segment + 1]
+                            d_end = FLOAT(0.0)
+                            switches = 1
+                    last = wp.int32(0)
+                    while last == 0 and n < capacity:
+                        a1 = rate(q, v, u[CURRENT], extra, p_in, w, data, r)
+                        h = coarse
+                        if fine < coarse:
+                            if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a1) * coarse:
+                                h = fine
+                        dh = FLOAT(0.0)
+                        if t + h > end - FLOAT(TIME_EPS):
+                            h = end - t
+                            dh = d_end - moved
+                            last = 1
+                        step_out[w, n] = h
+                        step_by_delay_out[w, n] = dh
+                        input_out[w, n] = u
+                        q_next, v_next = step(q, v, h, u[CURRENT], extra, p_in, w, data, r)
+                        q = q_next
+                        v = v_next
+                        n = n + 1
+                        t = t + h
+                        if last == 1:
+                            t = end
+                            moved = d_end
+                    if n >= capacity:
+                        arrived = 1
+                    elif switches == 1:
+                        segment = segment + 1
+                        u = inputs[r, segment]
+                        extra = u[LOAD] + p_in[w, CARRIED] * u[LOAD_PER_KG]
+                    else:
+                        arrived = 1
+                sample_step_out[w, k] = n
+        steps_out[w] = n
+
+    return kernel
+
+
+@cache
+def taped(rate: Callable[..., Any], data_type: Any, integrator: str) -> Any:
+    """A kernel whose adjoint is right: every step writes its own row, no state is overwritten."""
+    step = plain_step(rate, data_type, integrator)
+
+    @wp.kernel(module="unique")
+    def roll(
+        # Run data:
+        data: data_type,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p_in: wp.array2d(dtype=FLOAT),
+        delay_at: wp.array(dtype=FLOAT),
+        step_in: wp.array2d(dtype=FLOAT),
+        step_by_delay_in: wp.array2d(dtype=FLOAT),
+        input_in: wp.array2d(dtype=VEC3),
+        steps_in: wp.array(dtype=wp.int32),
+        # World data out:
+        q_out: wp.array2d(dtype=FLOAT),
+        v_out: wp.array2d(dtype=FLOAT),
+    ):
+        w = wp.tid()
+        r = world_run[w]
+        delay = p_in[w, DELAY]
+        q_out[w, 0] = p_in[w, Q0]
+        v_out[w, 0] = p_in[w, V0]
+        for n in range(steps_in[w]):
+            h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
+            u = input_in[w, n]
+            extra = u[LOAD] + p_in[w, CARRIED] * u[LOAD_PER_KG]
+            q_next, v_next = step(q_out[w, n], v_out[w, n], h, u[CURRENT], extra, p_in, w, data, r)
+            q_out[w, n + 1] = q_next
+            v_out[w, n + 1] = v_next
+
+    return roll
+
+
+@wp.kernel(module="unique")
+def observe(
+    # Run data:
+    sample_times: wp.array2d(dtype=FLOAT),
+    # World data in:
+    world_run: wp.array(dtype=wp.int32),
+    p_in: wp.array2d(dtype=FLOAT),
+    sample_step_in: wp.array2d(dtype=wp.int32),
+    q_in: wp.array2d(dtype=FLOAT),
+    # World data out:
+    sampled_out: wp.array2d(dtype=FLOAT),
+):
+    w, k = wp.tid()
+    step = sample_step_in[w, k]
+    if step < 0:
+        sampled_out[w, k] = p_in[w, Q0] + p_in[w, V0] * (sample_times[world_run[w], k] - p_in[w, DELAY])
+    else:
+        sampled_out[w, k] = q_in[w, step]
