@@ -26,9 +26,9 @@ from rolling_box import (
     recorded,
 )
 
-from proprio_ros.identification import container
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.fit import FitResult
+from proprio_ros.probes.container import identify as container
 from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
 from proprio_ros.probes.container.problem import SphereTrack
 from proprio_ros.quantity import Quantity
