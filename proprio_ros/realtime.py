@@ -53,15 +53,17 @@ def run_in_real_time() -> bool:
     """Ask the system to run this process as soon as it can, before others; returns whether that was granted.
 
     Linux grants it to root and within the limit `rtprio`; without it, work on the same cores makes stamps less exact (with three
-    busy programs on two cores a cycle in a hundred begins 5 ms late, instead of 0.1 ms). Threads made later inherit it. Called
-    in the main thread, it also has the kernel watch (RLIMIT_RTTIME): a thread that spins takes the whole process back to where
-    all others are.
+    busy programs on two cores a cycle in a hundred begins 5 ms late, instead of 0.1 ms). Call it when everything is imported and
+    read: whoever still starts would keep the others from a core. Threads made later inherit it. Called in the main thread, it
+    takes the other threads of the process along, and has the kernel watch (RLIMIT_RTTIME): a thread that spins takes the whole
+    process back to where all others are.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     except (OSError, AttributeError):
         return False
     if threading.current_thread() is threading.main_thread():
+        _schedule_all(os.SCHED_FIFO, 10)
         signal.signal(signal.SIGXCPU, lambda *_: _run_like_others())
         hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
         microseconds = round(1e6 * LONGEST_SPIN_S)
@@ -70,11 +72,15 @@ def run_in_real_time() -> bool:
     return True
 
 
-def _run_like_others() -> None:
-    """All threads of this process back to ordinary scheduling."""
+def _schedule_all(policy: int, priority: int) -> None:
     for thread in os.listdir("/proc/self/task"):
         with contextlib.suppress(OSError):  # it may just have ended
-            os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
+            os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
+
+
+def _run_like_others() -> None:
+    """All threads of this process back to ordinary scheduling."""
+    _schedule_all(os.SCHED_OTHER, 0)
     logging.getLogger("proprio_ros").warning("a thread span for %g s: no longer in real time", LONGEST_SPIN_S)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from typing import Any
@@ -18,7 +17,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import COMMANDS, STREAM, ManagedNode, run_node
-from proprio_ros.realtime import Pacer, StampClock, run_in_real_time
+from proprio_ros.realtime import Pacer, StampClock
 from proprio_ros.robot import load_robot
 
 _D = DriverSettings()
@@ -53,6 +52,7 @@ class DriverNode(ManagedNode):
     )  # fmt: skip
 
     pause_s = 0.001
+    real_time = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("driver", **kwargs)
@@ -228,10 +228,6 @@ class DriverNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_driver`."""
-    # a flood of commands must not keep the bus's thread from the interpreter: at the default of 5 ms it would miss cycles
-    sys.setswitchinterval(0.0005)
-    # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
-    run_in_real_time()
     return run_node(DriverNode)
 
 

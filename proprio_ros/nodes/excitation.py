@@ -20,7 +20,6 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode, run_node
-from proprio_ros.realtime import run_in_real_time
 from proprio_ros.robot import load_robot
 
 _G = Guards()
@@ -43,6 +42,8 @@ class ExcitationNode(ManagedNode):
         Parameter("held_joint_error", _G.held_joint_error_rad, "A held joint may give way by so much [rad].", 0.01, 1.0),
         Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
     )  # fmt: skip
+
+    real_time = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("excitation", **kwargs)
@@ -239,7 +240,6 @@ class ExcitationNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_excitation`."""
-    run_in_real_time()
     return run_node(ExcitationNode)
 
 

@@ -15,8 +15,8 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode, run_node
-from proprio_ros.realtime import run_in_real_time
 from proprio_ros.robot import load_robot
+from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.objects import Payload, parse_object
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
@@ -39,6 +39,8 @@ class VirtualNode(ManagedNode):
         Parameter("fault", "", "drop=P, corrupt=P, hang=JOINT, overheat=JOINT, jump=JOINT or unplug.", dynamic=True),
     )  # fmt: skip
 
+    real_time = True  # servos do not wait for other programs either
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("virtual", **kwargs)
         self._robot: VirtualRobot | None = None
@@ -46,6 +48,7 @@ class VirtualNode(ManagedNode):
         self._content_is_out = False
 
     def configure(self) -> None:
+        import_mujoco()  # takes a second, which none of the nodes has once it is active
         robot = load_robot(self.values["robot"])
         self._object = parse_object(self.values["object"])
         self._reference = Payload(self.values["reference"])
@@ -132,7 +135,6 @@ class VirtualNode(ManagedNode):
 
 def main() -> int:
     """Entry point of `proprio_virtual`."""
-    run_in_real_time()  # servos do not wait for other programs either
     return run_node(VirtualNode)
 
 

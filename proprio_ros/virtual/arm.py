@@ -95,7 +95,7 @@ class VirtualArm:
         self._velocity_before = np.zeros(len(self.joints))  # of the shafts, one substep ago
         self._touch_m = 0.0  # where the driven finger touches the block
 
-        self._mujoco = _import_mujoco()
+        self._mujoco = import_mujoco()
         self._build(None)
         start = {
             name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
@@ -366,7 +366,12 @@ class VirtualArm:
 _PAYLOAD, _CONTAINER, _SPHERE = "held/payload", "held/container", "held/sphere"
 
 
-def _import_mujoco() -> Any:
+def import_mujoco() -> Any:
+    """MuJoCo's module.
+
+    Raises:
+        ConfigurationError: It is not installed.
+    """
     try:
         import mujoco
     except ImportError as error:
