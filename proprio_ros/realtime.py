@@ -64,7 +64,7 @@ def run_in_real_time() -> bool:
         return False
     if threading.current_thread() is threading.main_thread():
         _schedule_all(os.SCHED_FIFO, 10)
-        signal.signal(signal.SIGXCPU, lambda *_: _run_like_others())
+        signal.signal(signal.SIGXCPU, lambda *_: _end_spinning())
         hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
         microseconds = round(1e6 * LONGEST_SPIN_S)
         if hard == resource.RLIM_INFINITY or hard > microseconds:
@@ -78,9 +78,13 @@ def _schedule_all(policy: int, priority: int) -> None:
             os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
 
 
-def _run_like_others() -> None:
+def run_like_others() -> None:
     """All threads of this process back to ordinary scheduling."""
     _schedule_all(os.SCHED_OTHER, 0)
+
+
+def _end_spinning() -> None:
+    run_like_others()
     logging.getLogger("proprio_ros").warning("a thread span for %g s: no longer in real time", LONGEST_SPIN_S)
 
 

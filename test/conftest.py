@@ -19,10 +19,12 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+LONG = pytest.StashKey[int]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Real servos for test/bus/conformance; without a port those tests skip."""
+    """Long tests; and real servos for test/bus/conformance: without a port those tests skip."""
+    parser.addoption("--long", action="store_true", help="also run what takes long: populations, and all live tests")
     group = parser.getgroup("hardware", "real servos (test/bus/conformance)")
     group.addoption(
         "--hardware-port", metavar="PATH", help="serial port, such as /dev/ttyUSB0: support the arm, it goes limp"
@@ -34,6 +36,23 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--hardware-moves", action="store_true", help="also run what turns the first servo: clamp it free of load"
     )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Long tests run with --long, or when asked for by name."""
+    if config.getoption("--long") or any("::" in argument for argument in config.args):
+        return
+    deselected = [item for item in items if item.get_closest_marker("long")]
+    if deselected:
+        config.hook.pytest_deselected(items=deselected)
+        items[:] = [item for item in items if not item.get_closest_marker("long")]
+        config.stash[LONG] = len(deselected)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """That not everything has run must not be overlooked."""
+    if LONG in config.stash:
+        terminalreporter.write_line(f"{config.stash[LONG]} long tests deselected; run with --long")
 
 
 @pytest.fixture(scope="session")

@@ -29,8 +29,8 @@ from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.runtime import LATCHED
 from proprio_ros.probes.base import Probe
 
-READY_S = 40.0
-"""On a new machine the identifier compiles its kernels first."""
+READY_S = 300.0
+"""On a new machine the identifier compiles its kernels first; a node that has ended is noticed at once."""
 ROBOT_S, OBJECT_S = 240.0, 120.0
 REFERENCE_KG = 0.1
 _interrupted = threading.Event()

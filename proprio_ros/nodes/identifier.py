@@ -66,6 +66,8 @@ CALL_S = 5.0
 ABORT_S = 2.0
 TAIL_S = 0.3
 """Joint states after the last run that belong to the recording."""
+LATEST_S = 20.0
+"""On a busy computer they may lie in the queue for so long, while the word that the probe is done has come past them."""
 OLD_S = 86400.0
 """A baseline from another day is doubted: nobody remembers what was changed since."""
 
@@ -146,6 +148,7 @@ class IdentifierNode(ManagedNode):
         self._live: LiveEstimate | None = None
         self._driven = False
         self._state_at_s = -1e9
+        self._state_stamp_ns = 0
         self._excitation: dict[str, str] = {}
         self._excitation_at_s = -1e9
 
@@ -273,6 +276,7 @@ class IdentifierNode(ManagedNode):
         def listen(data: bytes) -> None:
             if topic == "joint_states":
                 self._state_at_s = time.monotonic()
+                self._state_stamp_ns = messages.first_stamp_ns(data)
             session = self._session
             if session is None:
                 return
@@ -483,7 +487,7 @@ class IdentifierNode(ManagedNode):
         failure = ""
         try:
             self._excite(job, sequence)
-            time.sleep(TAIL_S)
+            self._await_tail()
         except JobError as error:
             failure = str(error)
         finally:
@@ -499,6 +503,14 @@ class IdentifierNode(ManagedNode):
         if failure:
             raise JobError(f"{failure}; recording: {bag}")
         return bag
+
+    def _await_tail(self) -> None:
+        """Until everything has been heard that was measured up to now, and a little more."""
+        now_ns = self.get_clock().now().nanoseconds
+        time.sleep(TAIL_S)
+        deadline = time.monotonic() + LATEST_S
+        while self._state_stamp_ns < now_ns and time.monotonic() < min(deadline, self._state_at_s + SILENT_S):
+            time.sleep(0.02)
 
     def _excite(self, job: Job, sequence: str) -> None:
         """Ask the excitation node for a sequence and wait until it has ended well.

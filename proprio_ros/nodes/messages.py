@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,6 +27,12 @@ def time_message(time_ns: int) -> Time:
 
 def time_ns(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def first_stamp_ns(data: bytes) -> int:
+    """Stamp of a serialised message that begins with a header: after four bytes of encapsulation, little-endian as DDS sends it."""
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def joint_state(

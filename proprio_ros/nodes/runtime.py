@@ -31,7 +31,7 @@ from proprio_ros.resources import share_directory
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 """The last message reaches those who come later, too."""
 
-STREAM = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Joint states that are being recorded: none may be lost while a thread is busy."""
 
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -200,7 +200,7 @@ def _leave_shared_memory() -> None:
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 
-def run_node(make: type[ManagedNode], arguments: Sequence[str] | None = None) -> int:
+def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = None) -> int:
     """Run one node until it is told to end (SIGINT, SIGTERM), and end it in order.
 
     rclpy's own handlers shut the context down first, after which nothing can be published any more; ours let the node
@@ -211,7 +211,10 @@ def run_node(make: type[ManagedNode], arguments: Sequence[str] | None = None) ->
     """
     _warn_about_mixed_installations()
     ended = threading.Event()
-    if make.real_time and os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp":
+    if (
+        getattr(make, "real_time", False)
+        and os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp"
+    ):
         _leave_shared_memory()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):

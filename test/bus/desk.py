@@ -19,6 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "virtual"))
 from rotors import Rotors
 
 MEGABAUD = 3  # of the register Baud Rate
+PATIENCE_S = 0.1
+"""Servos and bus are one process here, which may not be run for longer than a servo takes; who tests that time says otherwise."""
 
 
 class Wire(MemoryPort):
@@ -73,13 +75,18 @@ class Desk:
         return Wire(self.wire, self.clock)
 
     def bus(
-        self, *, fast: bool = True, baud_rate: int = 1_000_000, servos: Sequence[BusServo] | None = None
+        self,
+        *,
+        fast: bool = True,
+        baud_rate: int = 1_000_000,
+        servos: Sequence[BusServo] | None = None,
+        reply_timeout_s: float = PATIENCE_S,
     ) -> DynamixelBus:
         """A bus to these servos, not yet open."""
         expected = servos_named(self.servos) if servos is None else servos
         if self.port is None:
-            return DynamixelBus("memory", expected, baud_rate, fast_sync_read=fast, connect=self.connect)
-        return DynamixelBus(str(self.port.path), expected, baud_rate, fast_sync_read=fast)
+            return DynamixelBus("memory", expected, baud_rate, reply_timeout_s, fast, connect=self.connect)
+        return DynamixelBus(str(self.port.path), expected, baud_rate, reply_timeout_s, fast)
 
 
 def servos_named(ids: Sequence[int] | dict[int, VirtualServo]) -> tuple[BusServo, ...]:

@@ -14,7 +14,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode, servo_model
-from proprio_ros.bus.dynamixel import REPLY_TIMEOUT_S, TRIES, BusServo, DynamixelBus, Goal, servos_of
+from proprio_ros.bus.dynamixel import TRIES, BusServo, DynamixelBus, Goal, servos_of
 from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.protocol import crc16
@@ -22,7 +22,7 @@ from proprio_ros.virtual.servo import REBOOT_S, VirtualServo
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from desk import Desk, servos_named
+from desk import PATIENCE_S, Desk, servos_named
 
 IDS = (11, 12, 13, 14, 15)
 JOINTS = {f"joint{servo_id}" for servo_id in IDS}
@@ -195,7 +195,7 @@ def test_a_reboot_whose_answer_is_lost(desk: Desk, bus: DynamixelBus) -> None:
     started = time.monotonic()
     bus.reboot(11)
     assert seen == [11]
-    assert REBOOT_S < time.monotonic() - started < REBOOT_S + 0.5
+    assert time.monotonic() - started > REBOOT_S
     assert bus.read(11, "led") == 0
 
 
@@ -370,7 +370,7 @@ def test_pulled_while_a_reply_is_due(desk: Desk, bus: DynamixelBus) -> None:
     with pytest.raises(PortLostError):
         for _ in range(20):
             bus.read_states()
-    assert time.monotonic() - started < 0.3
+    assert time.monotonic() - started < 10 * PATIENCE_S, "of twenty"
     timer.join()
 
 
@@ -472,7 +472,6 @@ def test_a_reply_that_is_shorter_than_it_says(desk: Desk, plain: DynamixelBus) -
 
 def test_a_dead_servo_costs_its_timeout_and_no_computing(desk: Desk, bus: DynamixelBus) -> None:
     hang(desk, *IDS)
-    wire_s = 5 * 21 * 10 / bus.baud_rate
     # this process also runs the emulated servos: what they need by themselves is taken off
     started, worked = time.monotonic(), time.process_time()
     time.sleep(0.5)
@@ -486,11 +485,12 @@ def test_a_dead_servo_costs_its_timeout_and_no_computing(desk: Desk, bus: Dynami
         rounds += 1
     passed = time.monotonic() - started
     assert (time.process_time() - worked) / passed - others < 0.2
-    assert REPLY_TIMEOUT_S < sorted(durations)[rounds // 2] < REPLY_TIMEOUT_S + wire_s + 0.006
+    assert min(durations) > PATIENCE_S
+    assert sorted(durations)[rounds // 2] < 2 * PATIENCE_S
     started = time.monotonic()
     with pytest.raises(BusError):
         bus.read(12, "led")
-    assert time.monotonic() - started < TRIES * (REPLY_TIMEOUT_S + 0.006) + 0.1
+    assert TRIES * PATIENCE_S < time.monotonic() - started < 2 * TRIES * PATIENCE_S
 
 
 def test_steps_of_the_system_clock(desk: Desk, bus: DynamixelBus, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -513,16 +513,16 @@ def test_steps_of_the_system_clock(desk: Desk, bus: DynamixelBus, monkeypatch: p
         steps[0] = 100
         started = time.monotonic()
         assert bus.read_states().states == {}
-        assert REPLY_TIMEOUT_S < time.monotonic() - started < REPLY_TIMEOUT_S + 0.03
+        assert PATIENCE_S < time.monotonic() - started < 60.0, "nor an hour"
 
 
 def test_a_late_answer_is_not_taken_for_the_next(desk: Desk, bus: DynamixelBus) -> None:
     """Nothing in an answer says what was asked: what came after its time has to be thrown away."""
-    desk.wire.faults.delay_s = 0.1
+    desk.wire.faults.delay_s = 4.0 * PATIENCE_S  # after the third try
     with pytest.raises(BusError):
         bus.read(11, "present_position")
     desk.wire.faults.delay_s = 0.0
-    time.sleep(0.12)
+    time.sleep(4.0 * PATIENCE_S + 0.02)
     assert bus.read(12, "present_position") == pytest.approx(XM430_W350.counts_of_position(0.4), abs=1)
     assert bus.read(11, "present_temperature") == 30
 

@@ -30,8 +30,8 @@ from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import labelled, values_of
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-UP_S = 60.0
-"""A new machine compiles kernels first."""
+UP_S = 300.0
+"""A new machine compiles kernels first, and others may use it; a node that has ended is noticed at once."""
 
 
 class Client:
@@ -98,12 +98,6 @@ class Client:
 
     def call(self, service: str, seconds: float = 10.0) -> Any:
         return self.answer(self.begin(service), seconds)
-
-    def calibrate_robot(self, seconds: float) -> Any:
-        answer = self.call("/identifier/calibrate_robot", seconds)
-        if "aborted" in answer.message:  # a computer that was too busy, as a user would try again
-            answer = self.call("/identifier/calibrate_robot", seconds)
-        return answer
 
     def torque(self, on: bool) -> Any:
         return self.answer(self.begin("/driver/torque", SetBool, SetBool.Request(data=on)))
@@ -176,12 +170,19 @@ def running(
             graph.start(name, defaults[name] | parameters.get(name, {}))
         client = Client()
         try:
-            if "driver" in names:
-                assert wait_for(lambda: bool(client.states), UP_S), graph.log("driver")
-            if "excitation" in names:
-                assert wait_for(lambda: client.excitation.get("phase") == "idle", UP_S), graph.log("excitation")
-            if "identifier" in names:
-                assert wait_for(lambda: bool(client.statuses), UP_S), graph.log("identifier")
+            signs = {
+                "virtual": lambda: client.motors,
+                "driver": lambda: client.states,
+                "excitation": lambda: client.excitation.get("phase") == "idle",
+                "identifier": lambda: client.statuses,
+            }
+
+            def come(name: str) -> bool:
+                graph.check()
+                return bool(signs[name]())
+
+            for name in names:
+                assert wait_for(lambda name=name: come(name), UP_S), graph.log(name)
             yield graph, client
         finally:
             client.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,9 +20,10 @@ from domains import free_domain
 from live import LATCHED, Client, replayed_alike, running, wait_for
 from visualization_msgs.msg import Marker, MarkerArray
 
+pytestmark = pytest.mark.long
+
 SHELL_KG = 0.03
-MASSES_KG = (0.008, 0.03) if "PROPRIO_LONG" in os.environ else (0.012,)
-"""The gate has a quarter of an hour."""
+MASSES_KG = (0.008, 0.03)
 ROBOT_S, OBJECT_S = 240.0, 150.0
 
 
@@ -70,14 +70,10 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
         )
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, LATCHED)
         refused = client.call("/identifier/calibrate_container", OBJECT_S)
-        if "not ready" in refused.message:  # nodes that start beside each other may lose the bus for a moment
-            refused = client.call("/identifier/calibrate_container", OBJECT_S)
         recorded = list((folder / "data").glob("*"))
-        robot = client.calibrate_robot(ROBOT_S)
+        robot = client.call("/identifier/calibrate_robot", ROBOT_S)
         held.clear()
         baseline = client.call("/identifier/record_container_baseline", OBJECT_S)
-        if not baseline.success:  # the same: readings whose stamps are late contradict each other
-            baseline = client.call("/identifier/record_container_baseline", OBJECT_S)
         yield Calibrated(client, folder / "data", held, markers, refused, recorded, robot, baseline)
     domain.undo()
 

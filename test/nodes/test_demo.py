@@ -21,7 +21,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
 
-LONGEST_S = 60.0
+pytestmark = pytest.mark.long
+
+LONGEST_S = 600.0
+"""A new machine compiles kernels first, and others may use it; a demo that has ended is noticed at once."""
 END_S = 10.0
 
 
@@ -74,6 +77,11 @@ def wait_for(ready: Callable[[], object], seconds: float) -> bool:
     return True
 
 
+def comes(demo: Demo, ready: Callable[[], object]) -> bool:
+    """Whether the demo gets there before it ends."""
+    return wait_for(lambda: ready() or demo.process.poll() is not None, LONGEST_S) and bool(ready())
+
+
 def end(demo: Demo) -> None:
     """Whatever a test that failed has left behind."""
     for process in demo.alive():
@@ -81,25 +89,10 @@ def end(demo: Demo) -> None:
     demo.process.wait(END_S)
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    """One that is left alone; it runs while others are interrupted."""
-    demo = start(tmp_path_factory.mktemp("demo") / "whole")
-    yield demo
-    end(demo)
-
-
-@pytest.fixture(scope="module")
-def late(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    """One that will be interrupted when it weighs the object."""
-    demo = start(tmp_path_factory.mktemp("demo") / "late")
-    yield demo
-    end(demo)
-
-
 @pytest.fixture
-def early(tmp_path: Path, whole: Demo, late: Demo) -> Iterator[Demo]:
-    demo = start(tmp_path / "early")
+def demo(tmp_path: Path) -> Iterator[Demo]:
+    """One at a time: each moves an arm in real time."""
+    demo = start(tmp_path / "demo")
     yield demo
     end(demo)
 
@@ -115,46 +108,43 @@ def assert_interrupted(demo: Demo) -> None:
 
 
 @pytest.mark.parametrize("after_s", [0.0, 3.0, 8.0])
-def test_interrupted_at_any_time(early: Demo, after_s: float) -> None:
+def test_interrupted_at_any_time(demo: Demo, after_s: float) -> None:
     # before that Python itself is still starting, and interrupting it is nobody's affair
-    assert wait_for((early.folder / "demo").exists, LONGEST_S), early.told
-    assert not wait_for(lambda: early.process.poll() is not None, after_s), early.told
-    assert_interrupted(early)
+    assert comes(demo, (demo.folder / "demo").exists), demo.told
+    assert not wait_for(lambda: demo.process.poll() is not None, after_s), demo.told
+    assert_interrupted(demo)
 
 
-def test_killed(early: Demo) -> None:
-    assert wait_for(lambda: len(early.alive()) >= 5 and "run 1 of" in early.told, 30.0), early.told
-    early.process.kill()
-    early.process.wait(END_S)
-    assert wait_for(lambda: not early.alive(), END_S), early.alive()
+def test_killed(demo: Demo) -> None:
+    assert comes(demo, lambda: len(demo.alive()) >= 5 and "run 1 of" in demo.told), demo.told
+    demo.process.kill()
+    demo.process.wait(END_S)
+    assert wait_for(lambda: not demo.alive(), END_S), demo.alive()
 
 
-def test_interrupted_while_the_object_is_weighed(late: Demo) -> None:
-    assert wait_for(lambda: re.search(r"payload: .* is pushed", late.told), 3.0 * LONGEST_S), late.told
-    assert_interrupted(late)
-    assert list((late.folder / "demo").glob("*_payload/bag")), "what was recorded is kept"
+def test_interrupted_while_the_object_is_weighed(demo: Demo) -> None:
+    assert comes(demo, lambda: re.search(r"payload: .* is pushed", demo.told)), demo.told
+    assert_interrupted(demo)
+    assert list((demo.folder / "demo").glob("*_payload/bag")), "what was recorded is kept"
 
 
-def test_what_it_shows(whole: Demo) -> None:
-    assert whole.process.wait(3.0 * LONGEST_S) == 0, whole.result + whole.told
-    assert not whole.alive()
-    sentence = re.search(r"payload ([\d.]+) g, 95 % interval ([\d.]+) \.\. ([\d.]+) g", whole.result)
-    truth = re.search(r"the virtual hand held ([\d.]+) g.*; ([\d.]+) s in all", whole.result)
-    report = re.search(r"report: (.+)", whole.result)
-    assert sentence and truth and report, whole.result
+def test_what_it_shows(demo: Demo) -> None:
+    assert demo.process.wait(LONGEST_S) == 0, demo.result + demo.told
+    assert not demo.alive()
+    sentence = re.search(r"payload ([\d.]+) g, 95 % interval ([\d.]+) \.\. ([\d.]+) g", demo.result)
+    truth = re.search(r"the virtual hand held ([\d.]+) g.*; ([\d.]+) s in all", demo.result)
+    report = re.search(r"report: (.+)", demo.result)
+    assert sentence and truth and report, demo.result
     mass_g, low_g, high_g = map(float, sentence.groups())
     assert low_g <= float(truth[1]) <= high_g and abs(mass_g - float(truth[1])) < 1.0
     assert "<svg" in Path(report[1]).read_text()
-    if os.getloadavg()[0] < 2.0 * (os.cpu_count() or 1):  # others that run meanwhile make it slower
-        assert float(truth[2]) < LONGEST_S
 
 
-@pytest.mark.skipif("PROPRIO_LONG" not in os.environ, reason="takes two minutes: set PROPRIO_LONG=1")
 def test_a_sphere_in_a_container(tmp_path: Path) -> None:
-    """The whole of it; its parts are in test_container.py, and the gate has a quarter of an hour."""
+    """The whole of it; its parts are in test_container.py."""
     demo = start(tmp_path / "container", "--probe", "container", "--mass", "0.02")
     try:
-        assert demo.process.wait(6.0 * LONGEST_S) == 0, demo.result + demo.told
+        assert demo.process.wait(LONGEST_S) == 0, demo.result + demo.told
         assert not demo.alive()
         told = re.search(r"^sphere ([\d.]+) g, 95 % interval ([\d.]+) \.\. ([\d.]+) g", demo.result)
         truth = re.search(
@@ -169,12 +159,11 @@ def test_a_sphere_in_a_container(tmp_path: Path) -> None:
         end(demo)
 
 
-@pytest.mark.skipif("PROPRIO_LONG" not in os.environ, reason="takes half a minute: set PROPRIO_LONG=1")
 def test_a_block_between_the_fingers(tmp_path: Path) -> None:
     """The whole of it; its parts are in test_softness.py."""
     demo = start(tmp_path / "block", "--probe", "softness", "--modulus", "30000")
     try:
-        assert demo.process.wait(2.0 * LONGEST_S) == 0, demo.result + demo.told
+        assert demo.process.wait(LONGEST_S) == 0, demo.result + demo.told
         assert not demo.alive()
         told = re.search(r"^block ([\d.]+) kPa, 95 % interval ([\d.]+) \.\. ([\d.]+) kPa", demo.result)
         truth = re.search(r"of the virtual block was 30\.0 kPa, a hidden robot; (\d+) s in all", demo.result)

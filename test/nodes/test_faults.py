@@ -38,6 +38,8 @@ from proprio_ros.nodes.messages import joint_state, labelled, values_of
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 
+pytestmark = pytest.mark.long
+
 ELBOW = "joint3"
 PUSH_A = -0.301  # what the servo makes of -0.3 A: it counts in 2.69 mA
 LIKE_PUSH_A = 0.002

@@ -24,6 +24,8 @@ from proprio_ros.bags import read_recording
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.robot import load_robot
 
+pytestmark = pytest.mark.long
+
 MASSES_KG = (0.010, 0.020, 0.023, 0.050, 0.100)
 
 
@@ -45,7 +47,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: empty hands tell torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     with running(folder, identifier={"reference_mass": 0.1, "reference_wait": 0.5}) as (graph, client):
-        answer = client.calibrate_robot(240.0)
+        answer = client.call("/identifier/calibrate_robot", 240.0)
         yield Calibrated(graph, client, folder / "data", answer)
     domain.undo()
 

@@ -20,6 +20,8 @@ from live import LATCHED, Client, replayed_alike, running, wait_for
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
+pytestmark = pytest.mark.long
+
 GRIPPER = "gripper_left_joint"
 GAP_M = 0.0005
 BLOCKS = ((12e3, 0.25), (60e3, 0.13))
@@ -61,7 +63,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
             )
         markers: list[MarkerArray] = []
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, LATCHED)
-        yield Calibrated(client, folder / "data", numbers, markers, client.calibrate_robot(ROBOT_S))
+        yield Calibrated(client, folder / "data", numbers, markers, client.call("/identifier/calibrate_robot", ROBOT_S))
     domain.undo()
 
 

@@ -188,7 +188,7 @@ def test_reboot_is_silent_for_a_while(desk: Desk) -> None:
     assert desk.packets.ping(desk.handler, 11)[1] == sdk.COMM_RX_TIMEOUT
     assert desk.packets.ping(desk.handler, 12)[1] == sdk.COMM_SUCCESS
     while desk.packets.ping(desk.handler, 11)[1] != sdk.COMM_SUCCESS:
-        assert time.monotonic() < start_s + 2.0
+        assert time.monotonic() < start_s + 20.0
     assert time.monotonic() - start_s >= REBOOT_S
     assert desk.read(11, "led") == 0
 
@@ -254,7 +254,7 @@ def test_the_world_keeps_up_while_nobody_talks(desk: Desk) -> None:
         with desk.port.lock:
             worst_s = max(worst_s, time.monotonic() - desk.rotors.time_s)
     # 2 ms by design, 1 ms of the last step; the rest is for a busy machine
-    assert worst_s < 0.05
+    assert worst_s < 0.4
 
 
 def test_a_client_that_never_reads_does_not_block(desk: Desk) -> None:
@@ -263,7 +263,7 @@ def test_a_client_that_never_reads_does_not_block(desk: Desk) -> None:
         desk.handler.ser.write(ping)
     time.sleep(0.1)
     with desk.port.lock:
-        assert time.monotonic() - desk.rotors.time_s < 0.1
+        assert time.monotonic() - desk.rotors.time_s < 0.4
     assert desk.packets.ping(desk.handler, 12)[1] in (sdk.COMM_SUCCESS, sdk.COMM_RX_CORRUPT)
     assert desk.packets.ping(desk.handler, 12)[1] == sdk.COMM_SUCCESS
 
@@ -280,7 +280,7 @@ def test_a_broken_world_is_reported_on_close(tmp_path: Path) -> None:
         raise ZeroDivisionError("the world ended")
 
     port = PtyPort(VirtualBus(fast_servos(), broken), tmp_path / "arm")
-    deadline_s = time.monotonic() + 2.0
+    deadline_s = time.monotonic() + 20.0
     while port.path.is_symlink() and time.monotonic() < deadline_s:
         time.sleep(0.005)
     assert not port.path.is_symlink(), "the client notices, too"

@@ -1,0 +1,42 @@
+"""Four processes, ROS messages between them, bytes on a serial port: the arm starts, weighs an object and is let go."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from domains import free_domain
+from live import replayed_alike, running, wait_for
+
+MASS_KG = 0.05
+
+
+def test_an_object_is_weighed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an arm that is as its file says (seed -1), so that it needs no calibration first."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
+    with running(
+        tmp_path, virtual={"object": MASS_KG, "seed": -1}, identifier={"payload_sequence": "payload_elbow"}
+    ) as (graph, client):
+        answer = client.call("/identifier/calibrate_payload", 120.0)
+        assert answer.success, answer.message
+        assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true", 10.0)
+        final = client.estimates[-1]
+        low, high = json.loads(final["payload_mass.ci95"])
+        assert abs(client.masses[-1] - MASS_KG) < high - low < 0.02
+        assert wait_for(lambda: any(client.motors[-1].effort), 5.0), "the arm is held"
+        for node in ("excitation", "driver"):
+            process = graph.processes[node]
+            process.send_signal(signal.SIGINT)
+            assert process.wait(10.0) == 0 and "Traceback" not in graph.log(node)
+        assert wait_for(lambda: not any(client.motors[-1].effort), 5.0), "and let go at the end"
+    (result,) = (tmp_path / "data").glob("*_payload/estimate.json")
+    live = replayed_alike(result)
+    assert live["estimates"][0]["value"] == client.masses[-1]
