@@ -81,6 +81,7 @@ def test_linters(command: list[str]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.long
 def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
     """As on a robot PC: build in a workspace, source it, run the installed script on an installed bag."""
     colcon = shutil.which("colcon")

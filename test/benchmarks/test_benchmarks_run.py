@@ -88,6 +88,7 @@ def test_void_without_agreement(case: Any) -> None:
     assert wrong.passed is False and wrong.ratio == "void" and "FAIL" in printed(wrong)
 
 
+@pytest.mark.long
 def test_a_soft_block_launched_per_substep_moves_as_ours() -> None:
     from softness import EQUAL, OnePerSubstep, PerSubstep, difference, explicit_case, fused
 
@@ -99,6 +100,7 @@ def test_a_soft_block_launched_per_substep_moves_as_ours() -> None:
         assert difference(ours, theirs()) < EQUAL  # and again
 
 
+@pytest.mark.long
 def test_both_fits_of_a_soft_block_find_the_truth() -> None:
     from softness import Fit
 
@@ -107,6 +109,7 @@ def test_both_fits_of_a_soft_block_find_the_truth() -> None:
     np.testing.assert_allclose(fit.scipy(), fit.truth, rtol=5e-3)
 
 
+@pytest.mark.long
 def test_the_coverage_of_two_robots() -> None:
     """The bound of Cramer and Rao is what an interval can be at best: ours is near it, and errors are of its size."""
     from coverage import EFFECTS, MATCHED, one_robot

@@ -67,7 +67,9 @@ def squeezed(robot: Robot, seed: int, block: SoftBlock) -> tuple[ExcitationMachi
     return machine, find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))), closed
 
 
-@pytest.mark.parametrize("modulus", [1.5e3, 100e3, 1e6])
+@pytest.mark.parametrize(
+    "modulus", [1.5e3, pytest.param(100e3, marks=pytest.mark.long), pytest.param(1e6, marks=pytest.mark.long)]
+)
 def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
     """From foam to hard rubber, with a gripper of little friction: 45 % is never reached, and the block is let go."""
     hand = Hand(3, SoftBlock(modulus, gap_m=GAP_M), coulomb=0.015)
@@ -80,6 +82,7 @@ def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
         assert machine.message == "softness is done: all 3 runs are good"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [2])
 def test_moduli_within_their_intervals(seed: int) -> None:
     """Hidden torque constant, friction, armature, delay and encoder error; three squeezes of each of three blocks."""

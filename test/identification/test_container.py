@@ -126,6 +126,7 @@ def test_the_repositorys_own_recordings(realistic: Level) -> None:
         assert abs(off) < 1.0e-3 and hit, folder.name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "worst_g", "rms_g"),
     [
@@ -150,6 +151,7 @@ def test_every_recording(
     assert np.mean([hit for _, hit in results]) >= 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "worst_g"), [("ideal_s00", 0.3), ("quantised_s00", 0.3), ("friction_s00", 0.3)])
 @pytest.mark.parametrize("sphere", ["12g", "random"])
 def test_three_runs_together(

@@ -116,6 +116,7 @@ def test_explicit_squeezes_identified_by_the_quasi_static_solver(robot: Robot, t
     assert told_ratio.value == pytest.approx(ratio, abs=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cube", CUBES)
 def test_quasi_static_squeezes_identified_by_the_explicit_solver(robot: Robot, table: Response, cube: str) -> None:
     modulus, ratio, mass = CUBES[cube]

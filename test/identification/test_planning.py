@@ -105,6 +105,7 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ProbePl
     assert checked >= 3
 
 
+@pytest.mark.long
 def test_a_calibration_makes_better_promises(calibrated: Robot, plans: list[ProbePlan]) -> None:
     (before, *_) = plan(load_robot("open_manipulator_x"), [0.03], BALL, count=1)
     (after, *_) = plan(calibrated, [0.03], BALL, count=1)

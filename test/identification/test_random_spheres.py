@@ -67,6 +67,7 @@ def test_where_the_sphere_is_believed_to_be(robot: Robot, number: int) -> None:
     assert np.median(off) < 1.5e-3 and off.max() < 6e-3, off
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("signals", ["joint", "camera", "both"])
 def test_a_camera_beside_the_encoder(robot: Robot, signals: str) -> None:
     """The paper's comparison V-F: what the joint tells, what a camera's view of the sphere tells, and the two together.

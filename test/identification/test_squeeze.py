@@ -73,12 +73,12 @@ def squeezed(robot: Robot, folder: Path, **facts: Any) -> Estimate:
     ("level", "worst"),
     # quantised: one of the three is 5 % off; the encoder's steps let gap, armature and modulus trade places
     [
-        ("ideal_s00", 0.02),
+        pytest.param("ideal_s00", 0.02, marks=pytest.mark.long),
         ("quantised_s00", 0.06),
-        ("friction_s00", 0.05),
+        pytest.param("friction_s00", 0.05, marks=pytest.mark.long),
         ("realistic_s00", 0.1),
-        ("realistic_s01", 0.1),
-        ("hard_s00", 0.1),
+        pytest.param("realistic_s01", 0.1, marks=pytest.mark.long),
+        pytest.param("hard_s00", 0.1, marks=pytest.mark.long),
     ],
 )
 def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], level: str, worst: float) -> None:
@@ -332,6 +332,7 @@ def test_the_report_shows_them(recordings: Path, calibrated: Callable[[str], Rob
     assert "Both Lamé parameters together" in page and "lambda (kPa)" in page and "force on a finger (N)" in page
 
 
+@pytest.mark.long
 def test_a_table_is_rebuilt_by_a_command(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

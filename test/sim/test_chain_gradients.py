@@ -55,6 +55,9 @@ def random_model(tree: str) -> ReducedModel:
     )
 
 
+SHORT = (("1", "semi_implicit"), ("2", "rk4"))
+
+
 @cache
 def simulator(tree: str, integrator: str, **options: Any) -> ChainSimulator:
     """Two changes of the input, a supply low enough for the back-EMF limit to act, dry friction, samples out of step."""
@@ -101,6 +104,8 @@ def scale_of(name: str) -> float:
 
 CASES = [(tree, integrator) for tree in TREES for integrator in ("rk4", "semi_implicit")]
 CASES.remove(("fork", "semi_implicit"))  # kernels take seconds to compile, and each of its two properties has its turn
+# the short set has each tree's size and each integrator, but not with each other
+CASES = [case if case in SHORT else pytest.param(*case, marks=pytest.mark.long) for case in CASES]
 
 
 @pytest.mark.parametrize(("tree", "integrator"), CASES)
