@@ -66,8 +66,9 @@ CALL_S = 5.0
 ABORT_S = 2.0
 TAIL_S = 0.3
 """Joint states after the last run that belong to the recording."""
-LATEST_S = 20.0
-"""On a busy computer they may lie in the queue for so long, while the word that the probe is done has come past them."""
+BEHIND_S = 0.2
+LATEST_S = 30.0
+"""On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""
 OLD_S = 86400.0
 """A baseline from another day is doubted: nobody remembers what was changed since."""
 
@@ -149,6 +150,7 @@ class IdentifierNode(ManagedNode):
         self._driven = False
         self._state_at_s = -1e9
         self._state_stamp_ns = 0
+        self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
         self._excitation: dict[str, str] = {}
         self._excitation_at_s = -1e9
 
@@ -277,6 +279,8 @@ class IdentifierNode(ManagedNode):
             if topic == "joint_states":
                 self._state_at_s = time.monotonic()
                 self._state_stamp_ns = messages.first_stamp_ns(data)
+                self._lag_ns = self.get_clock().now().nanoseconds - self._state_stamp_ns
+                self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
             session = self._session
             if session is None:
                 return
@@ -480,6 +484,7 @@ class IdentifierNode(ManagedNode):
 
     def _record(self, job: Job, kind: str, sequence: str) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
+        self._catch_up()
         session = Session(self._data, kind)
         if self._live is not None:
             self._live.reset()
@@ -504,9 +509,17 @@ class IdentifierNode(ManagedNode):
             raise JobError(f"{failure}; recording: {bag}")
         return bag
 
+    def _catch_up(self) -> None:
+        """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""
+        deadline = time.monotonic() + LATEST_S
+        while self._lag_ns - self._least_lag_ns > 1e9 * BEHIND_S:
+            if time.monotonic() > deadline:  # a clock was set
+                self._least_lag_ns = self._lag_ns
+            time.sleep(0.02)
+
     def _await_tail(self) -> None:
         """Until everything has been heard that was measured up to now, and a little more."""
-        now_ns = self.get_clock().now().nanoseconds
+        now_ns = self.get_clock().now().nanoseconds - self._least_lag_ns
         time.sleep(TAIL_S)
         deadline = time.monotonic() + LATEST_S
         while self._state_stamp_ns < now_ns and time.monotonic() < min(deadline, self._state_at_s + SILENT_S):

@@ -124,8 +124,6 @@ class ManagedNode(LifecycleNode):
         # a full collection takes longer than a servo's answer: what is here now stays for good
         gc.collect()
         gc.freeze()
-        # a flood of messages must not keep a thread from the interpreter: at the default of 5 ms it would miss cycles
-        sys.setswitchinterval(0.0005)
         # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
         run_in_real_time()
 
@@ -210,6 +208,9 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
         Exit code: 0, or 2 when it could not be configured.
     """
     _warn_about_mixed_installations()
+    # no thread may keep the others from the interpreter for long: at the default of 5 ms a flood of commands has the bus miss
+    # cycles, and 300 messages in a second do not come through beside a thread that computes
+    sys.setswitchinterval(0.0005)
     ended = threading.Event()
     if (
         getattr(make, "real_time", False)
