@@ -86,7 +86,7 @@ def fixed(recordings: Path, level: str) -> list[Path]:
     return sorted((recordings / level).glob("fixed_*"))
 
 
-@pytest.mark.parametrize("settings", [None, "known"])
+@pytest.mark.parametrize("settings", [None, pytest.param("known", marks=pytest.mark.long)])
 def test_ideal_recordings_to_a_tenth_of_a_gram(recordings: Path, settings: str | None) -> None:
     hits = []
     for folder in fixed(recordings, "ideal_s00"):
@@ -103,7 +103,7 @@ def test_ideal_recordings_to_a_tenth_of_a_gram(recordings: Path, settings: str |
     assert len(hits) == 34 and np.mean(hits) >= 0.9
 
 
-@pytest.mark.parametrize("settings", [None, "known"])
+@pytest.mark.parametrize("settings", [None, pytest.param("known", marks=pytest.mark.long)])
 def test_quantised_recordings_to_half_a_gram(recordings: Path, settings: str | None) -> None:
     errors, hits = [], []
     for folder in fixed(recordings, "quantised_s00"):
@@ -137,7 +137,10 @@ def test_friction_recordings_with_the_true_friction(recordings: Path) -> None:
     assert all(abs(truth["probe_travel"]) < 0.1 for truth in refused)
 
 
-@pytest.mark.parametrize("level", ["friction_s00", "realistic_s00", "realistic_s01", "hard_s00"])
+LONG_LEVELS = [pytest.param(level, marks=pytest.mark.long) for level in ("friction_s00", "realistic_s01", "hard_s00")]
+
+
+@pytest.mark.parametrize("level", ["realistic_s00", *LONG_LEVELS])
 def test_without_calibration_the_interval_is_as_wide_as_the_truth_demands(recordings: Path, level: str) -> None:
     hits = []
     for folder in fixed(recordings, level):

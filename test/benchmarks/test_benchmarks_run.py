@@ -62,6 +62,7 @@ def test_plain_c_computes_our_numbers_with_a_sphere(tmp_path: Path) -> None:
         assert share_in_contact(simulator, p) > 0.9
 
 
+@pytest.mark.long
 def test_a_sphere_in_mujoco_is_ours() -> None:
     """The same joint and box, another law of contact: positions agree, and so do the masses that both find."""
     pytest.importorskip("mujoco")

@@ -239,6 +239,7 @@ def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
     assert max(path.moved for path in moving.paths) > 3e-3
 
 
+@pytest.mark.long
 def test_runs_of_two_spheres_contradict(realistic: Level) -> None:
     folders = [
         *realistic.folders("container_sphere_12g_joint3_100mA"),
@@ -348,12 +349,12 @@ def problem_of(
     ("law", "mass"),
     [
         ("ramped", 0.0),
-        ("ramped", 0.004),
+        pytest.param("ramped", 0.004, marks=pytest.mark.long),
         ("ramped", 0.012),
-        ("ramped", 0.05),
-        ("paper", 0.004),
-        ("paper", 0.012),
-        ("paper", 0.05),
+        pytest.param("ramped", 0.05, marks=pytest.mark.long),
+        pytest.param("paper", 0.004, marks=pytest.mark.long),
+        pytest.param("paper", 0.012, marks=pytest.mark.long),
+        pytest.param("paper", 0.05, marks=pytest.mark.long),
     ],
 )
 def test_gradient_of_the_cost(realistic: Level, law: str, mass: float) -> None:

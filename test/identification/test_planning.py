@@ -76,6 +76,7 @@ def test_the_best_comes_first_and_not_ten_times(plans: list[ProbePlan]) -> None:
     assert max(kinds.count(kind) for kind in kinds) <= SAME_KIND and len(set(kinds)) >= 4
 
 
+@pytest.mark.long
 def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ProbePlan]) -> None:
     """A robot without friction, exactly as its file says but for what that leaves open, recorded in MuJoCo at the plan's pose."""
     from random_arm import EMPTY_PROBES, GRIPPER, JOINTS, ball, draw_robot, record

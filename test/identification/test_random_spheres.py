@@ -43,7 +43,14 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return known_robot(tmp_path_factory.mktemp("arm"))
 
 
-@pytest.mark.parametrize("case", draw(SEED), ids=lambda case: f"{case.name}-{1e3 * case.mass_kg:.1f}g")
+def id_of(case: Case) -> str:
+    return f"{case.name}-{1e3 * case.mass_kg:.1f}g"
+
+
+POPULATION = [*draw(SEED)[:8], *(pytest.param(case, id=id_of(case), marks=pytest.mark.long) for case in draw(SEED)[8:])]
+
+
+@pytest.mark.parametrize("case", POPULATION, ids=id_of)
 def test_a_random_sphere_is_found_from_every_start(robot: Robot, case: Case) -> None:
     estimate = find_sphere(robot, [recorded(case, SEED)[0]], FACTS)
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons

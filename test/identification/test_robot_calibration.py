@@ -175,7 +175,8 @@ def test_the_gripper_is_calibrated_at_its_motor(recordings: Path, robot: Robot) 
     assert any("gripper_left_joint only ever moved" in reason for reason in estimate.reasons)
 
 
-@pytest.mark.parametrize("level", [pytest.param("quantised_s00", marks=pytest.mark.long), "realistic_s00"])
+@pytest.mark.long
+@pytest.mark.parametrize("level", ["quantised_s00", "realistic_s00"])
 @pytest.mark.parametrize("intruder", ["fixed_light_cube_10g_joint3", "fixed_heavy_ball_50g_joint2_x3"])
 def test_a_run_that_was_not_empty_is_named_and_left_out(
     recordings: Path, robot: Robot, level: str, intruder: str

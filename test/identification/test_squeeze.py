@@ -267,6 +267,7 @@ def test_from_a_clone(bags: Path) -> None:
         assert value.ci95[0] <= cube_of(folder)[1] <= value.ci95[1]
 
 
+@pytest.mark.long
 def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     """Written by a library in mm, read back by the settings: with faces that slip every mesh says the same."""
     meshio = pytest.importorskip("meshio")

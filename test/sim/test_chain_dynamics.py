@@ -97,7 +97,10 @@ def assert_same_terms(model: Any, ours: ReducedModel, seed: int, tolerance: floa
         np.testing.assert_allclose(torques[state], torque, atol=tolerance * np.abs(torque).max())
 
 
-@pytest.mark.parametrize("tree", TREES)
+LARGE = [pytest.param(tree, marks=pytest.mark.long) for tree in ("5", "tree of 5", "6", "7")]
+
+
+@pytest.mark.parametrize("tree", [*(tree for tree in TREES if len(TREES[tree]) < 5), *LARGE])
 def test_mass_matrix_and_inverse_dynamics(tree: str) -> None:
     for seed in range(5):
         text = random_urdf(TREES[tree], seed)

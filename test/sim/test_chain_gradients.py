@@ -153,6 +153,7 @@ def test_every_parameter_matters() -> None:
     assert silent == {"pi[joint_0][0]"}
 
 
+@pytest.mark.long
 def test_directions_in_blocks_equal_one_at_a_time() -> None:
     """Nineteen directions fill two blocks of eight and part of a third; one alone has a kernel of its own."""
     sim = simulator("2", "rk4")
