@@ -31,7 +31,7 @@ from proprio_ros.probes.base import Probe
 
 READY_S = 300.0
 """On a new machine the identifier compiles its kernels first; a node that has ended is noticed at once."""
-ROBOT_S, OBJECT_S = 240.0, 120.0
+ROBOT_S, OBJECT_S = 900.0, 900.0
 REFERENCE_KG = 0.1
 _interrupted = threading.Event()
 

@@ -134,7 +134,7 @@ def replayed_alike(result: Path) -> dict[str, Any]:
     words = shlex.split(live["command"])
     assert words[0] == "proprio"
     run = subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"], capture_output=True, text=True, timeout=120
+        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"], capture_output=True, text=True, timeout=600
     )
     assert run.returncode == 0, run.stderr
     again = json.loads(run.stdout)

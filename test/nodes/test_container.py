@@ -24,7 +24,7 @@ pytestmark = pytest.mark.long
 
 SHELL_KG = 0.03
 MASSES_KG = (0.008, 0.03)
-ROBOT_S, OBJECT_S = 240.0, 150.0
+ROBOT_S, OBJECT_S = 600.0, 600.0
 
 
 def container(sphere_kg: float) -> str:

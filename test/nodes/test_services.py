@@ -47,7 +47,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: empty hands tell torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     with running(folder, identifier={"reference_mass": 0.1, "reference_wait": 0.5}) as (graph, client):
-        answer = client.call("/identifier/calibrate_robot", 240.0)
+        answer = client.call("/identifier/calibrate_robot", 600.0)
         yield Calibrated(graph, client, folder / "data", answer)
     domain.undo()
 
@@ -69,7 +69,7 @@ def test_five_objects_within_a_gram(arm: Calibrated, mass_kg: float) -> None:
     assert client.set("/virtual", "object", mass_kg).successful
     client.estimates.clear()
     client.masses.clear()
-    answer = client.call("/identifier/calibrate_payload", 120.0)
+    answer = client.call("/identifier/calibrate_payload", 600.0)
     assert answer.success, answer.message
     assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true", 5.0)
     final = client.estimates[-1]

@@ -25,7 +25,7 @@ def test_an_object_is_weighed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     with running(
         tmp_path, virtual={"object": MASS_KG, "seed": -1}, identifier={"payload_sequence": "payload_elbow"}
     ) as (graph, client):
-        answer = client.call("/identifier/calibrate_payload", 120.0)
+        answer = client.call("/identifier/calibrate_payload", 600.0)
         assert answer.success, answer.message
         assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true", 10.0)
         final = client.estimates[-1]

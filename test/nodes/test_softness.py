@@ -25,7 +25,7 @@ pytestmark = pytest.mark.long
 GRIPPER = "gripper_left_joint"
 GAP_M = 0.0005
 BLOCKS = ((12e3, 0.25), (60e3, 0.13))
-ROBOT_S, OBJECT_S = 120.0, 120.0
+ROBOT_S, OBJECT_S = 600.0, 600.0
 
 
 def block(modulus_Pa: float, ratio: float = 0.25) -> str:
