@@ -184,8 +184,8 @@ class IdentifierNode(ManagedNode):
         self._set_probe = self.create_client(SetParameters, f"{name}/set_parameters")
         self._run = self.create_client(Trigger, f"{name}/run")
         self._abort = self.create_client(Trigger, f"{name}/abort")
-        self._services = _services()
-        for kind_, service in self._services.items():
+        self._service_of = _services()
+        for kind_, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind_))
         LongService(self, "~/cancel", self._cancel)
         self.every(5.0, self._save_again)
@@ -315,7 +315,7 @@ class IdentifierNode(ManagedNode):
             return answer(False, "the identifier node is not active")
         if self._job is not None:
             return answer(False, f"busy: {self._job.service} is under way; wait for it, or call ~/cancel")
-        self._job = job = Job(kind, self._services[kind])
+        self._job = job = Job(kind, self._service_of[kind])
         threading.Thread(target=self._work, args=(job, answer), name=f"calibrate {kind}", daemon=True).start()
         return None
 
@@ -378,7 +378,7 @@ class IdentifierNode(ManagedNode):
         if job.kind == "robot":
             return self._calibrate(job)
         name = job.kind.removesuffix("_baseline")
-        if name != job.kind and name in self._services:
+        if name != job.kind and name in self._service_of:
             return self._record_baseline(job, probe_named(name))
         return self._identify_object(job, probe_named(job.kind))
 
