@@ -35,7 +35,13 @@ SCENES = {
 SEMI_IMPLICIT = (("box", "ramped"), ("cylinder", "paper"), ("sphere", "ramped"))
 KERNELS = [(shape, law, "rk4") for shape in INNER for law in LAWS]
 KERNELS += [(shape, law, "semi_implicit") for shape, law in SEMI_IMPLICIT]
-CASES = [pytest.param(scene, *kernel, id="-".join((scene, *kernel))) for kernel in KERNELS for scene in SCENES]
+SHORT = [("box", "ramped", "rk4"), ("cylinder", "paper", "rk4")]
+"""Each kernel takes seconds to compile."""
+CASES = [
+    pytest.param(scene, *kernel, id="-".join((scene, *kernel)), marks=() if kernel in SHORT else pytest.mark.long)
+    for kernel in KERNELS
+    for scene in SCENES
+]
 
 
 def unit(*values: float) -> np.ndarray:
