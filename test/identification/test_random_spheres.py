@@ -68,7 +68,7 @@ def test_where_the_sphere_is_believed_to_be(robot: Robot, number: int) -> None:
     """The path that the report shows, against MuJoCo's: nobody but the joint's encoder has seen it."""
     case = draw(SEED)[number]
     run, seen = recorded(case, SEED)
-    path = find_sphere(robot, [run], FACTS).paths[0]
+    path = find_sphere(robot, [run], FACTS).detail.paths[0]
     off = np.linalg.norm((path.position - seen)[:, [0, 2]], axis=1)
     assert np.ptp(seen[:, 0]) > 8e-3, "it rolls"
     assert np.median(off) < 1.5e-3 and off.max() < 6e-3, off

@@ -19,18 +19,20 @@ from live import replayed_alike, running, wait_for
 MASS_KG = 0.05
 
 
-def test_an_object_is_weighed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By an arm that is as its file says (seed -1), so that even without a calibration it is about right."""
+def test_an_arm_learns_itself_and_weighs_an_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    with running(
-        tmp_path, virtual={"object": MASS_KG, "seed": -1}, identifier={"payload_sequence": "payload_elbow"}
-    ) as (graph, client):
-        answer = client.call("/identifier/calibrate_payload", 600.0)
-        assert answer.success, answer.message
+    elbow_alone = {
+        "robot_sequence": "empty_hand_elbow", "reference_sequence": "reference_elbow", "payload_sequence": "payload_elbow",
+        "reference_mass": 0.1, "reference_wait": 0.5,
+    }  # fmt: skip
+    with running(tmp_path, virtual={"object": MASS_KG}, identifier=elbow_alone) as (graph, client):
+        for service in ("calibrate_robot", "calibrate_payload"):
+            answer = client.call(f"/identifier/{service}", 600.0)
+            assert answer.success, answer.message
         assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true", 10.0)
         final = client.estimates[-1]
         low, high = json.loads(final["payload_mass.ci95"])
-        assert low <= MASS_KG <= high and abs(client.masses[-1] - MASS_KG) < 0.02, final
+        assert abs(client.masses[-1] - MASS_KG) < min(0.002, high - low), final
         assert wait_for(lambda: any(client.motors[-1].effort), 5.0), "the arm is held"
         for node in ("excitation", "driver"):
             process = graph.processes[node]
