@@ -236,7 +236,7 @@ def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
     assert any("weighed like a fixed load" in reason for reason in estimate.reasons)
     moving = realistic.find(realistic.folders("container_sphere_12g_joint3_100mA"))
     assert not any("weighed like a fixed load" in reason for reason in moving.reasons)
-    assert max(path.moved for path in moving.paths) > 3e-3
+    assert max(path.moved for path in moving.detail.paths) > 3e-3
 
 
 @pytest.mark.long
