@@ -1,0 +1,143 @@
+"""A probe outside the package: how stiff is a spring at the joint? A law, a class, and the line that registers it."""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from proprio_ros.identification import solvers
+from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.identification.fit import FitResult, SearchOptions, misfit_over, summary
+from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
+from proprio_ros.identification.judge import Assessment, judge, rejected
+from proprio_ros.identification.problem import KnownLoad, PayloadProblem, joints_of, prepare_run, robot_unknowns
+from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.kinds import KINDS, Kind
+from proprio_ros.probes.base import Example, Probe, Recorded
+from proprio_ros.quantity import Z95
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.settings import Settings, number
+from proprio_ros.sim.joint import JointRun, JointSimulator, harmless
+from proprio_ros.sim.joint_kernels import (
+    CARRIED,
+    CURRENT,
+    GRAVITY_CONSTANT,
+    LOAD,
+    LOAD_PER_KG,
+    PARAMETERS,
+    VEC2,
+    VEC3,
+    JointData,
+    linearised_acceleration,
+    one_joint_law,
+)
+from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.sim.rollout import Law, rollout
+from proprio_ros.sim.runtime import FLOAT
+
+STIFFNESS = wp.constant(len(PARAMETERS))
+KINDS["spring_stiffness"] = Kind("N m/rad", "stiffness of the spring")
+
+
+@cache
+def spring_law(directions: int, stribeck: bool) -> Law:
+    """The joint of ``sim/joint.py`` with a spring between it and its zero."""
+    vec = wp.types.vector(length=directions, dtype=FLOAT)
+    mat = wp.types.matrix(shape=(2, directions), dtype=FLOAT)
+    acceleration = linearised_acceleration(directions, stribeck)
+
+    @wp.func
+    def rates(
+        y: VEC2, dy: mat, u: VEC3, p: wp.array2d(dtype=FLOAT), dp: wp.array2d(dtype=vec), w: wp.int32, data: JointData,
+        r: wp.int32,
+    ):  # fmt: skip
+        load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG] + p[w, STIFFNESS] * y[0]
+        d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
+        d_load = d_load + p[w, STIFFNESS] * dy[0] + y[0] * dp[w, STIFFNESS]
+        a, da = acceleration(y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r)
+        return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
+
+    return one_joint_law(directions, JointData, rates)
+
+
+class SpringSimulator(JointSimulator):
+    parameters = (*PARAMETERS, "spring_stiffness")
+    harmless = harmless(parameters)
+
+    def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
+        law = spring_law(size, stribeck)
+        return rollout(law, self.integrator), law.out
+
+
+class SpringProblem(PayloadProblem):
+    def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator:
+        return SpringSimulator(runs, integrator)
+
+    def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p, dp = super()._all_parameters(values)
+        p[..., STIFFNESS] = values[:, None, self.index["spring_stiffness"]]
+        dp[..., STIFFNESS, self.index["spring_stiffness"]] = 1.0
+        return p, dp
+
+
+def find_spring(robot: Robot, runs: Sequence[Run], prior: float) -> Estimate:
+    prepared = [prepare_run(robot, run, KnownLoad()) for run in runs]
+
+    unknowns = [Unknown("spring_stiffness", 0.0, prior, -10.0, 10.0), *robot_unknowns(robot, prepared, Role.FREE)]
+    problem = SpringProblem(robot, prepared, PayloadFacts(), unknowns)
+    starts = problem.coordinates.internal(problem.coordinates.prior_mean[None])
+    fit = FitResult.of(problem, solvers.levenberg_marquardt(problem, starts, problem.simulator.windows, iterations=60))
+    assessed = Assessment(fit, "spring_stiffness", prepared, robot.is_calibrated(joints_of(prepared)))
+    value, std = assessed.value, assessed.std
+    misfit = rejected("misfit", "the model does not explain the recording", "a spring does not explain the recording")
+    return judge(
+        robot,
+        assessed,
+        [misfit] if fit.reduced_chi2 > MISFIT_LIMIT else [],
+        Findings(),
+        probe="spring",
+        run_count=len(runs),
+        values=lambda withheld: (
+            Value("spring_stiffness", "N m/rad", None, reason=withheld)
+            if withheld
+            else Value("spring_stiffness", "N m/rad", value, std, [value - Z95 * std, value + Z95 * std]),
+        ),
+        solver=summary(fit, "spring_stiffness", [0.0], std, fit.solution.iterations, SearchOptions()),
+        scan=misfit_over(fit, "spring_stiffness", np.linspace(-1.0, 1.0, 21)),
+        budget=assessed.budget(),
+        assumptions=("a spring between the joint and its zero",),
+    )
+
+
+class Spring(Probe[float]):
+    name = "spring"
+    subject = "spring"
+    answer = ("spring_stiffness", "N m/rad")
+    keys = ("spring.",)
+    default_sequence = "payload_elbow"
+    example = Example(
+        flag="stiffness",
+        metavar="N.M/RAD",
+        help="of the spring",
+        truth=0.0,
+        lowest=0.0,
+        highest=10.0,
+        units="stiffness is in N m/rad",
+        held="none",
+        now="now there is nothing in its hand",
+        was="the virtual arm's spring was",
+        takes="under a minute",
+        sequences={"robot_sequence": "empty_hand_elbow"},
+    )
+
+    def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> float:
+        return number("spring.prior", settings.take("spring.prior", 1.0))
+
+    def identify(self, robot: Robot, recorded: Recorded, facts: float) -> Estimate:
+        return find_spring(robot, recorded.runs, facts)
+
+    def sections(self, estimate: Estimate) -> list[str]:
+        return ["<h2>The spring</h2>"]
