@@ -13,7 +13,7 @@ def bag(name: str) -> str:
 calibration = calibrate([bag(f"empty_{number}_joint4") for number in (12, 13, 14, 15)])
 print(calibration)
 
-# %% The same run with the empty container tells the sphere from the container
+# %% The same run with the empty container separates the sphere from the container
 sphere = weigh(
     bag("container_sphere_random_joint4_030mA"),
     probe="container",

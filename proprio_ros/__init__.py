@@ -1,4 +1,13 @@
-"""A robot arm's sense of weight and softness from its own joints."""
+"""A robot arm's sense of weight and softness from its own joints.
+
+"The paper", in this package, is
+
+    Peter Yichen Chen, Chao Liu, Pingchuan Ma, John Eastman, Daniela Rus, Dylan Randle, Yuri Ivanov, Wojciech Matusik:
+    "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction",
+    IEEE International Conference on Robotics and Automation (ICRA), 2025. https://arxiv.org/abs/2410.03920
+
+and equation numbers are its own where nothing else is said.
+"""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Weighing:
 
     @property
     def verdict(self) -> str:
-        """``accepted``, ``rejected`` (the model does not explain the recording) or ``not_identifiable`` (it cannot tell)."""
+        """``accepted``, ``rejected`` (the model does not explain the recording) or ``not_identifiable`` (it cannot decide)."""
         return self.estimate.verdict.value
 
     @property
@@ -196,7 +196,7 @@ class CalibrationResult(os.PathLike[str]):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Values with their covariance; None where the runs cannot tell."""
+        """Values with their covariance; None where the runs do not determine them."""
         return self.estimate.calibration
 
     def __fspath__(self) -> str:

@@ -1,6 +1,6 @@
 """ROS 2 bags <-> `Recording`, without ROS: rosbags reads and writes both storages (sqlite3, mcap).
 
-A foreign bag is repaired where the repair is certain, and every repair is told in `Recording.notes`; where it would be
+A foreign bag is repaired where the repair is certain, and every repair is noted in `Recording.notes`; where it would be
 a guess (what `effort` means, which of two topics to take) the user is asked. Only the topics that are needed are
 deserialised, so a bag may hold messages of types that nobody here knows.
 """
@@ -532,7 +532,7 @@ def _commands(
 def _effort_and_current(
     names: Sequence[str], recorded: FloatArray, unit: str | None, nominal: Mapping[str, float], per_count_A: float
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Effort [N m or N] and measured current [A] out of what a bag calls effort; None where the unit does not tell."""
+    """Effort [N m or N] and measured current [A] out of what a bag calls effort; None where the unit does not say."""
     effort = _known_or_none(recorded)
     if effort is None or unit is None:
         return None, None
@@ -586,7 +586,7 @@ def read_recording(
 
     Returns:
         The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
-        'N.m' and `joints.current` only where effort_unit tells; `inputs` is None when nothing about the input was
+        'N.m' and `joints.current` only where effort_unit says which; `inputs` is None when nothing about the input was
         recorded.
 
     Raises:

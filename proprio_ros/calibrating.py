@@ -48,7 +48,7 @@ def calibrate_from_bags(
         references: bags with a weighed reference in the hand, and its mass [kg]; the payload settings say where it sits.
         options: robot, settings and topics; what concerns the probe is not used.
         output: the file; it is only written when the calibration is accepted.
-        progress: told what is going on.
+        progress: called with what is going on.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
@@ -98,7 +98,7 @@ def plan_probes(
     count: int = 10,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Robot, list[ProbePlan]]:
-    """The robot, and the weighings that would tell most about objects of these masses.
+    """The robot, and the weighings that would determine most about objects of these masses.
 
     Raises:
         ConfigurationError, RobotError: with one line that says what is wrong and what to do.

@@ -1,4 +1,4 @@
-"""What is in a bag and what could be told from it, before any fit: ``proprio check``."""
+"""What is in a bag and what could be identified from it, before any fit: ``proprio check``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from proprio_ros.bags import EFFORT_UNITS, is_text_recording, look_into, read_recording, read_text_recording
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import plain
-from proprio_ros.identification.gates import MIN_USED, Findings, look_at_run, unusable
+from proprio_ros.identification.gates import MIN_USED, Findings, screen_run, unusable
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.records import LOST_AFTER_PERIODS, InputRecord, Recording, Run
@@ -257,7 +257,7 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         # as with an empty hand: that suits the gripper, too, and the gates are the same
         prepared = prepare_run(robot, run, KnownLoad(), past_fast=slides)
         problem = _unusable_closing(prepared) if slides else unusable(prepared)
-        look_at_run(robot, prepared, found)
+        screen_run(robot, prepared, found)
     except RecordingError as error:
         problem = str(error)
     unit = "m" if slides else "rad"
@@ -266,7 +266,7 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
 
 
 def _unusable_closing(run: PreparedRun) -> str:
-    """Why a closing of the gripper tells nothing: fingers on a stiff block need not get far."""
+    """Why a closing of the gripper is of no use: fingers on a stiff block need not get far."""
     from proprio_ros.probes.softness.identify import UNMOVED_RAD  # brings finite elements along
 
     if run.used >= MIN_USED and abs(run.travel) < UNMOVED_RAD:

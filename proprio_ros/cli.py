@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         metavar="BAG",
         default=[],
-        help="runs made with the others and fitted together with them: with an empty hand, to tell whether the robot has changed "
+        help="runs made with the others and fitted together with them: with an empty hand, to check whether the robot has changed "
         "since its calibration; for --probe container with the empty container",
     )
     _add_set(replay)
@@ -498,9 +498,9 @@ def _calibration_as_text(estimate: Any) -> str:
     if estimate.held_out:
         worst = max(estimate.held_out, key=lambda run: run.reduced_chi2)
         lines.append(
-            f"  foretelling each run from the others: reduced chi-square at most {worst.reduced_chi2:.2f} ({worst.name})"
+            f"  held-out prediction of each run: reduced chi-square at most {worst.reduced_chi2:.2f} ({worst.name})"
         )
-    lines += [f"  not told apart: {sentence}" for sentence in estimate.not_told_apart]
+    lines += [f"  not separated: {sentence}" for sentence in estimate.not_separated]
     lines += [f"  next run: {_plan_as_text(plan)}" for plan in estimate.advice]
     lines += [f"  note: {note}" for note in estimate.notes]
     return "\n".join(lines)
@@ -516,7 +516,7 @@ def _plan_as_text(plan: Any) -> str:
 
 def _value_text(value: Any) -> str:
     if value.value is None:
-        return f"{value.name}: not told ({value.reason})"
+        return f"{value.name}: not determined ({value.reason})"
     if isinstance(value.value, list):
         numbers = ", ".join("?" if v is None else f"{v:.4f}" for v in value.value)
         return f"{value.name}: [{numbers}] {value.unit}" + (f" ({value.reason})" if value.reason else "")

@@ -106,7 +106,7 @@ def label_of(key: Key) -> str:
 
 @dataclass(frozen=True)
 class Tag:
-    """What tells an unknown from others.
+    """What distinguishes an unknown from others.
 
     Attributes:
         kind: One of ``KINDS``.

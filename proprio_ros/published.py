@@ -1,4 +1,7 @@
-"""A recording as the paper published its own: positions of one joint as text, and the setting in which they were fitted."""
+"""A recording as the paper (Chen et al. 2025, arXiv:2410.03920) published its own.
+
+Positions of one joint as text, and the setting in which they were fitted.
+"""
 
 from __future__ import annotations
 

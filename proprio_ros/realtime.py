@@ -115,7 +115,7 @@ class StampClock:
 
 @dataclass
 class RoundTrips:
-    """Tells a round trip that took longer than usual from the usual ones, whatever those are.
+    """Separates a round trip that took longer than usual from the usual ones, whatever those are.
 
     Attributes:
         slack_s: So much above the median is always usual; more where they scatter more.

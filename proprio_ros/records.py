@@ -83,7 +83,7 @@ class JointRecord:
         effort: Joint efforts [N m or N], shape (T, J); NaN where a message gave none; None if unknown.
         current: Measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere.
         reported_effort: The effort field as it was recorded, in whatever unit its driver used, shape (T, J); NaN where a
-            message gave none; None if none did. Good for "did the motor do as it was told", never for a torque.
+            message gave none; None if none did. Good for "did the motor do as commanded", never for a torque.
 
     Raises:
         RecordingError: A shape, an order or a value is wrong.
@@ -150,7 +150,7 @@ class InputRecord:
 
     @property
     def measured(self) -> bool:
-        """Whether the input is what the motors reported, not what they were told."""
+        """Whether the input is what the motors reported, not what they were commanded."""
         return self.source == MEASURED_EFFORT
 
     def column(self, name: str) -> int:
@@ -169,7 +169,7 @@ class Recording:
     Attributes:
         name: Name of the bag, for messages and reports.
         joints: Joint states.
-        inputs: Input currents; None when the recording tells nothing about them.
+        inputs: Input currents; None when the recording has nothing about them.
         notes: Every repair made while reading, one sentence each.
     """
 

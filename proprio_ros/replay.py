@@ -30,7 +30,7 @@ TEXT_ROBOT = "open_manipulator_x_as_published"
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Everything that ``proprio replay`` can be told; see its ``--help``.
+    """All options of ``proprio replay``; see its ``--help``.
 
     Attributes:
         settings: dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values.
@@ -199,7 +199,7 @@ def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=joints,
     )
-    # a bag's folder is often called after its storage, so the folder above tells which one it is
+    # a bag's folder is often called after its storage, so the folder above says which one it is
     name = "/".join(path.resolve().parts[-2:])
     runs = cut_runs(replace(recording, name=name), held=held, joints=joints)
     return tuple(replace(run, notes=(*recording.notes, *run.notes)) for run in runs)

@@ -76,7 +76,7 @@ def cut_runs(
     inputs = recording.inputs
     if inputs is None:
         raise RecordingError(
-            f"{recording.name}: the recording tells no input current; record /applied_effort or /current_command,"
+            f"{recording.name}: the recording holds no input current; record /applied_effort or /current_command,"
             " or name the topic with --command-topic"
         )
     record = recording.joints

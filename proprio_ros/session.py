@@ -255,7 +255,7 @@ class LiveEstimate:
             runs = cut_runs(Recording("live", record, source), joints=list(drives))
             return setting.probe.identify_so_far(setting.robot, runs, setting.facts)
         except ProprioError:
-            return None  # not enough yet; what is wrong for good is told by the identification of the bag
+            return None  # not enough yet; what is wrong for good is reported by the identification of the bag
 
 
 def live_interval(estimate: Estimate) -> tuple[float, float] | None:
@@ -268,13 +268,13 @@ def live_interval(estimate: Estimate) -> tuple[float, float] | None:
 
 
 def as_diagnostics(estimate: Estimate) -> dict[str, Any]:
-    """What a message about an estimate tells, key by key."""
-    told: dict[str, Any] = {"probe": estimate.probe, "verdict": estimate.verdict.value, "robot": estimate.robot}
+    """Keys and values of a diagnostics message about an estimate."""
+    entries: dict[str, Any] = {"probe": estimate.probe, "verdict": estimate.verdict.value, "robot": estimate.robot}
     for value in estimate.values:
-        told[value.name] = "not told" if value.value is None else value.value
-        told[f"{value.name}.unit"] = value.unit
+        entries[value.name] = "not determined" if value.value is None else value.value
+        entries[f"{value.name}.unit"] = value.unit
         if value.std is not None:
-            told[f"{value.name}.std"] = value.std
+            entries[f"{value.name}.std"] = value.std
         if value.ci95 is not None:
-            told[f"{value.name}.ci95"] = list(value.ci95)
-    return told
+            entries[f"{value.name}.ci95"] = list(value.ci95)
+    return entries

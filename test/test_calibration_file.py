@@ -184,7 +184,7 @@ def test_from_bags_to_a_mass_by_the_command_line(
     assert main(["calibrate", *empty, "--reference", *weights, *place, "--output", str(path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["verdict"] == "accepted" and told["runs"] == 19 and told["output"] == str(path)
-    assert {"unknowns", "noise", "fit", "held_out", "not_told_apart", "advice", "timing_s"} <= set(told)
+    assert {"unknowns", "noise", "fit", "held_out", "not_separated", "advice", "timing_s"} <= set(told)
     assert len(told["held_out"]) == 19 and told["advice"][0]["start"].keys() >= {"joint2", "joint3", "joint4"}
     for name, mass in (
         ("light_ball_20g_joint3", 0.02), ("heavy_ball_50g_joint3", 0.05), ("heavy_cube_23g_joint3", 0.023),

@@ -233,7 +233,7 @@ def test_input_and_joint_states_that_do_not_meet() -> None:
 
 def test_no_input() -> None:
     silent = replace(recording({}), inputs=None)
-    with refused("tells no input current; record /applied_effort or /current_command"):
+    with refused("holds no input current; record /applied_effort or /current_command"):
         cut_runs(silent, joints=ROBOT_JOINTS)
 
 

@@ -89,7 +89,7 @@ class ArmSample(NamedTuple):
     Attributes:
         sampled_at_s: On the monotonic clock.
         position: Of each joint [rad or m]; velocity: [rad/s or m/s]; current_A: as the servos report it.
-        commanded_A: Current that each joint is driven with from here on, in whole counts as the servo was told; 0 where held.
+        commanded_A: Current that each joint is driven with from here on, in whole counts as sent to the servo; 0 where held.
     """
 
     sampled_at_s: float
@@ -130,7 +130,7 @@ class _Joint:
     mode: JointMode = JointMode.HELD
     angle_rad: float = 0.0
     velocity_rad_s: float = 0.0
-    goal_rad: float = 0.0  # where the servo is told to be
+    goal_rad: float = 0.0  # position commanded to the servo
     target_rad: float = 0.0  # where the goal is going
     commanded_A: float = 0.0
     blocked: str = ""  # why it must not be driven until the commands have paused
@@ -151,7 +151,7 @@ class ArmDriver:
         robot: Joints, limits, motors and transmissions.
         bus: Its servos.
         settings: Limits and deadlines.
-        log: Told sentences for the operator with a severity: ``info``, ``warning`` or ``error``.
+        log: Called with sentences for the operator with a severity: ``info``, ``warning`` or ``error``.
         clock: Monotonic seconds.
     """
 
@@ -371,7 +371,7 @@ class ArmDriver:
         self.state, self.reason = BusState.RELEASED, "torque is off; switch it on to go on"
 
     def _let_go(self) -> None:
-        """Nothing is driven or held, and so it is told."""
+        """Report that nothing is driven or held."""
         self._driving = False
         for joint in self._joints.values():
             joint.mode, joint.commanded_A = JointMode.FREE, 0.0

@@ -73,7 +73,7 @@ class SerialLike(Protocol):
 
 
 class _Port(dynamixel_sdk.PortHandler):
-    """A port that waits without spinning, on the monotonic clock, and only as long as it is told."""
+    """A port that waits without spinning, on the monotonic clock, and only as long as asked."""
 
     def __init__(self, name: str, reply_timeout_s: float, connect: Callable[[], SerialLike] | None) -> None:
         super().__init__(name)
@@ -188,7 +188,7 @@ class ServoHealth(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What one servo in current-based position mode is told.
+    """What one servo in current-based position mode is commanded.
 
     A far goal position makes the current exactly +-`current_A`, without leaving the mode and so without dropping the arm.
     """
@@ -609,7 +609,7 @@ def _latency_warnings(port: str, handle: serial.Serial) -> list[str]:
     """Ask for low latency, and say so where the adapter still holds replies back."""
     with contextlib.suppress(
         Exception
-    ):  # not every driver has it, and pyserial raises what it likes; the timer below tells
+    ):  # not every driver has it, and pyserial raises what it likes; the timer below decides
         handle.set_low_latency_mode(True)
     timer = Path("/sys/bus/usb-serial/devices") / Path(os.path.realpath(port)).name / "latency_timer"
     try:

@@ -395,7 +395,7 @@ class ExcitationMachine:
             if sample.time_s < self._sample.time_s:
                 return "clock", f"a sample is {self._sample.time_s - sample.time_s:.3f} s older than the one before it"
             gap_s = sample.time_s - self._sample.time_s
-            # goals wait for joints that were not seen for a while: the servos may not have been told to move either
+            # goals wait for joints that were not seen for a while: the servos may have missed the command, too
             self._seen_s = min(gap_s, LONGEST_STEP_S)
             if gap_s > 0.0:
                 # between samples that are far apart a joint may have gone on as fast as it may

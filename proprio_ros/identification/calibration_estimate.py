@@ -1,4 +1,4 @@
-"""The answer of a calibration: what is known about the robot now, how well it foretells runs, and what to do next."""
+"""The answer of a calibration: what is known about the robot now, how well it predicts runs, and what to do next."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class ProbePlan:
 
 @dataclass(frozen=True)
 class HeldOutRun:
-    """One run as foretold by all others.
+    """One run as predicted by all others.
 
     Attributes:
-        rms: of measured less foretold [rad].
-        reduced_chi2: of the same under the covariance with which it was foretold; 1 is as good as promised.
+        rms: of measured less predicted [rad].
+        reduced_chi2: of the same under the covariance of the prediction; 1 is as good as promised.
     """
 
     name: str
@@ -74,10 +74,10 @@ class CalibrationEstimate:
     Attributes:
         robot: its name.
         runs: how many were given; run_fits: those used, as recorded and as simulated.
-        calibration: what is known now; None where the runs cannot tell.
+        calibration: what is known now; None where the runs do not determine it.
         unknowns: every shared unknown, robot file's word against posterior.
         held_out: one entry per run used.
-        not_told_apart: sentences on what these runs leave open.
+        not_separated: sentences on what these runs leave open.
         advice: the runs that would help most, best first.
         origin: bags, references, and the file that was written, as ``as_json`` gives them.
     """
@@ -91,7 +91,7 @@ class CalibrationEstimate:
     run_fits: tuple[RunFit, ...] = ()
     unknowns: tuple[UnknownRow, ...] = ()
     held_out: tuple[HeldOutRun, ...] = ()
-    not_told_apart: tuple[str, ...] = ()
+    not_separated: tuple[str, ...] = ()
     advice: tuple[ProbePlan, ...] = ()
     notes: tuple[str, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
@@ -145,7 +145,7 @@ class CalibrationEstimate:
                     {"name": h.name, "joint": h.joint, "rms": h.rms, "reduced_chi2": h.reduced_chi2}
                     for h in self.held_out
                 ],
-                "not_told_apart": list(self.not_told_apart),
+                "not_separated": list(self.not_separated),
                 "advice": [plan.as_json() for plan in self.advice],
                 "notes": list(self.notes),
                 "timing_s": self.timing_s,

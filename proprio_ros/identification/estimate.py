@@ -18,12 +18,12 @@ class Verdict(str, Enum):
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"  # the model does not explain the recording
-    NOT_IDENTIFIABLE = "not_identifiable"  # the recording cannot tell
+    NOT_IDENTIFIABLE = "not_identifiable"  # the recording does not determine it
 
 
 @dataclass(frozen=True)
 class Value:
-    """One estimated quantity; numbers are ``None`` where they cannot be told, and ``reason`` says why."""
+    """One estimated quantity; numbers are ``None`` where they cannot be determined, and ``reason`` says why."""
 
     name: str
     unit: str
@@ -233,10 +233,10 @@ class Estimate:
 def no_answer(
     probe: str, name: str, unit: str, robot: str, runs: int, reasons: Sequence[str], notes: Sequence[str]
 ) -> Estimate:
-    """What is said where no run can be used: the value is not told, and the reasons are the runs' own."""
-    untold = Value(name, unit, None, reason="no run of this recording can tell")
+    """What is said where no run can be used: the value is not determined, and the reasons are the runs' own."""
+    undetermined = Value(name, unit, None, reason="no run of this recording determines it")
     return Estimate(
-        probe, robot, Verdict.NOT_IDENTIFIABLE, tuple(reasons), (untold,), None, None, runs, notes=tuple(notes)
+        probe, robot, Verdict.NOT_IDENTIFIABLE, tuple(reasons), (undetermined,), None, None, runs, notes=tuple(notes)
     )
 
 

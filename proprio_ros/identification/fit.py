@@ -132,7 +132,7 @@ def solve_load(
     return FitResult.of(problem, solution)
 
 
-def say_if_uncalibrated(
+def warn_if_uncalibrated(
     robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]], found: Findings
 ) -> None:
     if robot.is_calibrated():

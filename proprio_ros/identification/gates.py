@@ -17,7 +17,7 @@ MIN_USED = 5
 STUCK_TRAVEL = 0.1
 """Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
 LITTLE_TRAVEL = 0.3
-"""Travel that a trustworthy weighing has (HARDWARE: rounding costs 2-4 g when the joint barely creeps)."""
+"""Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
 HELD_SPAN = 0.03
 """rad: what a held joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
 MISFIT_SIGMAS = 3.0902
@@ -25,7 +25,7 @@ MISFIT_SIGMAS = 3.0902
 MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
 CONTRADICTION = 2.5
-"""Reduced chi-square with which the other runs may foretell a run: beyond it, and beyond chance, the run contradicts them."""
+"""Reduced chi-square with which the other runs may predict a run: beyond it, and beyond chance, the run contradicts them."""
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A run that the others foretell badly.
+    """A run that the others predict badly.
 
     Attributes:
         sentence: what it says, and what they say; empty where that is the same.
@@ -50,7 +50,7 @@ class Contradiction:
 
 
 def contradiction(
-    name: str, unit: str, one: float, others: float, alike: float, same: float, doubt: str
+    name: str, unit: str, one: float, others: float, alike: float, same: float, question: str
 ) -> Contradiction:
     """What to make of a run that says another value than the others.
 
@@ -60,7 +60,7 @@ def contradiction(
         one, others: what it says, and what they say.
         alike: values that differ by less do not contradict each other; half of the difference then counts as uncertainty.
         same: values that differ by less are not worth a sentence.
-        doubt: a question to the user where they do.
+        question: to the user where they contradict each other.
     """
     said = f"it says {shown(unit, one, spec='.1f')}, they say {shown(unit, others, spec='.1f')}"
     apart = abs(one - others)
@@ -69,7 +69,7 @@ def contradiction(
     if apart < alike:
         differs = f"{name} differs from the other runs: {said}; the interval carries half of that"
         return Contradiction(Reason("runs_differ", differs), 0.5 * apart)
-    return Contradiction(Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {doubt}"))
+    return Contradiction(Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {question}"))
 
 
 def chi2_limit(dof: int) -> float:
@@ -83,7 +83,7 @@ def chi2_limit(dof: int) -> float:
 
 
 def unusable(run: PreparedRun) -> str:
-    """Why a run tells nothing, or an empty string."""
+    """Why a run is of no use, or an empty string."""
     if run.used < MIN_USED:
         why = run.cut_reason or "the probe was too short"
         return Reason("few_samples", f"only {run.used} usable samples, because {why}")
@@ -96,8 +96,8 @@ def unusable(run: PreparedRun) -> str:
     return ""
 
 
-def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
-    """Say what is odd about a run by itself."""
+def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
+    """Warn of what is unusual about a run by itself."""
     name, joint = run.run.name, run.run.joint
     found.notes.extend(f"{name}: {note}" for note in run.run.notes)
     if run.used < MIN_USED:
@@ -113,7 +113,7 @@ def look_at_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
             Reason(
                 "short_travel",
                 f"{name}: {joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
-                f"{LITTLE_TRAVEL} rad tells much more",
+                f"{LITTLE_TRAVEL} rad determines much more",
             )
         )
     limits = robot.model.joint(joint)
@@ -155,14 +155,14 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
                 Reason(
                     "never_reversed",
                     f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed and cannot be "
-                    f"told from torque and weight: add a run in which it moves in the {back} direction",
+                    f"separated from torque and weight: add a run in which it moves in the {back} direction",
                 )
             )
     return sentences
 
 
 def contradicting(posterior: Posterior) -> int | None:
-    """The run that the others foretell worst, if that is beyond chance and beyond ``CONTRADICTION``."""
+    """The run that the others predict worst, if that is beyond chance and beyond ``CONTRADICTION``."""
     count = len(posterior.problem.runs)
     if count < 2:
         return None

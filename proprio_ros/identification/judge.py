@@ -21,7 +21,7 @@ from proprio_ros.identification.estimate import (
     Value,
     Verdict,
 )
-from proprio_ros.identification.fit import FitResult, error_budget, say_if_uncalibrated, unknown_rows
+from proprio_ros.identification.fit import FitResult, error_budget, unknown_rows, warn_if_uncalibrated
 from proprio_ros.identification.gates import Contradiction, Findings
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import PreparedRun
@@ -51,7 +51,7 @@ def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
 
 
 def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
-    """The recording cannot tell."""
+    """The recording does not determine the value."""
     return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, (Reason(code, sentence),))
 
 
@@ -160,7 +160,7 @@ def judge(
                 )
             )
         found.reasons += remarks()
-        say_if_uncalibrated(robot, assessed.runs, open_drive_train, found)
+        warn_if_uncalibrated(robot, assessed.runs, open_drive_train, found)
     return Estimate(
         probe=probe,
         robot=robot.name,

@@ -1,4 +1,4 @@
-"""Which run to make next: candidates inside the limits, simulated, and ranked by what they would tell.
+"""Which run to make next: candidates inside the limits, simulated, and ranked by what they would determine.
 
 The interval of a run that has not been made follows from its sensitivities alone (expected Fisher information, Lehmann & Casella
 1998, sec. 2.5), under what is known about the robot: with the same prior as a weighing, so a plan made with a calibration
@@ -95,7 +95,7 @@ def plan(
         count: at most so many plans.
         duration_s: of every run.
         joints: to drive; default all that carry the hand against gravity.
-        progress: told what is being looked at.
+        progress: called with what is being looked at.
 
     Raises:
         ConfigurationError: a mass is not positive, or no candidate suits all of them.
@@ -146,7 +146,7 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
                 continue
             for r in np.flatnonzero(candidates.fits[0]):
                 keys, covariance = candidates.posterior(0, int(r))
-                # of other joints' drive trains this run tells only what is correlated with its own
+                # of other joints' drive trains this run determines only what is correlated with its own
                 shared = [key for key in wanted if key in keys]
                 now = [keys.index(key) for key in shared]
                 then = [wanted.index(key) for key in shared]

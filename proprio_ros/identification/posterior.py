@@ -1,4 +1,4 @@
-"""What is known after a fit: the covariance of every unknown, and how well each run is foretold by the others."""
+"""What is known after a fit: the covariance of every unknown, and how well the others predict each run."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from proprio_ros.identification.problem import PayloadProblem, PreparedRun
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One run as the others foretell it.
+    """One run as the others predict it.
 
     Attributes:
-        residual: measured less foretold at each used sample [rad], shape (K,).
-        chi2: of these residuals under the covariance with which they are foretold; near K where the run fits the others.
+        residual: measured less predicted at each used sample [rad], shape (K,).
+        chi2: of these residuals under the covariance of the prediction; near K where the run fits the others.
         samples: K.
     """
 
@@ -72,7 +72,7 @@ class Posterior:
         return np.einsum("mf,fg,mg->m", self.sensitivity, self.covariance, self.sensitivity)
 
     def held_out(self, run: int) -> HeldOut:
-        """A run as foretold without it (exact for a linear model: deletion residuals, Cook & Weisberg 1982, sec. 2.2)."""
+        """A run as predicted without it (exact for a linear model: deletion residuals, Cook & Weisberg 1982, sec. 2.2)."""
         rows = self.run == run
         own = self.sensitivity[rows]
         kept = np.eye(int(rows.sum())) - own @ self.covariance @ own.T

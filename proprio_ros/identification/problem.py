@@ -44,7 +44,7 @@ RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
 LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
 """How a link may differ from the URDF: relative mass, shift of its centre of mass [m], relative inertia about it."""
 REST_S = 0.2
-"""Where a joint rests is told by so much of what was recorded before the onset [s]."""
+"""Where a joint rests is determined from so much of what was recorded before the onset [s]."""
 AWAY_READINGS = 4.0
 """Farther from there than this, in counts with their noise, it was still on its way."""
 MIN_SLOW = 3
@@ -78,7 +78,7 @@ class Coefficients:
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """What the hand held in a run whose mass is told; the default is nothing.
+    """What the hand held in a run whose mass is stated; the default is nothing.
 
     Attributes:
         mass: [kg].
@@ -102,7 +102,7 @@ class PreparedRun:
         coefficients: see ``Coefficients``.
         sigma: standard deviation of each used sample [rad or m], shape (used,).
         rest: start position from the samples before onset.
-        limited: whether the supply may limit the current inside the window, as far as the recording tells.
+        limited: whether the supply may limit the current inside the window, as far as the recording says.
         load: what the hand is known to hold; None means the payload to be weighed.
         yielding: names of held joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``.
     """
@@ -256,7 +256,7 @@ def prepare_run(
         load: what the hand is known to hold; None means the payload to be weighed.
         facts: where the payload sits, for what yielding joints do with it; default at the payload frame.
         past_fast: whether samples count from where the joint runs so fast that the supply may limit the current. That is then
-            simulated with the supply's nominal numbers: for motions that are fast for a moment and tell most after it.
+            simulated with the supply's nominal numbers: for motions that are fast for a moment and informative mostly after it.
 
     Raises:
         RecordingError: a joint the robot has is missing from the recording, the driven joint has no drive train, or the load to
@@ -329,7 +329,7 @@ def prepare_run(
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
-    """At which samples the motor reported the current it was told, shape (K,); False where nothing was reported.
+    """At which samples the motor reported the commanded current, shape (K,); False where nothing was reported.
 
     The reported effort is compared with the command in its own unit: what the two have to do with each other is read off the
     slow samples, where the supply limits nothing.
@@ -390,13 +390,13 @@ def _usable_window(
     if limit < count and limit <= speed:
         return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start", True
     if speed < count:
-        told = (
+        why = (
             "the supply may no longer drive the commanded current"
             if run.reported_effort is None
             else "the motor did not report the commanded current"
         )
         reason = (
-            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start and {told}"
+            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start and {why}"
         )
         return speed, reason, False
     return count, "", False
@@ -479,7 +479,7 @@ class PayloadProblem:
     Args:
         robot: its supply, friction smoothing and jitter.
         runs: prepared runs, sharing the payload and the drive trains.
-        facts: what is told about the payload.
+        facts: what is stated about the payload.
         unknowns: from ``payload_unknowns``, or ``robot_unknowns`` where every run's load is known.
         integrator: ``"rk4"`` or ``"semi_implicit"``.
         step_s: longest integration step; default 1/240 s.
@@ -827,7 +827,7 @@ class PayloadProblem:
         return int(np.count_nonzero(self.weight))
 
     def other_information(self, values: np.ndarray) -> np.ndarray:
-        """What other signals than the encoder's tell about the free unknowns at given values, shape (F, F): none here."""
+        """Information of other signals than the encoder's on the free unknowns at given values, shape (F, F): none here."""
         return np.zeros((len(self.free), len(self.free)))
 
     def simulate(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, HeldOutRun, ProbePlan
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
-from proprio_ros.identification.gates import Findings, contradicting, look_at_run, never_reversed, unusable
+from proprio_ros.identification.gates import Findings, contradicting, never_reversed, screen_run, unusable
 from proprio_ros.identification.planning import advise
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
@@ -39,7 +39,7 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 FRICTION_STARTS = (0.005, 0.02, 0.06)
-"""Coulomb friction [N m] from which the fit starts: low, for a model that sticks has no gradient (HARDWARE.md, section 5)."""
+"""Coulomb friction [N m] from which the fit starts: low, for a model that sticks has no gradient."""
 EVIDENCE_ROUNDS = 15
 PSEUDO_RUNS = 2.0
 """Weight of the robot file's word on run-to-run torque, in runs."""
@@ -58,9 +58,9 @@ UNSTEADY = 6.0
 FAR_FROM_FILE = 4.0
 """Standard deviations of its prior by which an unknown may differ from the robot file unremarked."""
 UNLEARNT = 0.7
-"""Posterior over prior standard deviation above which the runs have not told an unknown."""
+"""Posterior over prior standard deviation above which the runs have not determined an unknown."""
 INSEPARABLE = 0.95
-"""Correlation above which two unknowns are told only together."""
+"""Correlation above which two unknowns are determined only together."""
 SAID_AT_MOST = 6
 
 
@@ -109,7 +109,7 @@ def calibrate(
         robot: as its file states it; its standard deviations are the priors.
         runs: empty-hand runs, and runs with a weighed reference.
         advice: how many further runs to suggest.
-        progress: told what is going on.
+        progress: called with what is going on.
 
     Raises:
         ConfigurationError: the robot is calibrated already.
@@ -131,9 +131,9 @@ def calibrate(
             found.notes.append(f"{loaded.run.name} was left out: {problem}")
         else:
             usable.append(prepared)
-            odd = Findings()
-            look_at_run(robot, prepared, odd)
-            found.notes.extend([*odd.reasons, *odd.notes])  # of one run among many
+            alone = Findings()
+            screen_run(robot, prepared, alone)
+            found.notes.extend([*alone.reasons, *alone.notes])  # of one run among many
     if not usable:
         found.reasons.insert(
             0, "no run can be used: every probed joint must move by at least 0.1 rad inside its limits"
@@ -197,7 +197,7 @@ def calibrate(
         run_fits=fits,
         unknowns=_rows(fitted),
         held_out=_held_out(fitted),
-        not_told_apart=_not_told_apart(robot, fitted, calibration),
+        not_separated=_not_separated(robot, fitted, calibration),
         advice=tuple(suggestions),
         notes=tuple(found.notes),
         timing_s={"solve": solved - started, "advice": time.perf_counter() - solved},
@@ -212,26 +212,26 @@ def _fit_what_agrees(
     kept = list(runs)
     fitted = fit(robot, kept)
     while len(left_out) <= LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
-        odd = _odd_one(robot, fitted)
-        if odd is None:
+        outlier = _outlier(robot, fitted)
+        if outlier is None:
             break
-        left_out.append(kept.pop(odd).run.name)
+        left_out.append(kept.pop(outlier).run.name)
         progress(f"{left_out[-1]} contradicts the others; fitting without it")
         fitted = fit(robot, kept)
     return fitted, left_out
 
 
-def _odd_one(robot: Robot, fitted: _Fitted) -> int | None:
-    """The run that contradicts the others: foretold badly, or explained only by a torque that no other run needs."""
-    odd = contradicting(fitted.posterior)
-    if odd is not None or fitted.noise.torque_disturbance == 0.0:
-        return odd
-    found, told = _of_runs("disturbance", fitted.problem, fitted.posterior, fitted.noise.torque_disturbance)
+def _outlier(robot: Robot, fitted: _Fitted) -> int | None:
+    """The run that contradicts the others: predicted badly, or explained only by a torque that no other run needs."""
+    outlier = contradicting(fitted.posterior)
+    if outlier is not None or fitted.noise.torque_disturbance == 0.0:
+        return outlier
+    found, learnt = _of_runs("disturbance", fitted.problem, fitted.posterior, fitted.noise.torque_disturbance)
     if len(found) < 3:
         return None
     largest = int(np.argmax(np.abs(found)))
     others = np.arange(len(found)) != largest
-    usual = _spread(robot.torque_disturbance, found[others], told[others])
+    usual = _spread(robot.torque_disturbance, found[others], learnt[others])
     return largest if abs(found[largest]) > STRANGE_TORQUE * usual else None
 
 
@@ -273,7 +273,7 @@ def _held_out(fitted: _Fitted) -> tuple[HeldOutRun, ...]:
     return tuple(entries)
 
 
-def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> tuple[str, ...]:
+def _not_separated(robot: Robot, fitted: _Fitted, calibration: Calibration) -> tuple[str, ...]:
     """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
     sentences = []
     for row in _rows(fitted):
@@ -284,7 +284,7 @@ def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> 
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
     for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
         sentences.append(
-            f"{calibration.names[a]} and {calibration.names[b]} were only told together (correlation "
+            f"{calibration.names[a]} and {calibration.names[b]} were only determined together (correlation "
             f"{calibration.correlation[a, b]:+.3f})"
         )
     if (
@@ -294,8 +294,8 @@ def _not_told_apart(robot: Robot, fitted: _Fitted, calibration: Calibration) -> 
         scale = calibration.quantities.get("arm_scale", robot.arm_scale)
         sentences.insert(
             0,
-            f"torque constants and the arm's weight were only told as a ratio: every mass is uncertain by {100 * scale.std:.1f} % "
-            "until a run holds a weighed reference (--reference BAG=KG)",
+            f"torque constants and the arm's weight were only determined as a ratio: every mass is uncertain by "
+            f"{100 * scale.std:.1f} % until a run holds a weighed reference (--reference BAG=KG)",
         )
     if len(sentences) > SAID_AT_MOST:
         more = len(sentences) - SAID_AT_MOST
@@ -375,25 +375,25 @@ def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise
             jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
     disturbance = noise.torque_disturbance
     if disturbance > 0.0:
-        found, told = _of_runs("disturbance", problem, posterior, disturbance)
-        disturbance = _spread(robot.torque_disturbance, found, told)
-    found, told = _of_runs("v0", problem, posterior, noise.start_velocity)
-    start_velocity = _spread(robot.start_velocity, found, told)
+        found, learnt = _of_runs("disturbance", problem, posterior, disturbance)
+        disturbance = _spread(robot.torque_disturbance, found, learnt)
+    found, learnt = _of_runs("v0", problem, posterior, noise.start_velocity)
+    start_velocity = _spread(robot.start_velocity, found, learnt)
     return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
 
 
 def _of_runs(kind: str, problem: PayloadProblem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
-    """An unknown of every run, and how much of it the recording tells rather than its prior (0 to 1); shapes (R,)."""
+    """An unknown of every run, and how much of it the recording determines rather than its prior (0 to 1); shapes (R,)."""
     place = problem.free.tolist()
     columns = [place.index(problem.index[kind, r]) for r in range(len(problem.runs))]
     spread = np.diag(posterior.covariance)[columns]
     return posterior.values[problem.free[columns]], 1.0 - spread / std**2
 
 
-def _spread(file_std: float, found: np.ndarray, told: np.ndarray) -> float:
+def _spread(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:
     """Standard deviation of what differs from run to run, the robot file's word counting as ``PSEUDO_RUNS``."""
     prior = PSEUDO_RUNS * file_std**2
-    return float(np.sqrt((np.sum(found**2) + prior) / (max(float(told.sum()), 0.0) + PSEUDO_RUNS)))
+    return float(np.sqrt((np.sum(found**2) + prior) / (max(float(learnt.sum()), 0.0) + PSEUDO_RUNS)))
 
 
 def _as_calibration(fitted: _Fitted) -> Calibration:

@@ -43,7 +43,7 @@ class DemoResult:
     Attributes:
         accepted: Whether the robot and the object were identified.
         sentence: The service's own words.
-        value: The probe's answer, in its SI unit; None when not told.
+        value: The probe's answer, in its SI unit; None where not determined.
         ci95: Its interval, as published.
         truth: What that really was.
         report: The HTML page.
@@ -78,11 +78,11 @@ def demo(
         seed: Draws the arm's hidden numbers.
         robot: Its name or file.
         full: All joints, as on a real arm, instead of those that the example needs.
-        tell: Told what is going on, a sentence at a time.
+        tell: Called with what is going on, a sentence at a time.
 
     Raises:
         ConfigurationError: A node ended or did not come up; with its own words.
-        KeyboardInterrupt: Told to end (SIGINT, SIGTERM); no process is left behind.
+        KeyboardInterrupt: Asked to end (SIGINT, SIGTERM); no process is left behind.
     """
     started = time.monotonic()
     example = probe.example

@@ -22,13 +22,13 @@ from proprio_ros.robot import load_robot
 
 _D = DriverSettings()
 LATE_S = 0.005
-"""A cycle that begins later than this is told in the diagnostics."""
+"""A cycle that begins later than this is reported in the diagnostics."""
 CLOCK_JUMP_S = 0.05
 """The system's clock has been set when it moved by more than this within a second."""
 
 
 class DriverNode(ManagedNode):
-    """Publishes what the servos report, and passes on what they are told, inside the limits."""
+    """Publishes what the servos report, and passes commands on to them, inside the limits."""
 
     parameters = (
         ROBOT,
@@ -221,8 +221,8 @@ class DriverNode(ManagedNode):
             hot = health.temperature_C >= self.values["max_temperature"]
             words = "; ".join(health.faults) or ("too hot to be driven" if hot else modes[name])
             level = "error" if health.faults else "warning" if hot else "ok"
-            told = {"mode": modes[name], "temperature [C]": health.temperature_C, "voltage [V]": health.voltage_V}
-            statuses.append(messages.status(level, f"driver: {name}", words, told, self._hardware_id))
+            values = {"mode": modes[name], "temperature [C]": health.temperature_C, "voltage [V]": health.voltage_V}
+            statuses.append(messages.status(level, f"driver: {name}", words, values, self._hardware_id))
         return statuses
 
 

@@ -185,7 +185,7 @@ class ExcitationNode(ManagedNode):
             return response
         self._count += 1
         self._tell()
-        # the count tells whoever listens to ~/status which sequence a status belongs to
+        # the count says to whoever listens to ~/status which sequence a status belongs to
         response.success = True
         response.message = f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
         return response
@@ -211,7 +211,7 @@ class ExcitationNode(ManagedNode):
             self._tell()
 
     def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
-        """What is told as soon as it changes."""
+        """What is published as soon as it changes."""
         return machine.phase, machine.run_number, machine.attempt, self._count, self._sample is not None
 
     def _tell(self) -> None:

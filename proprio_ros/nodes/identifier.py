@@ -1,4 +1,4 @@
-"""The identifier node: asks for a probe, listens, keeps the recording, says what it tells.
+"""The identifier node: asks for a probe, listens, keeps the recording, publishes the estimate.
 
 A job has a thread of its own, so that neither the arm's motion nor the identification ever blocks the executor; a second thread
 estimates from what has come so far, where the probe can (a sphere cannot: where it rolls shows only when a run is over). The
@@ -61,7 +61,7 @@ from proprio_ros.settings import parse_settings
 STALE_S = 0.5
 READY_S = 4.0
 SILENT_S = 3.0
-"""The excitation node tells its state ten times a second while it is busy; without a word for so long it is gone."""
+"""The excitation node publishes its state ten times a second while it is busy; without a word for so long it is gone."""
 CALL_S = 5.0
 ABORT_S = 2.0
 TAIL_S = 0.3
@@ -70,7 +70,7 @@ BEHIND_S = 0.2
 LATEST_S = 30.0
 """On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""
 OLD_S = 86400.0
-"""A baseline from another day is doubted: nobody remembers what was changed since."""
+"""Age of a baseline that is worth a warning: nobody remembers what was changed since."""
 
 
 def _services() -> dict[str, str]:
@@ -338,7 +338,7 @@ class IdentifierNode(ManagedNode):
             level = "ok" if job.success else "warning"
         except ProprioError as error:
             job.message = str(error)
-        except Exception as error:  # a defect must be told, and must not leave the services busy for ever
+        except Exception as error:  # a defect must be reported, and must not leave the services busy for ever
             job.message = f"a defect in the identification ({type(error).__name__}: {error}); the recording is kept"
             self.get_logger().error(job.message)
         finally:
@@ -383,7 +383,7 @@ class IdentifierNode(ManagedNode):
         return self._identify_object(job, probe_named(job.kind))
 
     def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
-        """Have the runs of a probe made, and say what they tell."""
+        """Have the runs of a probe made, and identify the object from them."""
         baseline = self._find_baseline(probe)
         setting = self._setting(probe, baseline)
         if baseline is None and probe.baseline is not None and probe.needs_baseline(setting.facts):
@@ -403,18 +403,18 @@ class IdentifierNode(ManagedNode):
         bag = self._record(job, job.kind, sequence)
         estimate = self._identify(job, bag, setting.options, partial(self._publish, setting))
         against = "" if baseline is None else f"; {self._about_baseline(baseline)}"
-        told = _interval_of(estimate)
-        if not told:
+        answer = _interval_of(estimate)
+        if not answer:
             return False, f"{_refusal_of(estimate)}{against}; recording: {bag}"
-        told += probe.remark(estimate)
-        return True, (f"{probe.subject} {told}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}")
+        answer += probe.remark(estimate)
+        return True, (f"{probe.subject} {answer}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}")
 
     @property
     def _uncalibrated(self) -> str:
         return "" if self._calibration else " (robot not calibrated)"
 
     def _identify(self, job: Job, bag: Path, options: ReplayOptions, publish: Callable[[Estimate], None]) -> Estimate:
-        """What a bag tells: published, then written beside it with a report."""
+        """The estimate from a bag: published, then written beside it with a report."""
         self._tell(job.kind, "identifying")
         estimate = replay([bag], options)
         publish(estimate)
@@ -437,17 +437,17 @@ class IdentifierNode(ManagedNode):
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
             return False, f"not kept: {_refusal_of(estimate)}; {baseline.question} recording: {bag}"
         self._keep_as_newest(self._newest_baseline(probe), bag)
-        told = _interval_of(estimate) or f"an untold mass ({'; '.join(estimate.reasons)})"
-        return True, f"{baseline.noun} {told}, {estimate.runs} runs{self._uncalibrated}; kept as the baseline: {bag}"
+        answer = _interval_of(estimate) or f"a mass that is not determined ({'; '.join(estimate.reasons)})"
+        return True, f"{baseline.noun} {answer}, {estimate.runs} runs{self._uncalibrated}; kept as the baseline: {bag}"
 
     def _about_baseline(self, bag: Path) -> str:
         """How old a baseline is, and whether that is a reason to record it again."""
         made_s = bag.stat().st_mtime
         age_s = max(time.time() - made_s, 0.0)
-        told = f"baseline {_duration(age_s)} old: {bag}"
+        age = f"baseline {_duration(age_s)} old: {bag}"
         if self._calibration is not None and self._calibration.stat().st_mtime > made_s:
-            return f"{told} (older than the robot's calibration: record it again if the arm has changed between)"
-        return f"{told} (record it again if anything has changed since)" if age_s > OLD_S else told
+            return f"{age} (older than the robot's calibration: record it again if the arm has changed between)"
+        return f"{age} (record it again if anything has changed since)" if age_s > OLD_S else age
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         self._live = None
@@ -583,7 +583,7 @@ class IdentifierNode(ManagedNode):
         live, period_s = self._live, self.values["live_period"]
         if live is None or period_s <= 0.0:
             return
-        told_samples = 0
+        published_samples = 0
         name, unit = probe_named(job.kind).answer
         while self._session is not None and not job.cancelled.is_set():
             if not self._driven:
@@ -594,27 +594,27 @@ class IdentifierNode(ManagedNode):
             if known is not None and estimate is not None:
                 value, std = known
                 samples = sum(len(run.times_s) for run in estimate.run_fits)
-                if samples <= told_samples:  # a fast end of a run may be left out
+                if samples <= published_samples:  # a fast end of a run may be left out
                     continue
-                told_samples = samples
-                told = {
+                published_samples = samples
+                entries = {
                     "probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit,
                     f"{name}.std": std, f"{name}.ci95": [value - Z95 * std, value + Z95 * std],
                 }  # fmt: skip
                 words = shown(unit, value, Z95 * std, spec=".1f", between=" +- ")
-                self._publish_estimate("ok", estimate.probe, f"live, {samples} samples: {words}", told)
+                self._publish_estimate("ok", estimate.probe, f"live, {samples} samples: {words}", entries)
             time.sleep(period_s)
 
-    def _publish_estimate(self, level: str, name: str, message: str, told: dict[str, Any]) -> None:
+    def _publish_estimate(self, level: str, name: str, message: str, entries: dict[str, Any]) -> None:
         now = self.get_clock().now().nanoseconds
-        self._estimate.publish(messages.diagnostics(now, [messages.status(level, name, message, told)]))
+        self._estimate.publish(messages.diagnostics(now, [messages.status(level, name, message, entries)]))
 
     def _publish_final(self, estimate: Estimate, name: str) -> None:
         accepted = estimate.verdict is Verdict.ACCEPTED
-        told = {**as_diagnostics(estimate), "final": True, "calibration": str(self._calibration or "none")}
-        told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
+        entries = {**as_diagnostics(estimate), "final": True, "calibration": str(self._calibration or "none")}
+        entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         words = "; ".join(estimate.reasons) or estimate.verdict.value
-        self._publish_estimate("ok" if accepted else "warning", name, words, told)
+        self._publish_estimate("ok" if accepted else "warning", name, words, entries)
 
     def _publish(self, setting: Setting, estimate: Estimate) -> None:
         """The answer, and where it is accepted its numbers, the load it stands for and how it looks."""
@@ -639,7 +639,7 @@ class IdentifierNode(ManagedNode):
             self._markers.publish(messages.markers(now, frame, shapes, value.value, value.std, value.unit))
 
     def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
-        told: dict[str, Any] = {
+        entries: dict[str, Any] = {
             "probe": "robot",
             "final": True,
             "verdict": estimate.verdict.value,
@@ -647,14 +647,14 @@ class IdentifierNode(ManagedNode):
         }
         for row in estimate.unknowns:
             if not row.is_detail:
-                told |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
-        told |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
+                entries |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
+        entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         accepted = estimate.verdict is Verdict.ACCEPTED
         words = "; ".join(estimate.reasons) or estimate.verdict.value
-        self._publish_estimate("ok" if accepted else "warning", "robot", words, told)
+        self._publish_estimate("ok" if accepted else "warning", "robot", words, entries)
 
-    def _tell(self, doing: str, message: str, told: dict[str, Any] | None = None, level: str = "ok") -> None:
-        values = {"doing": doing, "calibration": str(self._calibration or "none"), **(told or {})}
+    def _tell(self, doing: str, message: str, entries: dict[str, Any] | None = None, level: str = "ok") -> None:
+        values = {"doing": doing, "calibration": str(self._calibration or "none"), **(entries or {})}
         self._status.publish(messages.status(level, "identifier", message, values))
 
     def _save_again(self) -> None:
@@ -670,7 +670,7 @@ class IdentifierNode(ManagedNode):
 
 
 def _interval_of(estimate: Estimate) -> str:
-    """The first value in words; empty where it is not told."""
+    """The first value in words; empty where it is not determined."""
     value = estimate.values[0]
     if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
         return ""

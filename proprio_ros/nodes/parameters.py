@@ -16,7 +16,7 @@ class Parameter:
     """One parameter of a node.
 
     Attributes:
-        default: Its value where nobody states one; tells the type, too. A list is one of strings.
+        default: Its value where nobody states one; gives the type, too. A list is one of strings.
         description: For `ros2 param describe`, with the unit.
         lowest, highest: Range of a number, ends included.
         dynamic: Whether it may be changed while the node runs.

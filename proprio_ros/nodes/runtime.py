@@ -142,7 +142,7 @@ class ManagedNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def finish(self) -> None:
-        """The end, from whatever state; also called when the process is told to go."""
+        """The end, from whatever state; also called when the process is asked to end."""
         if self.active:
             self.active = False
             self._transition("deactivate", self.deactivate)
@@ -199,7 +199,7 @@ def _leave_shared_memory() -> None:
 
 
 def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = None) -> int:
-    """Run one node until it is told to end (SIGINT, SIGTERM), and end it in order.
+    """Run one node until it is asked to end (SIGINT, SIGTERM), and end it in order.
 
     rclpy's own handlers shut the context down first, after which nothing can be published any more; ours let the node
     leave everything safe before.

@@ -84,7 +84,7 @@ class Example:
         truth: where it is not given, in the unit of the probe's answer; lowest, highest: its range.
         units: what to say about a number outside it.
         held: what the virtual hand holds, with ``{truth}`` in it; see ``virtual/objects.py``.
-        now: what is told when it is in the hand; was: what the truth is called at the end; takes: how long it takes.
+        now: the sentence when it is in the hand; was: what the truth is called at the end; takes: how long it takes.
         sequences: the identifier's parameters for a short demo.
         reference: whether a weight helps the short calibration.
     """
@@ -116,7 +116,7 @@ class Carried:
     Attributes:
         mass_kg: [kg].
         com_m: centre of mass in the payload frame, shape (3,).
-        inertia_kg_m2: about it, shape (3, 3); NaN where nothing tells it.
+        inertia_kg_m2: about it, shape (3, 3); NaN where it is not known.
     """
 
     mass_kg: float
@@ -208,7 +208,7 @@ class Probe(ABC, Generic[Facts]):
             limits: of ``limits``, by name.
 
         Raises:
-            ConfigurationError: it tells nothing about the object, or could break it.
+            ConfigurationError: its runs say nothing about the object, or could break it.
         """
         return
 
@@ -217,7 +217,7 @@ class Probe(ABC, Generic[Facts]):
         return False
 
     def baseline_settings(self, facts: Facts) -> dict[str, object]:
-        """What is told about the hand without the object, as settings of the probe ``baseline.probe``."""
+        """What is stated about the hand without the object, as settings of the probe ``baseline.probe``."""
         return {}
 
     def prepare(self, facts: Facts) -> None:
@@ -228,18 +228,18 @@ class Probe(ABC, Generic[Facts]):
         """
         return
 
-    # --- what a recording tells --------------------------------------------------------------------------------------
+    # --- identification from recordings ------------------------------------------------------------------------------
 
     @abstractmethod
     def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
-        """What the runs tell.
+        """Identify the object from the runs.
 
         Raises:
             ConfigurationError, RecordingError: the runs cannot be related to the robot or the object at all.
         """
 
     def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: Facts) -> Estimate:
-        """What runs tell of which the last is still under way; only where the probe is ``live``."""
+        """An early answer from runs of which the last is still under way; only where the probe is ``live``."""
         raise NotImplementedError
 
     # --- what is shown of it -----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The plots of a calibration: drive trains, correlations, residuals, and how each run was foretold by the others."""
+"""The plots of a calibration: drive trains, correlations, residuals, and how well the other runs predict each run."""
 
 from __future__ import annotations
 
@@ -95,22 +95,22 @@ def residuals_figure(fits: tuple[RunFit, ...]) -> str:
 
 
 def held_out_figure(held_out: tuple[HeldOutRun, ...]) -> str:
-    """How far off each run was foretold by the others, and how far off that was meant to be."""
+    """Error of the held-out prediction of each run, and what was expected of it."""
     names = [_short(run.name) for run in held_out][::-1]
     with drawn(9.2, 0.9 + 0.24 * len(names), ncols=2, sharey=True) as (figure, (left, right)):
         left.barh(names, [1e3 * run.rms for run in held_out][::-1], color=ACCENT, height=0.6)
         left.set_xscale("log")
-        left.set_xlabel("measured less foretold, rms (mrad)")
+        left.set_xlabel("measured less predicted, rms (mrad)")
         right.barh(names, [run.reduced_chi2 for run in held_out][::-1], color=ACCENT, height=0.6)
         right.axvline(1.0, color=SIMULATED, linewidth=1.0)
         right.set_xlabel("reduced chi-square (1: as promised)")
         for axis in (left, right):
             axis.grid(axis="y", visible=False)
             axis.tick_params(axis="y", labelsize=7.5)
-        return svg(figure, "How well each run is foretold by the others")
+        return svg(figure, "Held-out prediction of each run")
 
 
 def _short(name: str, most: int = 200) -> str:
-    """Name of a recording without the folder that every bag has; of a long one its end, which tells it from others."""
+    """Name of a recording without the folder that every bag has; of a long one its end, by which it differs from others."""
     name = name.removesuffix("/bag_mcap").removesuffix("/bag_sqlite3")
     return name if len(name) <= most else "…" + name[1 - most :]

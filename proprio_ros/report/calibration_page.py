@@ -17,7 +17,7 @@ from proprio_ros.resources import write_in_one_step
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
     Verdict.REJECTED: "rejected: the model does not explain the runs",
-    Verdict.NOT_IDENTIFIABLE: "not identifiable: the runs cannot tell",
+    Verdict.NOT_IDENTIFIABLE: "not identifiable: the runs do not determine it",
 }
 
 
@@ -59,15 +59,15 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
             )
         )
     if estimate.held_out:
-        parts.append("<h2>Each run, foretold by the others</h2>")
+        parts.append("<h2>Each run, held out and predicted by the others</h2>")
         parts.append(
             framed(
                 figures.held_out_figure(estimate.held_out),
-                "The run as the calibration without it foretells it. It may be far off where the others say little, but not "
+                "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
                 "further than promised: bars on the right that reach far past 1 contradict the others.",
             )
         )
-    parts += listed("What the runs could not tell apart", estimate.not_told_apart)
+    parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:
         parts.append("<h2>Correlations</h2>")
         parts.append(

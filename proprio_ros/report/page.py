@@ -16,7 +16,7 @@ from proprio_ros.resources import write_in_one_step
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
     Verdict.REJECTED: "rejected: the model does not explain the recording",
-    Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording cannot tell",
+    Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording does not determine it",
 }
 
 _ROLES = {"free": "fitted", "frozen": "as stated"}

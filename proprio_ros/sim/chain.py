@@ -1,6 +1,6 @@
 """Several driven joints at once, in a chain or a tree, with exact tangents and an adjoint.
 
-Equation (1) of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction" (Chen et al.):
+Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920):
 
     H(q) a + b(q, v) = tau,        tau_j = m_j - (f_c + f_l |m_j|) tanh(v_j / v_s) - f_v v_j - k q_j,     m_j = k_t i_j
 

@@ -1,7 +1,7 @@
 """What the block is made of: four laws of elasticity, their stress and its exact tangent.
 
 With the deformation gradient F, J = det F and Ic = |F|^2, the energy per reference volume of each law is linear in the two Lamé
-parameters of the paper:
+parameters of the paper (Chen et al. 2025, arXiv:2410.03920):
 
     Psi(F) = mu w(F) + lambda u(j)
 
@@ -13,7 +13,7 @@ parameters of the paper:
 ``log`` is Bonet and Wood's compressible neo-Hookean. ``smith`` is that of Smith, de Goes and Kim, "Stable Neo-Hookean Flesh
 Simulation" (2018) without its logarithm and with lambda + mu before the square, so that mu and lambda mean what they mean in
 Hooke's law; it stays finite where J <= 0, but its force in a strong squeeze rises to a peak and drops: no law for reported
-values below a stretch of 0.7. ``warp_compat`` is equation (14) of the same paper with mu and lambda put in as they are, which
+values below a stretch of 0.7. ``warp_compat`` is equation (14) of Smith et al. (2018) with mu and lambda put in as they are, which
 is what warp.sim integrated: at small strain it behaves as mu 3/4 and lambda - 5/8 mu (``small_strain_lame``). ``linear`` is for
 tests; it takes a rotation for a strain.
 

@@ -1,7 +1,6 @@
 """One driven joint with everything else locked: the law, its exact tangents, and its adjoint.
 
-Equation (1) of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction" (Chen et al.)
-for one degree of freedom, with the drive train it leaves out:
+Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920) for one degree of freedom, with the drive train it leaves out:
 
     J a + g(q) = tau_m - (f_c + f_l |tau_m|) (1 + s exp(-(v / w)^2)) tanh(v / v_s) - f_v v,      tau_m = k_t i
     g(q) = g_a cos q + g_b sin q + g_c + e_0(t) + m e_1(t)

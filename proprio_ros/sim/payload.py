@@ -1,8 +1,8 @@
 """The payload interaction: what the hand holds, as inertial parameters of the link that holds it.
 
-The paper's payload is a rigid body on a fixed joint at the hand; its mass enters the equation of motion (1) through the inertia
-and the gravity load of everything outboard of the probed joint. Both are linear in the ten inertial parameters, so the map
-from mass to the coefficients of ``joint.py`` is exact and its derivative is a constant.
+The payload of the paper (Chen et al. 2025, arXiv:2410.03920) is a rigid body on a fixed joint at the hand; its mass enters the
+equation of motion (1) through the inertia and the gravity load of everything outboard of the probed joint. Both are linear in
+the ten inertial parameters, so the map from mass to the coefficients of ``joint.py`` is exact and its derivative is a constant.
 
 Two departures: the payload's own inertia follows from its shape and size (the paper's objects are small, but at 0.1 % of the
 joint's inertia it is already 0.1 g), and the centre of mass may lie off the hand's frame.
@@ -128,7 +128,7 @@ class PayloadShape:
 
 @dataclass(frozen=True)
 class PayloadFacts:
-    """What is told about the object before its mass is known (``config/probes/payload.yaml`` and ``--set``).
+    """What is stated about the object before its mass is known (``config/probes/payload.yaml`` and ``--set``).
 
     Attributes:
         com: centre of mass in the payload frame [m], shape (3,).

@@ -18,8 +18,9 @@ force and its derivatives follow from the implicit function theorem with one mor
 (f of the free coordinates, p of the held ones), and as E is linear in mu and lambda, f_theta is the force of a block of mu = 1
 alone or of lambda = 1 alone.
 
-Departures from the paper: it integrates the block's own elastodynamics. The fingers' reflected inertia is a thousand times the
-block's mass, so that the two differ by a tenth of an encoder count (measured with ``softbody.py``).
+Departures from the paper (Chen et al. 2025, arXiv:2410.03920): it integrates the block's own elastodynamics. The fingers'
+reflected inertia is a thousand times the block's mass, so that the two differ by a tenth of an encoder count (measured with
+``softbody.py``).
 """
 
 from __future__ import annotations

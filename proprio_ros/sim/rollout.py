@@ -7,8 +7,7 @@ change along any direction in state and parameters. What a kernel does with a la
 * the input changes at given instants, which end a step; the last step before an instant is shortened to it. An instant of a
   sample moves with the delay and a switch does not, so the length of a step has tangents of its own;
 * steps are ``coarse``, and ``fine`` while the law says that it is near standstill;
-* RK4, or semi-implicit Euler, which is equation (2) of "Learning Object Properties Using Robot Proprioception via
-  Differentiable Robot-Object Interaction" (Chen et al.).
+* RK4, or semi-implicit Euler, which is equation (2) of the paper (Chen et al. 2025, arXiv:2410.03920).
 
 State and rates are one vector, tangents one matrix with a column for each direction. They cost no time against code written
 out for each law: the compiler takes them apart again.

@@ -4,8 +4,7 @@ What it is for: it is the paper's way, and it checks the quasi-static block of `
 a fit runs. Nothing here is fast enough for that: the step is limited by the block's fastest wave (``most_step_s``).
 
 With nodal forces f = -dE/dx of the energy of ``quasistatic.py`` and a viscosity of the material as warp.sim has it, equations
-(2) and (4) of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction" (Chen et al.)
-for a gripper with joint coordinate q, positive when closing:
+(2) and (4) of the paper (Chen et al. 2025, arXiv:2410.03920) for a gripper with joint coordinate q, positive when closing:
 
     d = travel q - gap                                     squeeze; each finger moves by d / 2
     J dw/dt = k_t i - f_c tanh(w / v_s) - f_v w - travel P,      P = (push on one finger + push on the other) / 2

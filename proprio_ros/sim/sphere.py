@@ -1,8 +1,8 @@
 """The enclosed sphere: one driven joint that carries a container with a sphere rolling in it, coupled by contact both ways.
 
-The second interaction of "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction"
-(Chen et al.), with its equation (1) for the joint. The sphere is a rigid body of its own with three coordinates and a spin; the
-walls push it with penalty forces, and what they give to it they take from the joint:
+The second interaction of the paper (Chen et al. 2025, arXiv:2410.03920), with its equation (1) for the joint. The sphere is
+a rigid body of its own with three coordinates and a spin; the walls push it with penalty forces, and what they give to it they
+take from the joint:
 
     J a + g(q) = tau_m - friction - m sum V(x_c) . f           (joint.py has the rest of this line)
     du/dt = g_C(q) + sum f - Omega x u
@@ -21,7 +21,7 @@ The law of contact, with depth d, separation velocity v_n and slip v_t:
 Departures from the paper. Its damping sets in at once when a wall is touched and can pull the sphere back, which puts false
 minima into the mass; ours is ramped with depth and never pulls. Its constants k_e, k_d, k_f are newtons; as ours stand for no
 material but for "hard", they are given per kilogram (k = omega^2, c = 2 zeta omega): the steps that they need then do not shorten
-with the sphere, its motion in a container that moves as told does not depend on its mass, and a mass of 0 is as good as any
+with the sphere, its motion in a container that moves as given does not depend on its mass, and a mass of 0 is as good as any
 other. ``paper_contact`` turns the paper's constants into these. The default integrator is RK4 as in ``joint.py``.
 
 Two independent derivatives, as there: forward sensitivities in the rollout, and ``wp.Tape`` over a kernel that keeps every state.

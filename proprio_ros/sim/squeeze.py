@@ -11,9 +11,9 @@ with ``bend``, where it was measured that a gripper's linkage does not close eve
 ``phi`` is the table of ``response.py``, E and nu are those at small strain, whatever the law. ``eta`` is the block's viscosity
 (Kelvin and Voigt), which sets in over the first ``RAMP`` of squeeze, so that the force has no jump where the fingers touch.
 
-Departures from the paper: its block has inertia of its own and its gripper neither armature nor friction. The armature, 15 to
-76 kg at the finger, is what decides; that the block is in equilibrium at every instant changes the encoder by a tenth of a
-count (``softbody.py`` is the paper's way, and the test's oracle).
+Departures from the paper (Chen et al. 2025, arXiv:2410.03920): its block has inertia of its own and its gripper neither armature
+nor friction. The armature, 15 to 76 kg at the finger, is what decides; that the block is in equilibrium at every instant changes
+the encoder by a tenth of a count (``softbody.py`` is the paper's way, and the test's oracle).
 
 Derivatives as in ``joint.py``: forward sensitivities in the rollout, and ``wp.Tape`` over a kernel that keeps every state.
 """

@@ -255,7 +255,7 @@ def test_too_wide_an_interval_is_no_answer(realistic: Level) -> None:
     facts = container_facts(Settings(told(folder)), probe_file("container"))
     options = ContainerOptions(widest_interval_kg=1e-4)
     estimate = find_sphere(realistic.robot, runs_of(folder, realistic.robot), facts, options, realistic.baseline())
-    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "can only be told to +-" in estimate.reasons[0]
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "can only be determined to +-" in estimate.reasons[0]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

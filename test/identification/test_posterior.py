@@ -1,4 +1,4 @@
-"""What is known after a fit: a run foretold by the others, against a fit that never saw it."""
+"""What is known after a fit: a run predicted by the others, against a fit that never saw it."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
         )
         found = small.all_values(small.coordinates.physical(solution.internal))[0]
         # the run's own unknowns fall back to their priors
-        foretold = problem.base.copy()
+        predicted = problem.base.copy()
         for unknown, value in zip(small.unknowns, found, strict=True):
             if unknown.shared:
-                foretold[problem.index[unknown.key]] = value
-        q, _, _ = problem.simulate(foretold[None], problem.free)
+                predicted[problem.index[unknown.key]] = value
+        q, _, _ = problem.simulate(predicted[None], problem.free)
         used = prepared[out].used
         expected = prepared[out].position - q[0, out, :used]
         held = posterior.held_out(out)
@@ -66,11 +66,11 @@ def _moved(problem: PayloadProblem, small: PayloadProblem, values: np.ndarray, o
     return start
 
 
-def test_a_run_with_something_in_the_hand_is_foretold_badly(fitted, recordings: Path) -> None:
+def test_a_run_with_something_in_the_hand_is_predicted_badly(fitted, recordings: Path) -> None:
     robot, prepared, _, _ = fitted
     folder = recordings / "realistic_s00" / "fixed_heavy_cube_23g_joint3" / "bag_mcap"
-    odd = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, robot, ReplayOptions(), {})]
-    runs = [*prepared, *odd]
+    outlier = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, robot, ReplayOptions(), {})]
+    runs = [*prepared, *outlier]
     problem = PayloadProblem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)

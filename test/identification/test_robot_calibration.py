@@ -151,8 +151,8 @@ def test_noise_that_the_file_does_not_know_is_learnt(
 
 def test_a_reference_tells_torque_from_weight(learnt: dict[tuple[str, bool], CalibrationEstimate]) -> None:
     without, with_reference = (learnt["realistic_s00", told] for told in (False, True))
-    assert any("only told as a ratio" in sentence for sentence in without.not_told_apart)
-    assert not any("only told as a ratio" in sentence for sentence in with_reference.not_told_apart)
+    assert any("only determined as a ratio" in sentence for sentence in without.not_separated)
+    assert not any("only determined as a ratio" in sentence for sentence in with_reference.not_separated)
     stds = [e.calibration.quantities["torque_constant", "joint2"].std for e in (without, with_reference)]
     assert stds[1] < 0.75 * stds[0]
 
@@ -209,7 +209,7 @@ def test_what_was_not_probed_is_not_told(recordings: Path, robot: Robot) -> None
     lifts = empty_runs(recordings / "realistic_s00", robot, "empty_0[0-2]*")
     estimate = calibrate(robot, lifts, advice=0)
     assert any("joint3 only ever moved in the negative direction" in reason for reason in estimate.reasons)
-    assert any("load_friction[joint3] was not learnt" in sentence for sentence in estimate.not_told_apart)
+    assert any("load_friction[joint3] was not learnt" in sentence for sentence in estimate.not_separated)
     both = calibrate(robot, empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*"), advice=0)
     assert not any("only ever moved" in reason for reason in both.reasons)
     stds = [e.calibration.quantities["coulomb", "joint3"].std for e in (estimate, both)]

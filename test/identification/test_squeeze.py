@@ -120,11 +120,11 @@ def test_a_ratio_at_the_end_of_the_search_is_not_told(recordings: Path, calibrat
     for name in ("heavy", "random"):
         estimate = squeezed(calibrated("realistic_s01"), recordings / "realistic_s01" / f"squeeze_{name}")
         ratio, lam = estimate.value("poissons_ratio"), estimate.value("lame_lambda")
-        assert ratio.value is None and lam.value is None and "the squeeze does not tell" in ratio.reason
+        assert ratio.value is None and lam.value is None and "the squeeze does not determine it" in ratio.reason
         assert (
             estimate.value("lame_mu").value is not None
             and estimate.detail.joint is not None
-            and not estimate.detail.joint.told
+            and not estimate.detail.joint.determined
         )
 
 
@@ -310,7 +310,7 @@ def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[s
     folder = recordings / "friction_s00" / "squeeze_light"
     estimate = squeezed(calibrated("friction_s00"), folder)
     joint = estimate.detail.joint
-    assert joint is not None and joint.told and joint.names == ("lame_mu", "lame_lambda")
+    assert joint is not None and joint.determined and joint.names == ("lame_mu", "lame_lambda")
     mu, lam = estimate.value("lame_mu"), estimate.value("lame_lambda")
     np.testing.assert_allclose(joint.value, [mu.value, lam.value])
     np.testing.assert_allclose(np.sqrt(np.diag(joint.covariance)), [mu.std, lam.std])
@@ -323,7 +323,7 @@ def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[s
     assert set(estimate.as_json()["joint_interval"]) == {"names", "unit", "value", "covariance", "outline95"}
     json.dumps(estimate.as_json())
     untold = squeezed(calibrated("friction_s00"), folder, poissons_ratio=Quantity(0.13, 0.003))
-    assert untold.joint is not None and not untold.joint.told and "joint_interval" not in untold.as_json()
+    assert untold.joint is not None and not untold.joint.determined and "joint_interval" not in untold.as_json()
 
 
 def test_the_report_shows_them(recordings: Path, calibrated: Callable[[str], Robot], tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path
     write_calibration_report(estimate, path, command="proprio calibrate <bag>", sources=["one & two"])
     reader, words = read(path)
     assert reader.tags.count("svg") == 4
-    for sentence in (*estimate.reasons, *estimate.not_told_apart, *estimate.notes):
+    for sentence in (*estimate.reasons, *estimate.not_separated, *estimate.notes):
         assert sentence in words
     for row in estimate.unknowns:
         assert row.label in words

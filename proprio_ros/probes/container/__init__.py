@@ -49,7 +49,7 @@ class Container(Probe[ContainerJob]):
         noun="empty container",
         hand="the container has to be in the hand without its sphere",
         question="is the container empty?",
-        missing="put it into the hand without its sphere and call ~/record_container_baseline, or tell its mass (settings: "
+        missing="put it into the hand without its sphere and call ~/record_container_baseline, or state its mass (settings: "
         "container.mass=KG)",
     )
     example = Example(

@@ -340,8 +340,8 @@ def _n(value: float) -> str:
 
 
 def _svg(width: float, height: float, name: str, description: str, body: Sequence[str]) -> str:
-    told = f"<desc>{description}</desc>" if description else ""
+    described = f"<desc>{description}</desc>" if description else ""
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{name}" viewBox="0 0 {_n(width)} {_n(height)}" '
-        f'font-size="11" fill="{INK}">{told}{"".join(body)}</svg>'
+        f'font-size="11" fill="{INK}">{described}{"".join(body)}</svg>'
     )

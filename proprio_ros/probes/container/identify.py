@@ -1,12 +1,12 @@
 """From runs with a container to the mass of the sphere that rolls in it, with an interval and a verdict.
 
 Runs with the empty container (the baseline) are fitted together with the others: whatever is wrong with the shell's mass or with
-the drive train is wrong in both, and falls out. Where there is no baseline the shell's mass must be told.
+the drive train is wrong in both, and falls out. Where there is no baseline the shell's mass must be stated.
 
 The mass is searched for from several guesses of it and of where the sphere lay, on windows that grow with time, first with the
 robot as its file or calibration states it. Then everything that is open moves under its prior, from every end that the first search
-found. A bounce can make the last part of a run depend on its beginning so strongly that nothing can be told from it; it is left out
-as soon as the fit's own covariance no longer knows where the sphere is.
+found. A bounce can make the last part of a run depend on its beginning so strongly that nothing can be identified from it: it is
+left out as soon as the fit's own covariance no longer knows where the sphere is.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from proprio_ros.identification.gates import (
     MISFIT_LIMIT,
     Findings,
     contradicting,
-    look_at_run,
+    screen_run,
     unusable,
 )
 from proprio_ros.identification.judge import Assessment, Refusal, judge, not_identifiable, positive, rejected
@@ -67,12 +67,12 @@ LOST_SHARE = 0.25
 LOST_GROWTH = 2.0
 """.. and so many times what it was when the current came on: not to know where it lay is not chaos."""
 EMPTY_SIGMAS = 3.0
-"""How far from what was told about it a baseline may be before it is not believed."""
+"""How far from what was stated about it a baseline may be before it is not believed."""
 DISTINCT = 0.03
 """Ends of the first search whose masses differ by less than this share, or by 0.1 g, are one."""
 MOST_ENDS = 5
 STIFFER = 2.0
-"""The contact's frequency is told by nobody: the fit is looked at with so many times as much."""
+"""The contact's frequency is not known: the fit is repeated with so many times as much."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def find_sphere(
     Args:
         robot: model, drive trains and their uncertainty.
         runs: at least one, with the container and the sphere.
-        facts: what is told about both.
+        facts: what is stated about both.
         options: solver and limits.
         baseline: runs with the empty container.
         tracks: what a camera saw in each of ``runs``, or nothing at all.
@@ -145,8 +145,8 @@ def find_sphere(
     options = options or ContainerOptions()
     if not baseline and not np.isfinite(facts.mass_std):
         raise ConfigurationError(
-            "a sphere cannot be told from the container that holds it: give recordings of the empty container with --baseline, "
-            "or its mass with --set container.mass=KG"
+            "a sphere cannot be separated from the container that holds it: give recordings of the empty container with "
+            "--baseline, or its mass with --set container.mass=KG"
         )
     found = Findings()
     usable: list[tuple[PreparedRun, bool, SphereTrack | None]] = []
@@ -159,7 +159,7 @@ def find_sphere(
             found.reasons.append(of_run(run.name, problem))
         else:
             usable.append((prepared, rolls, track))
-        look_at_run(robot, prepared, found)
+        screen_run(robot, prepared, found)
     data = _Recorded(
         tuple(run for run, _, _ in usable),
         tuple(rolls for _, rolls, _ in usable),
@@ -169,9 +169,9 @@ def find_sphere(
         return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     if options.signals == "camera" and not any(data.tracks):
         raise ConfigurationError("solver.signals=camera needs what a camera saw: state sphere.camera")
-    doubt = ""
+    not_empty = ""
     if not all(data.rolling):
-        empty, doubt = _look_at_baseline(robot, data, facts, options)
+        empty, not_empty = _screen_baseline(robot, data, facts, options)
         facts = replace(facts, mass=empty)
 
     nominal = _solve(robot, data, facts, options, Role.FROZEN)
@@ -193,12 +193,13 @@ def find_sphere(
         data = replace(data, runs=tuple(cut_runs)).without(lost)
         if not any(data.rolling):
             found.reasons.insert(
-                0, "the sphere bounces too chaotically to tell its mass: tilt instead of shaking, or use less current"
+                0,
+                "the sphere bounces too chaotically to determine its mass: tilt instead of shaking, or use less current",
             )
             return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
         nominal = _solve(robot, data, facts, options, Role.FROZEN)
         opened = _solve(robot, data, facts, options, Role.FREE, nominal)
-    return _conclude(robot, data, facts, options, nominal, opened, found, len(runs), doubt)
+    return _conclude(robot, data, facts, options, nominal, opened, found, len(runs), not_empty)
 
 
 def _problem(
@@ -273,7 +274,7 @@ def _distinct(fit: FitResult) -> list[int]:
     return kept or [fit.solution.best]
 
 
-def _look_at_baseline(
+def _screen_baseline(
     robot: Robot,
     data: _Recorded,
     facts: ContainerFacts,
@@ -293,10 +294,10 @@ def _look_at_baseline(
     std = float(np.sqrt(Posterior(still.problem, still.values).whole_covariance()[row, row]))
     names = ", ".join(run.run.name for run in empty)
     if not still.explains:
-        untold = replace(facts, mass=mass, mass_std=np.inf)
+        unknown_mass = replace(facts, mass=mass, mass_std=np.inf)
         rolled = replace(baseline, rolling=(True,) * len(empty))
-        moving = _solve(robot, rolled, untold, options, Role.FROZEN)
-        moving = _solve(robot, rolled, untold, options, Role.FREE, moving)
+        moving = _solve(robot, rolled, unknown_mass, options, Role.FROZEN)
+        moving = _solve(robot, rolled, unknown_mass, options, Role.FREE, moving)
         if moving.explains:
             inside = float(moving.values[moving.problem.index["sphere_mass"]])
             return mass, (
@@ -393,7 +394,7 @@ def _conclude(
     fit: FitResult,
     found: Findings,
     run_count: int,
-    doubt: str,
+    not_empty: str,
 ) -> Estimate:
     problem = fit.problem
     assert isinstance(problem, ContainerProblem)
@@ -414,13 +415,17 @@ def _conclude(
             unsimulated = "no guess of the mass could be simulated"
             sizes = ": check container.inner_size, sphere.radius and the robot file's inertias"
             yield rejected("unsimulated", unsimulated, unsimulated + sizes)
-        if doubt:
-            yield rejected("baseline_not_empty", "the baseline contradicts what was told", doubt)
-        if len(runs) > 1 and not fit.explains and (odd := contradicting(Posterior(problem, fit.values))) is not None:
+        if not_empty:
+            yield rejected("baseline_not_empty", "the baseline contradicts what was stated", not_empty)
+        if (
+            len(runs) > 1
+            and not fit.explains
+            and (outlier := contradicting(Posterior(problem, fit.values))) is not None
+        ):
             yield rejected(
                 "runs_contradict",
                 "the runs contradict each other",
-                f"{runs[odd].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
+                f"{runs[outlier].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
                 "was the same sphere in the same container, held in the same place?",
             )
         if fit.reduced_chi2 > MISFIT_LIMIT:
@@ -437,8 +442,8 @@ def _conclude(
         if Z95 * std > options.widest_interval_kg:
             yield not_identifiable(
                 "interval_too_wide",
-                "the interval is too wide to tell a mass",
-                f"the sphere's mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
+                "the interval is too wide to state a mass",
+                f"the sphere's mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
                 + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
             )
         if others := rivals(fit, "sphere_mass", mass, std, DISTINCT):
@@ -549,7 +554,7 @@ def _assumptions(
     )
     return (
         f"the container is {facts.shell.shape.description}, its centre at [{place}] mm in {robot.payload_frame}; its mass was "
-        + ("taken from the empty-container runs" if baseline else "told"),
+        + ("taken from the empty-container runs" if baseline else "stated"),
         f"a {'solid' if facts.enclosure.inertia_factor == 0.4 else 'hollow'} sphere of radius {1e3 * facts.enclosure.radius:g} mm "
         f"that {where} when the current came on",
         f"law of contact {facts.law}: {constants}, friction {facts.friction.value:g} +- {facts.friction.std:g}",

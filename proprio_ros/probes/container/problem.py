@@ -1,6 +1,6 @@
 """A container with a sphere in it as a least-squares problem: what ``problem.py`` has, and a sphere in some of the runs.
 
-The container's shell is the payload of that problem: rigid, at its place in the hand, of unknown or told mass, in every run. A
+The container's shell is the payload of that problem: rigid, at its place in the hand, of unknown or stated mass, in every run. A
 run with a sphere adds the sphere's mass, which all of them share, where it lay when the current came on, and two constants of the
 contact that nobody knows: how much of a bounce is lost, and how slippery the walls are.
 """
@@ -38,15 +38,15 @@ RESTING_STD_M = 3e-4
 
 @dataclass(frozen=True)
 class ContainerFacts:
-    """What is told about the container and the sphere (``config/probes/container.yaml`` and ``--set``).
+    """What is stated about the container and the sphere (``config/probes/container.yaml`` and ``--set``).
 
     Attributes:
         enclosure: its inside, and the sphere's size.
         centre: of the container in the payload frame [m], shape (3,).
         rotation: payload_R_container, shape (3, 3).
-        mass, mass_std: of the shell [kg]; an infinite standard deviation is not told.
+        mass, mass_std: of the shell [kg]; an infinite standard deviation means not stated.
         settled: whether the sphere lay still in the lowest place before the current came on.
-        start: where its centre was instead, in the container's frame [m], shape (3,); None is not told.
+        start: where its centre was instead, in the container's frame [m], shape (3,); None where not stated.
         start_std: of that [m].
         contact_frequency: of the sphere on a wall [rad/s]: hard enough that a touch is short beside the motion.
         damping_ratio: of a touch [1]; 0 bounces for ever, 1 not at all.
@@ -255,7 +255,7 @@ class ContainerProblem(PayloadProblem):
 
     Args:
         robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``container_unknowns``.
-        facts: what is told about container and sphere.
+        facts: what is stated about container and sphere.
         rolling: which runs have a sphere, length R; at least one.
         tracks: what a camera saw in each run, length R; None is nothing.
         signals: ``"both"``, or which one of ``SIGNALS`` a run that has both is fitted to.

@@ -27,7 +27,7 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     name = settings.take("payload.shape", None)
     size = settings.take("payload.size", None)
     per_mass = settings.take("payload.inertia_per_mass", None)
-    doubt = number(
+    size_std = number(
         "payload.size_std_relative", settings.take("payload.size_std_relative", defaults["size_std_relative"])
     )
     if per_mass is not None:
@@ -42,13 +42,15 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
         edge = float(defaults["size"])
         guess: dict[str, Any] = {"sphere": edge, "cube": edge, "box": [edge] * 3, "cylinder": [edge, edge]}
         shape = PayloadShape.of(shape_name, guess.get(shape_name))
-        return PayloadFacts(com, com_std, shape, doubt)
+        return PayloadFacts(com, com_std, shape, size_std)
     return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0)
 
 
 def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
-    """Inertia about the payload's centre of mass [kg m^2], shape (3, 3); NaN where its shape was not stated, since one joint's
-    motion does not tell it."""
+    """Inertia about the payload's centre of mass [kg m^2], shape (3, 3).
+
+    NaN where its shape was not stated, since one joint's motion does not determine it.
+    """
     if facts.shape_std_relative > 0.0:
         return np.full((3, 3), np.nan)
     return mass_kg * rotational_inertia(facts.shape.second_moment_per_mass)

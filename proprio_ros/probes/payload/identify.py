@@ -37,8 +37,8 @@ from proprio_ros.identification.gates import (
     Findings,
     contradicting,
     contradiction,
-    look_at_run,
     never_reversed,
+    screen_run,
     unusable,
 )
 from proprio_ros.identification.judge import (
@@ -93,7 +93,7 @@ def weigh(
         runs: at least one, of any of the robot's joints.
         facts: shape and place of the payload; default a ball of unknown size at the payload frame.
         options: solver and limits.
-        baseline: runs with nothing in the hand, fitted together with the others; they tell whether the robot has changed since
+        baseline: runs with nothing in the hand, fitted together with the others; they show whether the robot has changed since
             its calibration.
 
     Raises:
@@ -112,7 +112,7 @@ def weigh(
         else:
             usable.append(prepared)
             weighing += load is None
-        look_at_run(robot, prepared, found)
+        screen_run(robot, prepared, found)
     if not weighing:
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     drift = _drift(robot, usable[weighing:], facts, options)
@@ -162,15 +162,15 @@ def on_bound(fit: FitResult) -> bool:
 
 
 def _contradiction(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, odd: int, mass: float
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, outlier: int, mass: float
 ) -> Contradiction:
-    name = runs[odd].run.name
-    if runs[odd].load is not None:
+    name = runs[outlier].run.name
+    if runs[outlier].load is not None:
         return Contradiction(
             f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
         )
     masses: list[float] = []
-    for group in ([runs[odd]], [run for row, run in enumerate(runs) if row != odd]):
+    for group in ([runs[outlier]], [run for row, run in enumerate(runs) if row != outlier]):
         if any(run.load is None for run in group):
             nominal = solve_load(robot, group, facts, options, Role.FROZEN)
             fit = solve_load(robot, group, facts, options, Role.FREE, start=nominal)
@@ -179,10 +179,10 @@ def _contradiction(
         return Contradiction(
             f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
         )
-    # where they say the same, the run is coarser than the others, and the fit's residuals tell by how much
-    doubt = "was the same object held in the same place?"
+    # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
+    question = "was the same object held in the same place?"
     one, others = masses
-    return contradiction(name, "kg", one, others, ALIKE_SHARE * abs(mass), ALIKE_KG, doubt)
+    return contradiction(name, "kg", one, others, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
 
 
 def _conclude(
@@ -206,8 +206,10 @@ def _conclude(
         assessed.widen(mass - float(opened.values[assessed.row]))
         # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
         assessed.widen(_static_std(fit.problem, runs))
-    odd = contradicting(Posterior(opened.problem, opened.values)) if len(runs) > 1 and np.isfinite(fit.chi2) else None
-    apart = None if odd is None else _contradiction(robot, runs, facts, options, odd, mass)
+    outlier = (
+        contradicting(Posterior(opened.problem, opened.values)) if len(runs) > 1 and np.isfinite(fit.chi2) else None
+    )
+    apart = None if outlier is None else _contradiction(robot, runs, facts, options, outlier, mass)
     if apart is not None and apart.half is not None:
         assessed.widen(apart.half)
     std = assessed.std
@@ -242,15 +244,15 @@ def _conclude(
         if fit is opened and not known and len(slow) == len(runs):
             yield not_identifiable(
                 "short_travel",
-                "too little travel to tell friction from weight",
-                f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to tell friction from weight: "
+                "too little travel to separate friction from weight",
+                f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to separate friction from weight: "
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         if fit is opened and Z95 * std > options.widest_interval_kg:
             yield not_identifiable(
                 "interval_too_wide",
-                "the interval is too wide to tell a mass",
-                f"the mass can only be told to +-{1e3 * Z95 * std:.0f} g, mostly because of "
+                "the interval is too wide to state a mass",
+                f"the mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of "
                 f"{budget[0][0] if budget else 'encoder noise'}: calibrate the robot on empty-hand runs, or probe with more travel",
             )
         if others := rivals(fit, "payload_mass", mass, std, 0.02):
@@ -270,7 +272,7 @@ def _conclude(
         probe="payload",
         run_count=run_count,
         values=lambda withheld: _values(assessed, withheld),
-        # starts agree when they explain the recording alike, at masses that the interval cannot tell apart
+        # starts agree when they explain the recording alike, at masses that the interval cannot separate
         solver=summary(
             searched, "payload_mass", options.starts_kg, max(1e-4, 0.01 * abs(best), 0.1 * std),
             searched.solution.iterations, options, margin=0.5,
@@ -300,11 +302,11 @@ def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], wit
     numbers: list[float | None] = []
     stds: list[float | None] = []
     intervals: list[list[float] | None] = []
-    untold = []
+    unexcited = []
     for axis, r in zip("xyz", rows, strict=True):
         std, prior = float(np.sqrt(covariance[r, r])), fit.problem.unknowns[r].std
         if withheld or (prior > 0.0 and std > 0.7 * prior):
-            untold.append(axis)
+            unexcited.append(axis)
             numbers.append(None)
             stds.append(None)
             intervals.append(None)
@@ -313,7 +315,9 @@ def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], wit
             numbers.append(value)
             stds.append(std)
             intervals.append([value - Z95 * std, value + Z95 * std])
-    reason = withheld or (f"{', '.join(untold)} not excited: the probe tells no more than the prior" if untold else "")
+    reason = withheld or (
+        f"{', '.join(unexcited)} not excited: the probe adds nothing to the prior" if unexcited else ""
+    )
     return Value("payload_com", "m", numbers, stds, intervals, reason)
 
 

@@ -1,5 +1,7 @@
 """Profile ``paper``: the identification as the paper does it, to compare with and to see where it stops.
 
+The paper: Chen et al. 2025, arXiv:2410.03920, equations (2) and (5).
+
 One unknown, the mass; the run starts at rest where the first sample is; semi-implicit Euler, the paper's equation (2); the loss,
 its equation (5), is the squared error of the last frame; the gradient comes from ``wp.Tape``; Adam with cosine annealing. The
 schedule moves the mass by at most about ``rate x iterations / 2`` and then stops, wherever it is. So every start is run twice:

@@ -115,7 +115,7 @@ class Softness(Probe[SoftnessJob]):
         ratio = estimate.value("poissons_ratio")
         if isinstance(ratio.value, float) and isinstance(ratio.std, float):
             return f", Poisson's ratio {ratio.value:.2f} +- {Z95 * ratio.std:.2f}"
-        return ", Poisson's ratio not told"
+        return ", Poisson's ratio not determined"
 
     def shapes(self, robot: Robot, facts: SoftnessJob, estimate: Estimate) -> Shapes | None:
         rotation = block_rotation(robot, estimate.run_fits[0].joint)

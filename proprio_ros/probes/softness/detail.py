@@ -57,7 +57,7 @@ class JointInterval:
         covariance: Shape (2, 2).
         outline: Of the region that holds both with 95 %, shape (M, 2); no ellipse where the values are no linear functions of what
             was fitted.
-        told: Whether both values are the recording's rather than the prior's.
+        determined: Whether both values are the recording's rather than the prior's.
     """
 
     names: tuple[str, str]
@@ -65,7 +65,7 @@ class JointInterval:
     value: np.ndarray
     covariance: np.ndarray
     outline: np.ndarray
-    told: bool
+    determined: bool
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -83,7 +83,7 @@ class SoftnessDetail:
 
     Attributes:
         curves: one for each closing on the block.
-        joint: of the Lamé parameters; None where none is told.
+        joint: of the Lamé parameters; None where none is determined.
     """
 
     curves: tuple[SqueezeCurve, ...]
@@ -91,4 +91,4 @@ class SoftnessDetail:
 
     def as_json(self) -> dict[str, Any]:
         """The joint interval, where both values are the recording's."""
-        return {} if self.joint is None or not self.joint.told else {"joint_interval": self.joint.as_json()}
+        return {} if self.joint is None or not self.joint.determined else {"joint_interval": self.joint.as_json()}

@@ -55,7 +55,7 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     fingers = number("block.fingers", take("fingers"))
     if fingers not in (1.0, 2.0):
         raise ConfigurationError(f"block.fingers={fingers:g}: one finger moves, or two")
-    take("mass")  # a block's weight changes its squeeze by less than a thousandth; told or not, it is not used
+    take("mass")  # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used
     ratio = Quantity(not_negative("block.poissons_ratio", take("poissons_ratio")), _std(take, "poissons_ratio_std"))
     if ratio.value > HIGHEST_RATIO:
         raise ConfigurationError(f"block.poissons_ratio={ratio.value:g} must lie between 0 and {HIGHEST_RATIO}")

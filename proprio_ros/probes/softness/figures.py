@@ -24,8 +24,10 @@ def sections(estimate: Estimate) -> list[str]:
         return []
     parts = ["<h2>The block</h2>", framed(squeeze_figure(detail.curves))]
     if detail.joint is not None:
-        told = "" if detail.joint.told else "Poisson's ratio is the prior's here, and so is how long the region is."
-        parts += ["<h3>Both Lamé parameters together</h3>", framed(joint_figure(detail.joint), told)]
+        caption = (
+            "" if detail.joint.determined else "Poisson's ratio is the prior's here, and so is how long the region is."
+        )
+        parts += ["<h3>Both Lamé parameters together</h3>", framed(joint_figure(detail.joint), caption)]
     return parts
 
 

@@ -1,9 +1,9 @@
 """From closings of the gripper on a soft block to its elastic moduli, with intervals and a verdict.
 
 What one squeeze fixes is Young's modulus. Poisson's ratio shows only in how the force bends away from a straight line at large
-strain; where the posterior is hardly narrower than the prior it is called dominated by that and not told. Lamé parameters follow
-from the two, with what is known of both. Runs with the empty gripper (the baseline, and the calibration) tell friction and
-armature; torque constant and armature share one scale that no gripper can tell apart, so the modulus is known no better than the
+strain; where the posterior is hardly narrower than the prior it is called prior-dominated and not stated. Lamé parameters follow
+from the two, with what is known of both. Runs with the empty gripper (the baseline, and the calibration) give friction and
+armature; torque constant and armature share one scale that no gripper can separate, so the modulus is known no better than the
 torque constant is.
 """
 
@@ -31,7 +31,7 @@ from proprio_ros.identification.gates import (
     Findings,
     contradicting,
     contradiction,
-    look_at_run,
+    screen_run,
 )
 from proprio_ros.identification.judge import (
     Assessment,
@@ -55,23 +55,23 @@ from proprio_ros.sim.mesh import box
 from proprio_ros.sim.quasistatic import QuasiStatic
 
 UNMOVED_RAD = 0.02
-"""A gripper that moves less has told nothing but its friction."""
+"""A gripper that moves less shows nothing but its friction."""
 ALIKE_SHARE = 0.15
 """Moduli that differ by less, or by less than they are known to, do not contradict each other: friction is not the same in each
 run, and it is as large as a soft block's force."""
 UNTOUCHED = 3e-3
 """Relative squeeze below which a block was hardly pressed."""
 CRUSHED = 0.45
-"""Relative squeeze beyond which no law of elasticity here is to be trusted (SOFTNESS, section 4)."""
+"""Relative squeeze beyond which no law of elasticity here is to be trusted."""
 SHOWN_SHAPES, SHOWN_CELLS, MOST_SHOWN_TETS = 6, 4, 2000
 """How many states of the block a report shows, of how many cells along its longest edge; a finer mesh is not shown."""
 CHI2_95_OF_TWO = 5.991464547107979
 """What the square of a standard normal vector of two components stays below in 95 %."""
 RATIO_SPREAD = 1.3
-"""Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is told,
-it is told so much wider."""
-TOLD = 0.7
-"""Standard deviation as told over that of the prior above which a value is the prior's."""
+"""Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is
+stated, its interval is so much wider."""
+PRIOR_DOMINATED = 0.7
+"""Posterior over prior standard deviation above which a value is the prior's."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def find_softness(
     Args:
         robot: model, drive trains and their uncertainty.
         runs: at least one, each a closing of the gripper on the block.
-        facts: what is told about it.
+        facts: what is stated about it.
         options: solver and limits.
         baseline: closings of the empty gripper.
 
@@ -133,7 +133,7 @@ def find_softness(
             )
         else:
             usable.append((prepared, squeezes))
-        look_at_run(robot, prepared, found)
+        screen_run(robot, prepared, found)
     data = _Recorded(tuple(run for run, _ in usable), tuple(squeezes for _, squeezes in usable))
     # a probe raises a current that moved too little: those that did not move are no flaw of the others
     (found.notes if any(data.squeezing) else found.reasons).extend(unmoved)
@@ -173,24 +173,24 @@ def _solve(
 
 
 def _apart(
-    robot: Robot, data: _Recorded, facts: BlockFacts, options: SqueezeOptions, odd: int, std_Pa: float
+    robot: Robot, data: _Recorded, facts: BlockFacts, options: SqueezeOptions, outlier: int, std_Pa: float
 ) -> Contradiction:
-    """What a run says that the others foretell badly.
+    """What a run says that the others predict badly.
 
     Args:
-        std_Pa: with which all runs together tell the modulus.
+        std_Pa: with which all runs together determine the modulus.
     """
-    name = data.runs[odd].run.name
+    name = data.runs[outlier].run.name
     moduli = []
-    for rows in ([odd], [row for row in range(len(data.runs)) if row != odd]):
+    for rows in ([outlier], [row for row in range(len(data.runs)) if row != outlier]):
         part = _Recorded(tuple(data.runs[row] for row in rows), tuple(data.squeezing[row] for row in rows))
         if not any(part.squeezing):
             return Contradiction(f"{name} contradicts the other runs: was the gripper empty where it should be?")
         nominal = _solve(robot, part, facts, options, Role.FROZEN)
         moduli.append(float(_solve(robot, part, facts, options, Role.FREE, nominal).physical("youngs_modulus")[0]))
     one, others = moduli
-    doubt = "was the same block held in the same way?"
-    return contradiction(name, "Pa", one, others, max(ALIKE_SHARE * others, std_Pa), 0.0, doubt)
+    question = "was the same block held in the same way?"
+    return contradiction(name, "Pa", one, others, max(ALIKE_SHARE * others, std_Pa), 0.0, question)
 
 
 def _conclude(
@@ -207,8 +207,8 @@ def _conclude(
     assert isinstance(problem, SqueezeProblem)
     known = robot.is_calibrated(joints_of(data.runs))
     assessed = Assessment(fit, "youngs_modulus", data.runs, known)
-    odd = contradicting(Posterior(problem, fit.values)) if len(data.runs) > 1 and not fit.explains else None
-    apart = None if odd is None else _apart(robot, data, facts, options, odd, assessed.std)
+    outlier = contradicting(Posterior(problem, fit.values)) if len(data.runs) > 1 and not fit.explains else None
+    apart = None if outlier is None else _apart(robot, data, facts, options, outlier, assessed.std)
     if apart is not None and apart.half is not None:
         assessed.widen(apart.half)
     modulus, std, covariance = assessed.value, assessed.std, assessed.covariance
@@ -235,8 +235,9 @@ def _conclude(
         if modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
             yield not_identifiable(
                 "interval_too_wide",
-                "the interval is too wide to tell a modulus",
-                f"Young's modulus can only be told to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of {budget[0][0]}: "
+                "the interval is too wide to state a modulus",
+                f"Young's modulus can only be determined to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of "
+                f"{budget[0][0]}: "
                 + (
                     "squeeze with other currents, too"
                     if known
@@ -281,7 +282,7 @@ def _values(
     names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
     if withheld:
         return tuple(Value(name, unit, None, reason=withheld) for name, unit in names.items())
-    modulus, ratio, both, untold = _moduli(fit, covariance, facts)
+    modulus, ratio, both, undetermined = _moduli(fit, covariance, facts)
     std_e, std_nu = np.sqrt(np.diag(both)).tolist()
     mu, lam = lame(modulus, ratio)
     std_mu, std_lambda = np.sqrt(np.diag(_lame_covariance(modulus, ratio, both))).tolist()
@@ -291,12 +292,12 @@ def _values(
     secant = float(force / (strain * length))
     return (
         positive("youngs_modulus", "Pa", modulus, std_e),
-        Value("poissons_ratio", "1", None, std_nu, reason=untold)
-        if untold
+        Value("poissons_ratio", "1", None, std_nu, reason=undetermined)
+        if undetermined
         else positive("poissons_ratio", "1", ratio, std_nu, highest=HIGHEST_RATIO),
         positive("lame_mu", "Pa", float(mu), std_mu),
-        Value("lame_lambda", "Pa", None, reason=untold)
-        if untold
+        Value("lame_lambda", "Pa", None, reason=undetermined)
+        if undetermined
         else positive("lame_lambda", "Pa", float(lam), std_lambda),
         positive("secant_stiffness", "N/m", secant, secant * std_e / modulus),
         Value("largest_squeeze", "1", float(strain)),
@@ -304,7 +305,7 @@ def _values(
 
 
 def _moduli(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> tuple[float, float, np.ndarray, str]:
-    """Young's modulus and Poisson's ratio as they are told.
+    """Young's modulus and Poisson's ratio as they are stated.
 
     Returns:
         both, their covariance, shape (2, 2), and why the ratio, with what goes with it, is not the recording's: empty where it is.
@@ -317,13 +318,15 @@ def _moduli(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> tuple[
         return modulus, ratio, both, ""
     better = "squeeze further, with several currents, or state block.poissons_ratio"
     if not 1e-3 < ratio < HIGHEST_RATIO - 1e-3:
-        # the fit could go no further, so it tells no interval either: what is known is the prior
+        # the fit could go no further, so it gives no interval either: what is known is the prior
         known = np.diag([both[0, 0], prior.std**2])
-        untold = f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not tell; {better}"
-        return modulus, prior.value, known, untold
-    if RATIO_SPREAD * std > TOLD * prior.std:
-        untold = f"prior_dominated: the squeeze tells Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
-        return modulus, ratio, both, untold
+        undetermined = (
+            f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not determine it; {better}"
+        )
+        return modulus, prior.value, known, undetermined
+    if RATIO_SPREAD * std > PRIOR_DOMINATED * prior.std:
+        undetermined = f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
+        return modulus, ratio, both, undetermined
     spread = np.array([1.0, RATIO_SPREAD])
     return modulus, ratio, both * np.outer(spread, spread), ""
 
@@ -337,7 +340,7 @@ def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarr
 
 def _joint(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> JointInterval:
     """Mu and lambda together: the ellipse of Young's modulus and Poisson's ratio, as it bends on the way to them."""
-    modulus, ratio, both, untold = _moduli(fit, covariance, facts)
+    modulus, ratio, both, undetermined = _moduli(fit, covariance, facts)
     turn = np.linspace(0.0, 2.0 * np.pi, 121)
     # in standard deviations: pascals and a ratio differ by orders of magnitude, and a ratio that is stated exactly has none
     std = np.sqrt(np.diag(both))
@@ -348,7 +351,7 @@ def _joint(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> JointIn
     around = np.maximum(modulus + ellipse[0], 0.0), np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO)
     return JointInterval(
         ("lame_mu", "lame_lambda"), "Pa", np.array(lame(modulus, ratio)), _lame_covariance(modulus, ratio, both),
-        np.stack(lame(*around), axis=1), not untold,
+        np.stack(lame(*around), axis=1), not undetermined,
     )  # fmt: skip
 
 

@@ -29,12 +29,12 @@ SOFTEST_PA, STIFFEST_PA = 1e2, 1e8
 LEAST_RELAXATION_S = -2e-4
 """No block gives energy back, but a force that comes a little late looks as if it did."""
 HIGHEST_RATIO = 0.47
-"""Beyond it a block keeps its volume, and tetrahedra lock (SOFTNESS, section 3)."""
+"""Beyond it a block keeps its volume, and four-node tetrahedra lock, even with J averaged over a cell."""
 
 
 @dataclass(frozen=True)
 class BlockFacts:
-    """What is told about the block and how it is held (``config/probes/softness.yaml`` and ``--set``).
+    """What is stated about the block and how it is held (``config/probes/softness.yaml`` and ``--set``).
 
     Attributes:
         size: of the block, x along the squeeze [m], shape (3,); of a mesh its extent.
@@ -121,7 +121,7 @@ class SqueezeProblem(PayloadProblem):
     Args:
         robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``block_unknowns`` and runs
             that were prepared as empty hands.
-        facts: what is told about the block.
+        facts: what is stated about the block.
         squeezing: which runs have it, length R; at least one.
 
     Raises:
