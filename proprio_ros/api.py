@@ -408,7 +408,12 @@ def calibrate(
         references: Bags with a weighed reference in the hand, and its mass [kg].
         output: The calibration file (.yaml); written when the calibration is accepted.
         progress: Called with a sentence on what is going on.
-        robot, settings, state_topic, command_topic, effort_unit, **facts: As for `weigh`; ``payload`` describes the reference.
+        robot: As for `weigh`.
+        settings: As for `weigh`.
+        state_topic: As for `weigh`.
+        command_topic: As for `weigh`.
+        effort_unit: As for `weigh`.
+        **facts: As for `weigh`; ``payload`` describes the reference.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
@@ -445,7 +450,10 @@ def plan(
         masses: What the hand may hold [kg]; a run must suit all of them.
         count: At most so many plans.
         progress: Called with a sentence on what is going on.
-        calibration, robot, settings, **facts: As for `weigh`.
+        calibration: As for `weigh`.
+        robot: As for `weigh`.
+        settings: As for `weigh`.
+        **facts: As for `weigh`.
 
     Raises:
         ConfigurationError, RobotError: With one line that says what is wrong and what to do.
@@ -467,7 +475,10 @@ def check(
 
     Args:
         bags: Bag folders or files, or text recordings.
-        robot, state_topic, command_topic, effort_unit: As for `weigh`.
+        robot: As for `weigh`.
+        state_topic: As for `weigh`.
+        command_topic: As for `weigh`.
+        effort_unit: As for `weigh`.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.

@@ -120,7 +120,9 @@ def write_calibration(
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
     Args:
+        path: of the new robot file.
         robot: what was calibrated, overrides included.
+        calibration: what was learnt.
         overrides: dotted robot settings that were in force, so that they come back with the file.
 
     Raises:

@@ -163,7 +163,9 @@ def check_bags(
     Args:
         paths: Bags or text recordings.
         robot: Name or file; default as for ``proprio replay``.
-        state_topic, command_topic, effort_unit: As for ``proprio replay``; what is left open here is said in the answer.
+        state_topic: As for ``proprio replay``.
+        command_topic: As for ``proprio replay``.
+        effort_unit: As for ``proprio replay``; what is left open here is said in the answer.
 
     Returns:
         The robot's name, and one entry per bag.

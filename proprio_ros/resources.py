@@ -95,6 +95,8 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
     """Write a text file that is either whole or as it was before.
 
     Args:
+        path: of the file.
+        text: all of it.
         option: the command-line option that named the file, for the message.
 
     Raises:

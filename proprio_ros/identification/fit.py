@@ -135,6 +135,7 @@ def solve_load(
 def warn_if_uncalibrated(
     robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]], found: Findings
 ) -> None:
+    """Add a warning to ``found`` where the interval carries the file's priors instead of a calibration."""
     if robot.is_calibrated():
         joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
         if joints and robot.calibration is not None:  # a file that only says so leaves nothing to be said
@@ -175,8 +176,10 @@ def rivals(fit: FitResult, name: str, value: float, std: float, share: float) ->
     """Masses of other starts that explain the recording as well but lie elsewhere.
 
     Args:
+        fit: the best start, with the others.
         name: of the unknown [kg].
-        value, std: of the estimate [kg].
+        value: of the estimate [kg].
+        std: of the estimate [kg].
         share: masses that differ by less than this share of them are one.
     """
     ends, cost = fit.physical(name), fit.solution.cost
@@ -224,6 +227,7 @@ def summary(
 
 
 def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float) -> str:
+    """Why a fit is no weighing: residuals (rms [rad]) larger than expected, or unknowns too far from their priors."""
     if rms <= expected:
         return (
             f"misfit: the simulation ({1e3 * mass:.1f} g) only follows the recording with a robot or a start further from what is "
@@ -236,6 +240,7 @@ def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float)
 
 
 def other_suspects(robot: Robot) -> list[str]:
+    """What else than the object may be the cause of a misfit."""
     if robot.is_calibrated():
         return []
     return [
@@ -244,6 +249,7 @@ def other_suspects(robot: Robot) -> list[str]:
 
 
 def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
+    """All unknowns with prior and posterior, as a report shows them."""
     return tuple(
         UnknownRow(
             u.kind,

@@ -57,7 +57,8 @@ def contradiction(
     Args:
         name: of the run.
         unit: of the values.
-        one, others: what it says, and what they say.
+        one: what it says.
+        others: what they say.
         alike: values that differ by less do not contradict each other; half of the difference then counts as uncertainty.
         same: values that differ by less are not worth a sentence.
         question: to the user where they contradict each other.

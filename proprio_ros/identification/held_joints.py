@@ -130,6 +130,8 @@ def loads_of_yielding(
     The driven joint's own motion, which enters weakly, is its smoothed reading.
 
     Args:
+        robot: whose drive trains yield.
+        run: with the held joints' positions.
         motions: of the held joints that moved.
         facts: where the payload sits and how its mass is spread.
         noise: standard deviation of a reading of the driven joint [rad].
@@ -172,6 +174,7 @@ def joint_torque(
     over bodies of ``trace(dT/dq_i  P  (T'' - g)^T)``.
 
     Args:
+        model: the moving bodies and their joints.
         motion: position, velocity and acceleration of each joint over time, each of shape (T,).
         joint: which.
         inertias: sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).

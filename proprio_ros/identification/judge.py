@@ -131,16 +131,22 @@ def judge(
     """The answer.
 
     Args:
+        robot: as it was identified with.
+        assessed: the fit, and what is known after it.
         refusals: in order; only the first is taken, and what comes after it is not computed.
         found: on the way here.
         probe: its name.
         run_count: how many runs there were, the unusable ones included.
-        values, detail: made when the verdict is known, from the words where a value would stand (empty where it is given).
-        solver, scan, budget, assumptions: see ``Estimate``.
+        values: made when the verdict is known, from the words where a value would stand (empty where it is given).
+        solver: see ``Estimate``.
+        scan: see ``Estimate``.
+        budget: see ``Estimate``.
+        assumptions: see ``Estimate``.
         apart: runs that say different values.
         remarks: reasons to look closer at an accepted answer.
         open_drive_train: what an uncalibrated robot puts on the value [kg], for a sentence.
         unknowns: default all of the fit.
+        detail: made as ``values`` are.
     """
     fit = assessed.fit
     withheld = ""
@@ -184,6 +190,10 @@ def positive(name: str, unit: str, value: float, std: float, withheld: str = "",
     """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
 
     Args:
+        name: of the quantity.
+        unit: of value, std and highest.
+        value: estimated; what is below 0 reads 0.
+        std: of the estimate.
         withheld: why no number is given; empty where it is.
         highest: that it can have.
     """

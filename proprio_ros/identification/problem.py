@@ -137,6 +137,7 @@ class PreparedRun:
 
 
 def reduced_model(robot: Robot, run: Run, shift: Mapping[str, float]) -> ReducedModel:
+    """The robot with every joint locked but the driven one; ``shift`` displaces held joints [rad or m]."""
     held = {name: position + shift.get(name, 0.0) for name, position in run.held.items()}
     return robot.model.lock([run.joint], held, robot.gravity)
 
@@ -153,6 +154,7 @@ def _coefficients(robot: Robot, run: Run, shift: Mapping[str, float]) -> tuple[n
 
 
 def axis_and_gravity(model: ReducedModel) -> tuple[np.ndarray, np.ndarray]:
+    """Axis of the driven joint, and gravity [m/s^2] where it is at zero, both in its own frame; shapes (3,)."""
     return model.axes[0], model.placement[0][:3, :3].T @ model.gravity
 
 
@@ -253,6 +255,8 @@ def prepare_run(
     """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
 
     Args:
+        robot: of the recording.
+        run: as recorded.
         load: what the hand is known to hold; None means the payload to be weighed.
         facts: where the payload sits, for what yielding joints do with it; default at the payload frame.
         past_fast: whether samples count from where the joint runs so fast that the supply may limit the current. That is then
@@ -408,7 +412,11 @@ def payload_unknowns(
     """All unknowns of a weighing: the payload, what is open about the robot, and each run's start.
 
     Args:
+        robot: of the runs.
+        runs: weighed together.
+        facts: what is stated about the payload.
         drive_role: ``FROZEN`` keeps the robot at its file's values, ``FREE`` lets the recording move them under their priors.
+        start_mass_kg: the payload's, from which a fit starts [kg].
     """
     unknowns = [Unknown("payload_mass", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
     for axis, name in enumerate("xyz"):
@@ -834,7 +842,8 @@ class PayloadProblem:
         """What the encoder shows, velocities, and sensitivities by chosen unknowns at given values of all of them.
 
         Args:
-            values: shape (S, N); columns: shape (F,).
+            values: of all unknowns, shape (S, N).
+            columns: of the chosen ones, shape (F,).
 
         Returns:
             q (S, R, T), v (S, R, T), dq (S, R, T, F), copies.

@@ -99,10 +99,12 @@ def levenberg_marquardt(
     deviation, or three in a row gain nothing that matters.
 
     Args:
+        problem: what is to be minimised.
         starts: solver coordinates, shape (S, F).
         windows: how many samples of each run lie in a fraction of its time; None fits everything at once, from a good start.
         window_iterations: iterations on each window but the last.
         iterations: at most so many on the last.
+        tolerance: of a start's step over its standard deviation.
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
@@ -163,6 +165,9 @@ def adam_descent(
         gradient_of: coordinates (S, F) -> cost (S,), gradient (S, F).
         starts: shape (S, F).
         rate: first learning rate, in coordinate units per iteration.
+        iterations: all of them are made.
+        lower: bound of the coordinates, shape (F,) or one for all.
+        upper: likewise.
     """
     u = starts.astype(np.float64).copy()
     first, second = np.zeros_like(u), np.zeros_like(u)

@@ -21,11 +21,13 @@ LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": 
 
 
 def time_message(time_ns: int) -> Time:
+    """A stamp from nanoseconds."""
     seconds, nanoseconds = divmod(int(time_ns), 1_000_000_000)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def time_ns(stamp: Time) -> int:
+    """Nanoseconds from a stamp."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
@@ -76,6 +78,7 @@ def by_joint(message: Float64MultiArray, order: Sequence[str]) -> dict[str, floa
 
 
 def number(value: float) -> Float64:
+    """A plain number to plot."""
     return Float64(data=float(value))
 
 
@@ -102,6 +105,7 @@ def status(level: str, name: str, message: str, values: Mapping[str, Any], hardw
 
 
 def diagnostics(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+    """Several statuses with one stamp."""
     message = DiagnosticArray(status=list(statuses))
     message.header.stamp = time_message(stamp_ns)
     return message
@@ -133,7 +137,12 @@ def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float,
     """Bodies at one place with the value in words above; whatever was shown before goes.
 
     Args:
-        value, std: in the SI unit ``unit``.
+        stamp_ns: of the message.
+        frame: that ``shapes`` is given in.
+        shapes: the bodies.
+        value: in the SI unit ``unit``.
+        std: likewise.
+        unit: SI.
     """
     bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
     array = [Marker(action=Marker.DELETEALL)]

@@ -205,6 +205,9 @@ class Probe(ABC, Generic[Facts]):
         """Whether a sequence may be made with this object.
 
         Args:
+            robot: that would make it.
+            facts: what is stated about the object.
+            sequence: of runs.
             limits: of ``limits``, by name.
 
         Raises:

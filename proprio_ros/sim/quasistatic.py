@@ -195,7 +195,8 @@ class QuasiStatic:
 
         Args:
             squeeze: how far the faces are moved together [m], in the order in which they are visited, shape (K,).
-            mu, lam: Lamé parameters [Pa].
+            mu: Lamé parameter [Pa].
+            lam: Lamé parameter [Pa].
 
         Raises:
             SimulationError: no such solid, a squeeze of the whole length, or no equilibrium found.

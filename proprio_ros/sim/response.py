@@ -153,8 +153,12 @@ def response(
     """The table of a block: from the cache, or built and put there.
 
     Args:
-        size, law, contact, cells, far: as for ``build``.
+        size: as for ``build``.
+        law: as for ``build``.
+        contact: as for ``build``.
+        cells: as for ``build``.
         rebuild: build it even where the cache has it.
+        far: as for ``build``.
     """
     made_of = _made_of(size, law, contact, cells, far)
     return _kept(made_of, rebuild, lambda: build(size, law, contact, cells, far))
@@ -167,7 +171,9 @@ def response_of_mesh(mesh: TetMesh, law: str = "log", contact: str = "bonded", r
 
     Args:
         mesh: all of the block, in the places that it has (see ``mesh.read_mesh``).
-        law, contact, rebuild: as for ``response``.
+        law: as for ``response``.
+        contact: as for ``response``.
+        rebuild: as for ``response``.
 
     Raises:
         SimulationError: as for ``build``.

@@ -212,7 +212,9 @@ class SphereSimulator(JointSimulator):
         """Where the sphere's centre is in the container at the sample instants, and how that changes.
 
         Args:
-            world_run, p, dp: as for ``jacobian``.
+            world_run: as for ``jacobian``.
+            p: as for ``jacobian``.
+            dp: as for ``jacobian``.
 
         Returns:
             x (W, T, 3) [m], dx (W, T, 3, D), copies.

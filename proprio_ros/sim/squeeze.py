@@ -103,7 +103,8 @@ class SqueezeSimulator(JointSimulator):
         """Squeeze relative to the block's length at some joint positions; where beyond the table's reach, the law is a guess.
 
         Args:
-            world_run, p: as for ``jacobian``.
+            world_run: as for ``jacobian``.
+            p: as for ``jacobian``.
             q: positions, shape (W, T).
 
         Returns:

@@ -294,7 +294,8 @@ class VirtualServo:
 
         Args:
             now_s: Time; `CONTROL_PERIOD_S` after the last call.
-            angle_rad, velocity_rad_s: Of the shaft; the angle is rounded to the encoder's counts.
+            angle_rad: Of the shaft; rounded to the encoder's counts.
+            velocity_rad_s: Of the shaft.
 
         Returns:
             Current that flows until the next call [A], a whole number of the servo's counts.

@@ -14,6 +14,7 @@ def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTr
     """Places of the sphere during a run; None without a camera.
 
     Args:
+        run: to be seen.
         source: the bag of the run.
         camera: a topic, which starts with a slash (unless there is such a file), or a CSV file.
         std: of each coordinate [m].

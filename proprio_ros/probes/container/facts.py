@@ -19,6 +19,7 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     """Size and place of the container and the sphere, the user's words before the probe file's.
 
     Args:
+        settings: of the user.
         defaults: the sections ``container``, ``sphere`` and ``contact`` of the probe file.
 
     Raises:

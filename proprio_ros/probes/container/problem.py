@@ -135,6 +135,8 @@ def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> Start
     """What is known about the sphere's start before the run.
 
     Args:
+        run: which turns with the driven joint.
+        facts: what is stated about container and sphere.
         position: of the driven joint at the start [rad or m].
     """
     room = facts.enclosure.room
@@ -197,7 +199,10 @@ def container_unknowns(
     """All unknowns: those of a weighing with the shell as its payload, and the sphere's.
 
     Args:
+        robot: of the runs.
+        runs: fitted together.
         rolling: which runs have a sphere.
+        facts: what is stated about container and sphere.
         priors: one for each of those.
         drive_role: what the recording may move of the robot and of the contact.
     """

@@ -154,6 +154,7 @@ def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Contai
     """The setting in which the authors fitted a recording of theirs.
 
     Args:
+        paper: as the user set it.
         setting: that came with it.
         stated: keys that the user stated himself; these stay.
     """

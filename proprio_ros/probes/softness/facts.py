@@ -21,6 +21,7 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     """Size of the soft block and how it is held, the user's words before the probe file's.
 
     Args:
+        settings: of the user.
         defaults: the section ``block`` of the probe file.
 
     Raises:

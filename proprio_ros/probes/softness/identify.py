@@ -175,11 +175,7 @@ def _solve(
 def _apart(
     robot: Robot, data: _Recorded, facts: BlockFacts, options: SqueezeOptions, outlier: int, std_Pa: float
 ) -> Contradiction:
-    """What a run says that the others predict badly.
-
-    Args:
-        std_Pa: with which all runs together determine the modulus.
-    """
+    """What a run says that the others predict badly; ``std_Pa`` is what all runs together leave open of the modulus."""
     name = data.runs[outlier].run.name
     moduli = []
     for rows in ([outlier], [row for row in range(len(data.runs)) if row != outlier]):
@@ -325,7 +321,10 @@ def _moduli(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> tuple[
         )
         return modulus, prior.value, known, undetermined
     if RATIO_SPREAD * std > PRIOR_DOMINATED * prior.std:
-        undetermined = f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; {better}"
+        undetermined = (
+            f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; "
+            f"{better}"
+        )
         return modulus, ratio, both, undetermined
     spread = np.array([1.0, RATIO_SPREAD])
     return modulus, ratio, both * np.outer(spread, spread), ""

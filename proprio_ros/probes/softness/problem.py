@@ -101,8 +101,12 @@ def block_unknowns(
     """All unknowns: those of the robot, and the block's.
 
     Args:
+        robot: of the runs.
+        runs: fitted together.
         squeezing: which runs have the block.
+        facts: what is stated about the block.
         drive_role: what the recording may move of the robot.
+        start_pa: Young's modulus from which a fit starts [Pa].
     """
     ratio, relaxation, gap = facts.poissons_ratio, facts.relaxation_s, facts.gap
     unknowns = [
