@@ -110,7 +110,7 @@ def test_facts_by_section_or_by_dotted_key(result: Weighing) -> None:
         weigh(BAG, payload={"colour": "red"})
 
 
-def test_no_number_for_what_cannot_be_told() -> None:
+def test_no_number_for_what_cannot_be_determined() -> None:
     stuck = weigh(STUCK)
     assert (stuck.mass, stuck.std, stuck.ci95, stuck.accepted) == (None, None, None, False)
     assert [reason.code for reason in stuck.reasons] == ["stuck"] and "not determined" in repr(stuck)

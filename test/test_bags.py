@@ -96,7 +96,7 @@ def times(count: int = 41) -> list[int]:
 
 
 def elbow(time_ns: int) -> float:
-    """A smooth motion that tells the samples apart."""
+    """A smooth motion in which no two samples are alike."""
     return 0.6 - max(time_ns - ONSET_NS, 0) * 1e-9
 
 
@@ -339,7 +339,7 @@ def test_of_equal_stamps_the_first_message_is_kept(tmp_path: Path) -> None:
     assert recording.joints.position[:, 2].tolist() == [elbow(time_ns) for time_ns in times()]
 
 
-def test_lost_messages_are_told(tmp_path: Path) -> None:
+def test_lost_messages_are_reported(tmp_path: Path) -> None:
     messages = states()
     del messages[30:32], messages[12]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
@@ -454,7 +454,7 @@ def test_the_meaning_of_effort_is_never_guessed(tmp_path: Path) -> None:
         read(path, effort_unit="N.m", nominal_torque_constants={})
 
 
-def test_the_meaning_of_effort_is_not_asked_where_a_command_tells_the_input(tmp_path: Path) -> None:
+def test_the_meaning_of_effort_is_not_asked_where_a_command_gives_the_input(tmp_path: Path) -> None:
     recording = read(write_bag(tmp_path / "bag", states(effort=[100.0] * 5) + commands()))
     assert recording.joints.effort is None
     assert recording.joints.current is None
@@ -707,7 +707,7 @@ def test_a_bag_that_holds_less_than_its_metadata_promises(tmp_path: Path) -> Non
         read(folder)
 
 
-def test_a_write_ahead_log_that_was_not_merged_is_told(tmp_path: Path) -> None:
+def test_a_write_ahead_log_that_was_not_merged_is_reported(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "bag", states() + commands(), "sqlite3")
     (folder / "bag.db3-wal").write_bytes(b"pages")
     assert "bag.db3-wal may hold messages" in notes(read(folder))

@@ -242,7 +242,7 @@ def test_an_older_file_stays_where_nothing_was_learnt(bags: Path, written: Path)
     assert estimate.calibration is None and written.read_text() == before
 
 
-def test_a_baseline_tells_drift(bags: Path, tmp_path: Path) -> None:
+def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
     calibrate_from_bags(
         [f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name], {}, output=path

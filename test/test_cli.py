@@ -31,7 +31,7 @@ def test_json_contract(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"read", "load", "solve"} == result["timing_s"].keys()
 
 
-def test_no_number_for_what_cannot_be_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_number_for_what_cannot_be_determined(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", STUCK, "--probe", "payload", "--json"]) == 3
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"] == "not_identifiable" and result["fit"] is None

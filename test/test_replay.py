@@ -26,7 +26,7 @@ def truth_of(folder: Path) -> dict[str, Any]:
 
 
 def told(truth: Mapping[str, Any]) -> dict[str, Any]:
-    """What a fit may be told: where the object sits and its shape, not its mass."""
+    """What is stated to a fit: where the object sits and its shape, not its mass."""
     payload = truth["payload"]
     if not payload or payload["mass"] == 0.0:
         return {"payload.shape": "point"}
@@ -207,7 +207,7 @@ def test_own_bags(bags: Path, name: str, tolerance: float) -> None:
     assert estimate.solver.starts_agreeing == 5
 
 
-def test_a_stuck_joint_tells_nothing(bags: Path) -> None:
+def test_a_stuck_joint_determines_nothing(bags: Path) -> None:
     estimate = weighed(bags / "friction_s00_fixed_random_a_joint3")
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
     assert estimate.value("payload_mass").value is None and estimate.fit is None
@@ -232,7 +232,7 @@ def test_a_joint_that_is_fast_from_the_first_sample_is_refused(bags: Path, tmp_p
     assert "usable samples" in estimate.reasons[0] and "3.5 rad/s" in estimate.reasons[0]
 
 
-def test_friction_that_the_robot_file_does_not_know_is_told_by_the_interval(bags: Path) -> None:
+def test_friction_that_the_robot_file_does_not_know_widens_the_interval(bags: Path) -> None:
     folder = bags / "friction_s00_fixed_heavy_ball_50g_joint3"
     estimate = weighed(folder)
     value = estimate.value("payload_mass")

@@ -158,7 +158,7 @@ def test_commands_sent_only_when_they_change() -> None:
     assert "no input came" not in " ".join(first.notes)
 
 
-def test_lost_commands_hold_the_last_one_and_are_told() -> None:
+def test_lost_commands_hold_the_last_one_and_are_reported() -> None:
     keep = np.ones(41, dtype=bool)
     keep[15:25] = False
     input_times_s = cycles()[keep]
@@ -183,7 +183,7 @@ def test_a_recording_that_starts_driven_has_no_rest() -> None:
     assert "no joint state at rest" in " ".join(run.notes)
 
 
-def test_a_joint_that_moves_before_it_is_driven_is_told() -> None:
+def test_a_joint_that_moves_before_it_is_driven_is_reported() -> None:
     moving = recording({"joint3": step(cycles())})
     assert "joint3 moved by 0.225 before it was driven" in " ".join(cut_runs(moving, joints=ROBOT_JOINTS)[0].notes)
     still = recording({"joint3": step(cycles())}, positions={"joint3": np.maximum(cycles(), 0.0)})
@@ -290,7 +290,7 @@ def test_joints_that_answer_the_moving_one_are_held() -> None:
     assert run.joint == "joint3"
 
 
-def test_measured_currents_on_two_still_joints_cannot_be_told_apart() -> None:
+def test_measured_currents_on_two_still_joints_cannot_be_separated() -> None:
     currents = {"joint1": step(cycles(), CYCLE_S), "joint2": step(cycles(), CYCLE_S)}
     with refused("joints 'joint1' and 'joint2' were driven at once"):
         cut_runs(measured(currents), joints=ROBOT_JOINTS)

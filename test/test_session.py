@@ -235,7 +235,7 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
     assert isinstance(shell.value, float) and shell.ci95[0] < SHELL_KG < shell.ci95[1]
 
 
-def test_a_container_told_to_be_turned_has_its_inertia_turned() -> None:
+def test_a_container_stated_to_be_turned_has_its_inertia_turned() -> None:
     upright = ReplayOptions(probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]})
     level = ReplayOptions(probe="container", settings=ABOUT_IT)
     turned, straight = (

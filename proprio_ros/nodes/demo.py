@@ -159,7 +159,7 @@ class _Client:
     def __init__(self, graph: Graph, tell: Callable[[str], None]) -> None:
         self._graph = graph
         self._tell = tell
-        self._told = ""
+        self._last_words = ""
         self._final: dict[str, dict[str, str]] = {}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("proprio_demo")
@@ -179,8 +179,8 @@ class _Client:
     def _on_status(self, message: DiagnosticStatus) -> None:
         values = messages.values_of(message)
         words = f"{values.get('doing', '')}: {message.message}"
-        if words != self._told and values.get("doing") not in (None, "idle"):
-            self._told = words
+        if words != self._last_words and values.get("doing") not in (None, "idle"):
+            self._last_words = words
             self._tell(words)
 
     def _on_estimate(self, message: DiagnosticArray) -> None:

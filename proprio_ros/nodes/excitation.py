@@ -52,8 +52,8 @@ class ExcitationNode(ManagedNode):
         self._driving = False
         self._unpushed_since_s: float | None = None
         self._count = 0
-        self._told_at_s = -math.inf
-        self._told: tuple[Any, ...] = ()
+        self._published_at_s = -math.inf
+        self._published: tuple[Any, ...] = ()
 
     def configure(self) -> None:
         self._robot = load_robot(self.values["robot"])
@@ -207,7 +207,7 @@ class ExcitationNode(ManagedNode):
         if machine is None or not self.active:
             return
         state = self._state(machine)
-        if state != self._told or (machine.busy and now - self._told_at_s >= STATUS_PERIOD_S):
+        if state != self._published or (machine.busy and now - self._published_at_s >= STATUS_PERIOD_S):
             self._tell()
 
     def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
@@ -217,8 +217,8 @@ class ExcitationNode(ManagedNode):
     def _tell(self) -> None:
         machine = self._machine
         assert machine is not None
-        self._told = self._state(machine)
-        self._told_at_s = time.monotonic()
+        self._published = self._state(machine)
+        self._published_at_s = time.monotonic()
         sequence = machine.sequence
         values = {
             "sequence": self._count,

@@ -84,7 +84,7 @@ def rows(case: Case) -> list[Row]:
             weighing.median <= WEIGHING_S,
         ),
         Row(
-            "scipy least_squares on our residuals, forward differences, one start, noise told",
+            "scipy least_squares on our residuals, forward differences, one start, noise given",
             None,
             f"{ratio:.0f}x (goal >= {GOAL:g}x)",
             ratio >= GOAL,

@@ -184,7 +184,7 @@ class Boxed:
 
 
 def facts_of_the_box() -> ContainerFacts:
-    """What both are told: all but the sphere's mass, and where exactly it lies."""
+    """What is stated to both: all but the sphere's mass, and where exactly it lies."""
     return ContainerFacts(
         Enclosure("box", np.array([0.06, 0.04, 0.04]), 0.01),
         centre=np.array([0.035, 0.0, 0.0]),

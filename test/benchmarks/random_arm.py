@@ -102,7 +102,7 @@ CLIP = 2.5
 
 @dataclass(frozen=True)
 class HiddenRobot:
-    """What nobody tells the identification. Tuples have one value per joint, joint1 to joint4, at the output shaft.
+    """What is not stated to the identification. Tuples have one value per joint, joint1 to joint4, at the output shaft.
 
     Attributes:
         torque_constant: Torque per current [N m/A].

@@ -46,7 +46,7 @@ def main() -> None:
             )
         print(f"robot {seed} of {FIRST_SEED} to {FIRST_SEED + robots - 1}", file=sys.stderr)
     print(
-        "| block | answers | interval holds | rms, worst error | median half interval | Poisson's ratio told, holds |"
+        "| block | answers | interval holds | rms, worst error | median half interval | Poisson's ratio stated, holds |"
     )
     print("|---|---|---|---|---|---|")
     for (modulus, ratio), found in rows.items():

@@ -355,7 +355,7 @@ def test_an_unplugged_port(desk: Desk, plain: DynamixelBus, call: str) -> None:
     CALLS[call](plain)
 
 
-def test_release_of_an_unplugged_port_tells(desk: Desk, plain: DynamixelBus) -> None:
+def test_release_of_an_unplugged_port_says_so(desk: Desk, plain: DynamixelBus) -> None:
     plugged(desk, False)
     (problem,) = plain.release()
     assert "the port is gone" in problem

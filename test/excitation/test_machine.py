@@ -318,7 +318,7 @@ def recorded(ticks: list[Tick], topic: str) -> Recording:
         driven = current.any(axis=1)
         rows = driven | np.roll(driven, 1)  # the command that ends the current is the last one
     else:
-        current = 0.00269 * np.rint(current / 0.00269)  # as the servo was told
+        current = 0.00269 * np.rint(current / 0.00269)  # as sent to the servo
     inputs = InputRecord(stamps[rows], JOINTS, current[rows], topic)
     return Recording("shaken", JointRecord(stamps, JOINTS, np.array(positions)), inputs)
 

@@ -188,4 +188,4 @@ def known_robot(folder: Path) -> Robot:
 
 
 FACTS = ContainerFacts(Enclosure("box", INNER, RADIUS), mass=SHELL_KG, mass_std=0.0)
-"""What is told about the box."""
+"""What is stated about the box."""

@@ -42,7 +42,7 @@ def truth_of(folder: Path) -> dict[str, Any]:
 
 
 def told(folder: Path) -> dict[str, Any]:
-    """What a fit may be told: geometry, no mass."""
+    """What is stated to a fit: geometry, no mass."""
     truth = truth_of(folder)
     return {
         "container.inner_size": [2.0 * half for half in truth["inner_half"]],
@@ -131,7 +131,7 @@ def test_the_repositorys_own_recordings(realistic: Level) -> None:
     ("name", "worst_g", "rms_g"),
     [
         ("ideal_s00", 0.3, 0.3),
-        # a single run is only told to about 0.7 g: that torque may differ from run to run is not known to be untrue of this robot
+        # a single run determines it only to about 0.7 g: its torque may differ from run to run, for all that is known
         ("quantised_s00", 0.9, 0.45),
         ("friction_s00", 0.6, 0.6),
         ("realistic_s00", 2.0, 1.0),
@@ -258,7 +258,7 @@ def test_too_wide_an_interval_is_no_answer(realistic: Level) -> None:
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "can only be determined to +-" in estimate.reasons[0]
 
 
-# --- what is told ----------------------------------------------------------------------------------------------------
+# --- what is stated --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_a_held_joint_that_moves(calibrated: Robot, lift: Run) -> None:
 
 
 def test_friction_never_reversed(bags: Path, robot: Robot, lift: Run) -> None:
-    """Without a calibration, runs that all lift cannot tell friction from weight; one that lowers settles it."""
+    """Without a calibration, runs that all lift cannot separate friction from weight; one that lowers settles it."""
     again = run_of(bags, "realistic_s00_fixed_heavy_cube_23g_joint3", robot)
     lower = run_of(bags, "quantised_s00_fixed_heavy_cube_23g_joint3_x1", robot)
     sentence = "joint3 only ever moved in the negative direction, so its friction was never seen reversed"

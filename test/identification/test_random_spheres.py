@@ -77,7 +77,7 @@ def test_where_the_sphere_is_believed_to_be(robot: Robot, number: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("signals", ["joint", "camera", "both"])
 def test_a_camera_beside_the_encoder(robot: Robot, signals: str) -> None:
-    """The paper's comparison V-F: what the joint tells, what a camera's view of the sphere tells, and the two together.
+    """The paper's comparison V-F: from the joint, from a camera's view of the sphere, and from the two together.
 
     The drive train is known here. The sphere's path alone tells the mass only through what the sphere does to the arm.
     """

@@ -31,7 +31,7 @@ def truth_of(folder: Path) -> dict[str, Any]:
 
 
 def facts_of(folder: Path) -> PayloadFacts:
-    """What a fit may be told of the object: its place and shape."""
+    """What is stated about the object: its place and shape."""
     payload = truth_of(folder)["payload"]
     told = {
         "payload.com": payload["offset"],
@@ -135,7 +135,7 @@ def test_the_truth_lies_inside_what_the_calibration_says(
         off.append((known["arm_scale"].value - truth["link_mass_scale"]) / known["arm_scale"].std)
         assert np.abs(off).max() < 3.0 and np.sqrt(np.mean(np.square(off))) < 1.3
         assert learnt[level, reference].calibration.residual_scale == pytest.approx(1.0, abs=0.1)
-        # the simulator's stamps are 0.3 ms off, and no file told so
+        # the simulator's stamps are 0.3 ms off, and no file states so
         assert learnt[level, reference].calibration.stamp_jitter_s == pytest.approx(3e-4, abs=1e-4)
 
 
@@ -149,7 +149,7 @@ def test_noise_that_the_file_does_not_know_is_learnt(
     assert quiet.residual_scale == pytest.approx(rounding, rel=0.1)
 
 
-def test_a_reference_tells_torque_from_weight(learnt: dict[tuple[str, bool], CalibrationEstimate]) -> None:
+def test_a_reference_separates_torque_from_weight(learnt: dict[tuple[str, bool], CalibrationEstimate]) -> None:
     without, with_reference = (learnt["realistic_s00", told] for told in (False, True))
     assert any("only determined as a ratio" in sentence for sentence in without.not_separated)
     assert not any("only determined as a ratio" in sentence for sentence in with_reference.not_separated)
@@ -193,7 +193,7 @@ def test_a_run_that_was_not_empty_is_named_and_left_out(
 
 
 def test_a_hand_that_was_never_empty_is_refused(recordings: Path, robot: Robot) -> None:
-    """Half the runs with 50 g, told to be empty."""
+    """Half the runs with 50 g, stated to be empty."""
     level = recordings / "quantised_s00"
     loaded = [
         LoadedRun(run)
@@ -204,7 +204,7 @@ def test_a_hand_that_was_never_empty_is_refused(recordings: Path, robot: Robot) 
     assert estimate.verdict is Verdict.REJECTED or len(estimate.run_fits) < 6
 
 
-def test_what_was_not_probed_is_not_told(recordings: Path, robot: Robot) -> None:
+def test_what_was_not_probed_is_not_determined(recordings: Path, robot: Robot) -> None:
     """Lifting only: friction and torque are one number."""
     lifts = empty_runs(recordings / "realistic_s00", robot, "empty_0[0-2]*")
     estimate = calibrate(robot, lifts, advice=0)
@@ -253,7 +253,7 @@ def test_the_posterior_does_not_depend_on_the_order_of_the_runs(recordings: Path
 def test_pooled_runs_with_a_calibration(
     recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
 ) -> None:
-    """Lift and lower, elbow and shoulder: one mass, told better than by any of them."""
+    """Lift and lower, elbow and shoulder: one mass, with a smaller interval than from any of them."""
     calibrated = robot.with_calibration(learnt["realistic_s00", True].calibration)
     level = recordings / "realistic_s00"
     folders = [level / f"fixed_heavy_cube_23g_{probe}" for probe in ("joint3", "joint3_x0", "joint3_x1", "joint2_x3")]

@@ -90,7 +90,7 @@ def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], le
         value = estimate.value("youngs_modulus")
         assert value.value == pytest.approx(modulus, rel=worst), name
         assert value.ci95[0] <= modulus <= value.ci95[1], name
-        # no gripper can tell its torque constant from its armature, so nothing is known better than the torque constant
+        # no gripper can separate its torque constant from its armature, so nothing is known better than the torque constant
         assert value.std > 0.045 * modulus
         ratio = estimate.value("poissons_ratio")
         if ratio.value is not None:
@@ -115,7 +115,7 @@ def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated:
         assert value.value == pytest.approx(cube_of(folder)[2], abs=0.01)
 
 
-def test_a_ratio_at_the_end_of_the_search_is_not_told(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_a_ratio_at_the_end_of_the_search_is_not_stated(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     """Two of the recordings press a stiff block by a fifth, too little for a curve; the fit then goes as far as it may."""
     for name in ("heavy", "random"):
         estimate = squeezed(calibrated("realistic_s01"), recordings / "realistic_s01" / f"squeeze_{name}")
@@ -128,8 +128,10 @@ def test_a_ratio_at_the_end_of_the_search_is_not_told(recordings: Path, calibrat
         )
 
 
-def test_what_the_squeeze_cannot_tell_is_not_told(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
-    """With a prior that is narrower than what the recording tells, Poisson's ratio is the prior's, and lambda with it."""
+def test_what_the_squeeze_does_not_determine_is_not_stated(
+    recordings: Path, calibrated: Callable[[str], Robot]
+) -> None:
+    """With a prior that is narrower than what the recording determines, Poisson's ratio is the prior's, and lambda with it."""
     folder = recordings / "quantised_s00" / "squeeze_heavy"
     estimate = squeezed(calibrated("quantised_s00"), folder, poissons_ratio=Quantity(0.3, 0.03))
     for name in ("poissons_ratio", "lame_lambda"):

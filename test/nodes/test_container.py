@@ -142,7 +142,7 @@ def test_replaying_the_bags_gives_the_same_numbers_bit_for_bit(arm: Calibrated, 
     assert "<svg" in (arm.folders(kind)[-1] / "report.html").read_text()
 
 
-def test_what_is_told_about_the_container_is_a_parameter(arm: Calibrated) -> None:
+def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> None:
     client = arm.client
     for facts, reason in (
         (["sphere.radius=0.03"], "does not fit"),

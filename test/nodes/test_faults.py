@@ -252,7 +252,7 @@ def rate_hz(states: list[JointState]) -> float:
 
 
 @pytest.mark.usefixtures("own_domain")
-def test_what_is_not_there_is_told_at_once(tmp_path: Path) -> None:
+def test_what_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
     with running(tmp_path, "excitation", "identifier") as (graph, client):
         begun_s = time.monotonic()
         answer = client.call("/excitation/run", 5.0)

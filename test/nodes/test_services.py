@@ -44,7 +44,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("arm")
     domain = pytest.MonkeyPatch()
     domain.setenv("ROS_DOMAIN_ID", free_domain())
-    # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: empty hands tell torque only
+    # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: those determine torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     with running(folder, identifier={"reference_mass": 0.1, "reference_wait": 0.5}) as (graph, client):
         answer = client.call("/identifier/calibrate_robot", 600.0)
@@ -106,7 +106,7 @@ def test_a_late_listener_hears_the_result(arm: Calibrated) -> None:
         payload = late.payloads[-1]
         assert late.masses[-1] == arm.client.masses[-1] == payload.inertia.m
         assert payload.header.frame_id == "end_effector_link"
-        assert math.isnan(payload.inertia.ixx), "one joint's motion does not tell the tensor of an unknown shape"
+        assert math.isnan(payload.inertia.ixx), "one joint's motion does not determine the tensor of an unknown shape"
     finally:
         late.close()
 

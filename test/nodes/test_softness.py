@@ -74,7 +74,7 @@ def test_the_gripper_learns_itself(arm: Calibrated) -> None:
 
 
 @pytest.mark.parametrize(("modulus", "ratio"), BLOCKS)
-def test_blocks_are_told_apart(arm: Calibrated, modulus: float, ratio: float) -> None:
+def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float) -> None:
     """Within their intervals, which the torque constant makes 10 % wide; the fingers end where they began."""
     client = arm.client
     assert client.set("/virtual", "object", block(modulus, ratio)).successful

@@ -555,7 +555,7 @@ def test_it_runs_in_real_time(robot: Robot, held: HandObject | None) -> None:
 # -------------------------------------------------------------------------------------------------------- twin experiment
 
 
-def test_the_identification_finds_the_mass_when_it_is_told_the_truth(robot: Robot) -> None:
+def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot) -> None:
     names = ("joint1", "joint2", "joint3", "joint4", GRIPPER)
     nominal = Truth.nominal(robot)
     truth = replace(

@@ -142,7 +142,7 @@ def turning(bench: Bench) -> Bench:
 # --- registers
 
 
-def test_ping_tells_the_model(bench: Bench) -> None:
+def test_ping_gives_the_model(bench: Bench) -> None:
     assert bench.bus.ping(bench.id) == bench.read("model_number") == XM430_W350.number
     assert bench.read("id") == bench.id
     assert bench.read("firmware_version") > 0
