@@ -324,8 +324,9 @@ def test_both_lame_parameters_together(recordings: Path, calibrated: Callable[[s
     assert np.abs(inside[:, 0]).max() > 1.9 * mu.std and np.ptp(joint.outline[:, 1]) > 2.0 * lam.std
     assert set(estimate.as_json()["joint_interval"]) == {"names", "unit", "value", "covariance", "outline95"}
     json.dumps(estimate.as_json())
-    untold = squeezed(calibrated("friction_s00"), folder, poissons_ratio=Quantity(0.13, 0.003))
-    assert untold.joint is not None and not untold.joint.determined and "joint_interval" not in untold.as_json()
+    of_prior = squeezed(calibrated("friction_s00"), folder, poissons_ratio=Quantity(0.13, 0.003))
+    joint = of_prior.detail.joint
+    assert joint is not None and not joint.determined and "joint_interval" not in of_prior.as_json()
 
 
 def test_the_report_shows_them(recordings: Path, calibrated: Callable[[str], Robot], tmp_path: Path) -> None:
