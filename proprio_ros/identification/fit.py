@@ -13,10 +13,10 @@ from proprio_ros.identification.estimate import Scan, SolverSummary, StartPath, 
 from proprio_ros.identification.gates import Findings, chi2_limit
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
-    PayloadProblem,
     PreparedRun,
+    Problem,
     joints_of,
-    payload_unknowns,
+    load_unknowns,
 )
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
@@ -56,14 +56,14 @@ class FitResult:
         chi2: of the samples and the priors together; dof: samples less unknowns without a prior.
     """
 
-    problem: PayloadProblem
+    problem: Problem
     solution: solvers.Solution
     values: np.ndarray
     chi2: float
     dof: int
 
     @classmethod
-    def of(cls, problem: PayloadProblem, solution: solvers.Solution) -> FitResult:
+    def of(cls, problem: Problem, solution: solvers.Solution) -> FitResult:
         """The best of a solution's starts."""
         best = solution.internal[solution.best]
         values = problem.all_values(problem.coordinates.physical(best[None]))[0]
@@ -110,10 +110,10 @@ def solve_load(
     rough: bool = False,
 ) -> FitResult:
     """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
-    unknowns = payload_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
+    unknowns = load_unknowns(robot, runs, facts, role, options.starts_kg[len(options.starts_kg) // 2])
     if start_velocity_std is not None:
         unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
-    problem = PayloadProblem(robot, runs, facts, unknowns, options.integrator, options.step_s)
+    problem = Problem(robot, runs, facts, unknowns, options.integrator, options.step_s)
     coordinates = problem.coordinates
     if start is None:
         starts = np.tile(coordinates.prior_mean, (len(options.starts_kg), 1))

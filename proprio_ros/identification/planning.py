@@ -18,9 +18,9 @@ from proprio_ros.identification.calibration_estimate import ProbePlan
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
 from proprio_ros.identification.problem import (
     KnownLoad,
-    PayloadProblem,
     PreparedRun,
-    payload_unknowns,
+    Problem,
+    load_unknowns,
     prepare_run,
     robot_unknowns,
 )
@@ -57,7 +57,7 @@ class _Candidates:
         travel: signed [rad], shape (S, R); clearance_m: shape (R,); fits: whether a run is inside all limits, shape (S, R).
     """
 
-    problem: PayloadProblem
+    problem: Problem
     dq: np.ndarray
     alive: np.ndarray
     travel: np.ndarray
@@ -291,10 +291,10 @@ def _candidates(
         return None
     prepared = [replace(still, run=run) for run in runs]
     if load is None:
-        unknowns = payload_unknowns(robot, prepared, facts, Role.FREE, float(masses[0]))
+        unknowns = load_unknowns(robot, prepared, facts, Role.FREE, float(masses[0]))
     else:
         unknowns = robot_unknowns(robot, prepared, Role.FREE)
-    problem = PayloadProblem(robot, prepared, facts, unknowns)
+    problem = Problem(robot, prepared, facts, unknowns)
     values = np.tile(problem.base, (len(masses), 1))
     if load is None:
         values[:, problem.index["payload_mass"]] = masses

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.identification.estimate import RunFit
-from proprio_ros.identification.problem import PayloadProblem, PreparedRun
+from proprio_ros.identification.problem import PreparedRun, Problem
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Posterior:
         condition: of the normal matrix scaled to a unit diagonal.
     """
 
-    def __init__(self, problem: PayloadProblem, values: np.ndarray, inflation: float = 1.0) -> None:
+    def __init__(self, problem: Problem, values: np.ndarray, inflation: float = 1.0) -> None:
         self.problem = problem
         self.values = values
         q, v, dq = problem.simulate(values[None], problem.free)
@@ -81,7 +81,7 @@ class Posterior:
 
 
 def run_fits(
-    problem: PayloadProblem, values: np.ndarray, runs: Sequence[PreparedRun]
+    problem: Problem, values: np.ndarray, runs: Sequence[PreparedRun]
 ) -> tuple[tuple[RunFit, ...], float, float]:
     """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
     q, _, _ = problem.simulate(values[None], problem.free[:3])

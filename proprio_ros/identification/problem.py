@@ -1,12 +1,12 @@
-"""Runs, robot and payload as a least-squares problem: whitened residuals and their exact Jacobian out.
+"""Runs, robot and what the hand rigidly carries as a least-squares problem: whitened residuals and their exact Jacobian out.
 
 The observation model: the encoder shows ``x(t - delay) + a cos x + b sin x``, the true position less the joint's zero and a
 once-per-turn error of the encoder, plus rounding, noise and stamp jitter. A residual is weighted by
 ``sqrt(resolution^2 / 12 + noise^2 + (velocity x jitter)^2)``. All samples of the used window count, not only the last.
 
-A run holds the unknown payload or a load that is known (nothing, a weighed reference), so one problem serves a weighing, a
-calibration, and both together. Whatever is unknown reaches the simulator through its eleven parameters per run: with many
-unknowns the simulator's tangents are taken by those, and the chain rule does the rest.
+A run carries an unknown rigid load or a known one (nothing, a weighed reference), so one problem serves a weighing, a calibration,
+and both together; probes add what else is in the hand. Whatever is unknown reaches the simulator through its eleven parameters
+per run: with many unknowns the simulator's tangents are taken by those, and the chain rule does the rest.
 """
 
 from __future__ import annotations
@@ -406,7 +406,7 @@ def _usable_window(
     return count, "", False
 
 
-def payload_unknowns(
+def load_unknowns(
     robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, drive_role: Role, start_mass_kg: float
 ) -> list[Unknown]:
     """All unknowns of a weighing: the payload, what is open about the robot, and each run's start.
@@ -481,14 +481,14 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
-class PayloadProblem:
+class Problem:
     """The whitened residuals of all runs as a function of the unknowns, for many guesses at once.
 
     Args:
         robot: its supply, friction smoothing and jitter.
         runs: prepared runs, sharing the payload and the drive trains.
         facts: what is stated about the payload.
-        unknowns: from ``payload_unknowns``, or ``robot_unknowns`` where every run's load is known.
+        unknowns: from ``load_unknowns``, or ``robot_unknowns`` where every run's load is known.
         integrator: ``"rk4"`` or ``"semi_implicit"``.
         step_s: longest integration step; default 1/240 s.
     """

@@ -26,8 +26,8 @@ from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
     KnownLoad,
-    PayloadProblem,
     PreparedRun,
+    Problem,
     joints_of,
     prepare_run,
     robot_unknowns,
@@ -93,7 +93,7 @@ class _Noise:
 
 @dataclass(frozen=True)
 class _Fitted:
-    problem: PayloadProblem
+    problem: Problem
     values: np.ndarray
     posterior: Posterior
     solution: solvers.Solution
@@ -303,10 +303,10 @@ def _not_separated(robot: Robot, fitted: _Fitted, calibration: Calibration) -> t
     return tuple(sentences)
 
 
-def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: _Noise) -> PayloadProblem:
+def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: _Noise) -> Problem:
     robot = replace(robot, torque_disturbance=noise.torque_disturbance, start_velocity=noise.start_velocity)
     unknowns = robot_unknowns(robot, runs, Role.FREE)
-    return PayloadProblem(robot, [_with_noise(run, noise) for run in runs], PayloadFacts(), unknowns)
+    return Problem(robot, [_with_noise(run, noise) for run in runs], PayloadFacts(), unknowns)
 
 
 def _with_noise(run: PreparedRun, noise: _Noise) -> PreparedRun:
@@ -320,7 +320,7 @@ def _noise_parts(run: PreparedRun, noise: _Noise) -> tuple[float, np.ndarray]:
     return noise.residual_scale * reading, np.abs(velocity) * noise.stamp_jitter_s
 
 
-def _starts(problem: PayloadProblem) -> np.ndarray:
+def _starts(problem: Problem) -> np.ndarray:
     """Solver coordinates to start from: the file's values at a few levels of friction, shape (S, F)."""
     coordinates = problem.coordinates
     starts = np.tile(coordinates.prior_mean, (len(FRICTION_STARTS), 1))
@@ -351,7 +351,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
     return _Fitted(problem, values, Posterior(problem, values), solution, noise)
 
 
-def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise: _Noise) -> _Noise:
+def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: _Noise) -> _Noise:
     """One step towards the noise under which the runs are most probable, the robot file's word counting as pseudo-data."""
     # residual squared plus what the fit has swallowed, in rad^2, is what noise of the assumed kind leaves on average
     parts = [_noise_parts(run, noise) for run in problem.runs]
@@ -382,7 +382,7 @@ def _evidence(robot: Robot, problem: PayloadProblem, posterior: Posterior, noise
     return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
 
 
-def _of_runs(kind: str, problem: PayloadProblem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
+def _of_runs(kind: str, problem: Problem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
     """An unknown of every run, and how much of it the recording determines rather than its prior (0 to 1); shapes (R,)."""
     place = problem.free.tolist()
     columns = [place.index(problem.index[kind, r]) for r in range(len(problem.runs))]

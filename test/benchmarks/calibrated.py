@@ -8,7 +8,7 @@ import numpy as np
 from case import Case, Row, measure
 from scipy.optimize import least_squares
 
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, prepare_run, robot_unknowns
+from proprio_ros.identification.problem import KnownLoad, Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import weigh
@@ -29,7 +29,7 @@ def empty_runs(robot: Robot) -> list[LoadedRun]:
 def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
     """Time [s] and end cost of scipy's trust region on our residuals, Jacobian by its forward differences, from one start."""
     runs = [prepare_run(robot, loaded.run, KnownLoad()) for loaded in known]
-    problem = PayloadProblem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
     coordinates = problem.coordinates
     seen = problem.weight > 0.0
 

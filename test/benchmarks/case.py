@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.bags import read_recording
-from proprio_ros.identification.problem import PayloadProblem, PreparedRun, payload_unknowns, prepare_run
+from proprio_ros.identification.problem import PreparedRun, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.facts import payload_facts
@@ -111,7 +111,7 @@ class Case:
     run: Run
     facts: PayloadFacts
     prepared: PreparedRun
-    problem: PayloadProblem
+    problem: Problem
     starts: np.ndarray
     answer: Solution | None = None
 
@@ -158,7 +158,7 @@ def load() -> Case:
         getattr(prepared.drive, term).value != 0.0 for term in ("coulomb", "viscous", "load_friction")
     ):
         raise SystemExit(f"{BAG}: the comparison wants one constant current, and a robot file without friction")
-    problem = PayloadProblem(robot, [prepared], facts, payload_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+    problem = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
     names = [problem.unknowns[row].name for row in problem.free]
     if names != ["payload_mass", "q0[0]", "v0[0]"]:
         raise SystemExit(

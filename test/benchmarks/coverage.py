@@ -47,7 +47,7 @@ from random_arm import (
 )
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, payload_unknowns, prepare_run
+from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import weigh
@@ -129,7 +129,7 @@ def facts_of(load: Load) -> PayloadFacts:
     )
 
 
-def true_values(hidden: HiddenRobot, problem: PayloadProblem, mass: float) -> np.ndarray:
+def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarray:
     """The simulator's numbers for every unknown; what differs from run to run stays at its mean."""
     values = problem.base.copy()
     for row, unknown in enumerate(problem.unknowns):
@@ -160,7 +160,7 @@ def cramer_rao(
     """Smallest standard deviation that any unbiased use of these runs and priors can have [kg]."""
     facts = facts_of(load)
     runs = [*known, prepare_run(robot, run, None, facts)]
-    problem = PayloadProblem(robot, runs, facts, payload_unknowns(robot, runs, facts, Role.FREE, load.mass))
+    problem = Problem(robot, runs, facts, load_unknowns(robot, runs, facts, Role.FREE, load.mass))
     values = true_values(hidden, problem, load.mass)
     _, v, dq = problem.simulate(values[None], problem.free)
     reading = np.hypot(runs[0].drive.encoder_resolution / np.sqrt(12.0), hidden.encoder_noise)

@@ -10,7 +10,7 @@ import pytest
 
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import chi2_limit
-from proprio_ros.identification.problem import PayloadProblem, payload_unknowns, prepare_run
+from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import weigh
@@ -191,7 +191,7 @@ def test_a_mass_on_the_bound_of_the_search() -> None:
     )  # fmt: skip
     prepared = prepare_run(pendulum, still)
     facts = PayloadFacts()
-    problem = PayloadProblem(pendulum, [prepared], facts, payload_unknowns(pendulum, [prepared], facts, Role.FREE, 1.0))
+    problem = Problem(pendulum, [prepared], facts, load_unknowns(pendulum, [prepared], facts, Role.FREE, 1.0))
     values = problem.base.copy()
     values[problem.index["payload_mass"]] = 50.0
     swung = replace(still, position=problem.simulate(values[None], problem.free)[0][0, 0])

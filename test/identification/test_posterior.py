@@ -10,7 +10,7 @@ import pytest
 
 from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, prepare_run, robot_unknowns
+from proprio_ros.identification.problem import KnownLoad, Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import load_robot
@@ -26,7 +26,7 @@ def fitted(recordings: Path):
         prepared += [
             prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder / "bag_mcap", robot, ReplayOptions(), {})
         ]
-    problem = PayloadProblem(robot, prepared, PayloadFacts(), robot_unknowns(robot, prepared, Role.FREE))
+    problem = Problem(robot, prepared, PayloadFacts(), robot_unknowns(robot, prepared, Role.FREE))
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
     return robot, prepared, problem, problem.all_values(problem.coordinates.physical(solution.internal))[0]
@@ -37,7 +37,7 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
     posterior = Posterior(problem, values)
     for out in (1, 4):
         others = [run for row, run in enumerate(prepared) if row != out]
-        small = PayloadProblem(robot, others, PayloadFacts(), robot_unknowns(robot, others, Role.FREE))
+        small = Problem(robot, others, PayloadFacts(), robot_unknowns(robot, others, Role.FREE))
         solution = solvers.levenberg_marquardt(
             small, small.coordinates.internal(_moved(problem, small, values, out)[small.free])[None], None
         )
@@ -56,7 +56,7 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
         assert 0.2 * held.samples < held.chi2 < 2.5 * held.samples
 
 
-def _moved(problem: PayloadProblem, small: PayloadProblem, values: np.ndarray, out: int) -> np.ndarray:
+def _moved(problem: Problem, small: Problem, values: np.ndarray, out: int) -> np.ndarray:
     """Start values of the smaller problem: the larger one's, runs renumbered."""
     start = small.base.copy()
     for row, unknown in enumerate(small.unknowns):
@@ -71,7 +71,7 @@ def test_a_run_with_something_in_the_hand_is_predicted_badly(fitted, recordings:
     folder = recordings / "realistic_s00" / "fixed_heavy_cube_23g_joint3" / "bag_mcap"
     outlier = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, robot, ReplayOptions(), {})]
     runs = [*prepared, *outlier]
-    problem = PayloadProblem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
+    problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
     values = problem.all_values(problem.coordinates.physical(solution.internal))[0]
@@ -85,7 +85,7 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
     whole = Posterior(problem, values).whole_covariance()
     stds = np.array([u.std for u in problem.unknowns])
     assert np.all(np.sqrt(np.diag(whole)) <= stds * (1.0 + 1e-9))
-    one = PayloadProblem(robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE))
+    one = Problem(robot, prepared[:1], PayloadFacts(), robot_unknowns(robot, prepared[:1], Role.FREE))
     single = Posterior(one, np.array([values[problem.index[key]] for key in one.index])).whole_covariance()
     for key in (("coulomb", "joint3"), ("armature", "joint3"), ("torque_constant", "joint3")):
         assert whole[problem.index[key], problem.index[key]] < single[one.index[key], one.index[key]]
@@ -94,7 +94,7 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
 def test_inflation_widens_the_data_not_the_prior(fitted) -> None:
     robot, prepared, problem, values = fitted
     known = [replace(u, role=Role.FROZEN) if u.name.startswith("link") else u for u in problem.unknowns]
-    fewer = PayloadProblem(robot, prepared, PayloadFacts(), known)
+    fewer = Problem(robot, prepared, PayloadFacts(), known)
     narrow, wide = (Posterior(fewer, values, inflation) for inflation in (1.0, 4.0))
     np.testing.assert_allclose(wide.residual, 0.5 * narrow.residual)
     assert np.all(np.diag(wide.covariance) >= np.diag(narrow.covariance) * (1.0 - 1e-9))

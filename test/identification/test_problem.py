@@ -10,7 +10,7 @@ import pytest
 
 from proprio_ros.bags import read_recording
 from proprio_ros.calibration import Calibration
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, payload_unknowns, prepare_run
+from proprio_ros.identification.problem import KnownLoad, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
@@ -30,7 +30,7 @@ def prepared(robot: Robot, bag: Path) -> list:
 
 
 @pytest.fixture(scope="module")
-def problem() -> PayloadProblem:
+def problem() -> Problem:
     """Two runs of different joints, everything free, with a supply that limits the current."""
     root = Path(__file__).resolve().parents[2] / "bags"
     robot = load_robot("open_manipulator_x")
@@ -45,17 +45,17 @@ def problem() -> PayloadProblem:
         *prepared(robot, root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"),
         *prepared(robot, root / "quantised_s00_fixed_light_cube_10g_joint2" / "bag_mcap"),
     ]
-    return PayloadProblem(robot, runs, FACTS, payload_unknowns(robot, runs, FACTS, Role.FREE, 0.05))
+    return Problem(robot, runs, FACTS, load_unknowns(robot, runs, FACTS, Role.FREE, 0.05))
 
 
-def points(problem: PayloadProblem, count: int) -> np.ndarray:
+def points(problem: Problem, count: int) -> np.ndarray:
     rng = np.random.default_rng(5)
     stds = np.array([u.std if np.isfinite(u.std) else 0.02 for u in problem.unknowns])
     draw = problem.base + 0.5 * stds * rng.uniform(-1.0, 1.0, (count, len(problem.base)))
     return np.clip(draw, [u.lower for u in problem.unknowns], [u.upper for u in problem.unknowns])
 
 
-def test_everything_is_unknown_here(problem: PayloadProblem) -> None:
+def test_everything_is_unknown_here(problem: Problem) -> None:
     kinds = {unknown.kind for unknown in problem.unknowns}
     assert kinds == {
         "payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale", "arm_scale", "delay", "torque_constant",
@@ -65,7 +65,7 @@ def test_everything_is_unknown_here(problem: PayloadProblem) -> None:
     assert len(problem.free) == len(problem.unknowns)
 
 
-def test_jacobian_against_central_differences(problem: PayloadProblem) -> None:
+def test_jacobian_against_central_differences(problem: Problem) -> None:
     columns = np.arange(len(problem.unknowns))
     for values in points(problem, 4):
         _, _, exact = problem.simulate(values[None], columns)
@@ -83,7 +83,7 @@ def test_jacobian_against_central_differences(problem: PayloadProblem) -> None:
             )
 
 
-def test_jacobian_against_the_tape(problem: PayloadProblem) -> None:
+def test_jacobian_against_the_tape(problem: Problem) -> None:
     """At no error of the encoder: what it shows is then the position itself, which is what the tape differentiates."""
     ripple = np.array([u.name.startswith("ripple") for u in problem.unknowns])
     columns = np.flatnonzero(~ripple)
@@ -99,7 +99,7 @@ def test_jacobian_against_the_tape(problem: PayloadProblem) -> None:
         np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
 
 
-def test_gradient_and_matrix_belong_to_the_cost(problem: PayloadProblem) -> None:
+def test_gradient_and_matrix_belong_to_the_cost(problem: Problem) -> None:
     """In solver coordinates, priors and the mass's curved coordinate included."""
     coordinates = problem.coordinates
     for values in points(problem, 3):
@@ -118,12 +118,12 @@ def test_gradient_and_matrix_belong_to_the_cost(problem: PayloadProblem) -> None
             assert difference == pytest.approx(gradient[0, k], rel=1e-4, abs=rounding + 1e-6), problem.unknowns[k].name
 
 
-def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: PayloadProblem) -> None:
+def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Problem) -> None:
     frozen = [
         u if u.name in ("payload_mass", "q0[0]", "v0[0]", "q0[1]", "v0[1]", "delay") else replace(u, role=Role.FROZEN)
         for u in problem.unknowns
     ]
-    small = PayloadProblem(problem.robot, problem.runs, FACTS, frozen)
+    small = Problem(problem.robot, problem.runs, FACTS, frozen)
     u = small.coordinates.internal(np.array([[0.03, 0.004, 0.6, 0.0, 0.01, -0.01], [0.2, 0.0, 0.59, 0.01, 0.0, 0.0]]))
     cost, gradient, _ = (a.copy() for a in small.linearise(u))
     for s in range(2):
@@ -137,7 +137,7 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Payloa
         )
 
 
-def test_a_guess_that_cannot_be_simulated_costs_everything(problem: PayloadProblem) -> None:
+def test_a_guess_that_cannot_be_simulated_costs_everything(problem: Problem) -> None:
     u = problem.coordinates.internal(problem.base[problem.free])[None].repeat(2, axis=0)
     u[1, 0] = problem.coordinates.internal(np.full(len(problem.free), -0.49))[0]  # lighter than the arm can be
     cost, gradient, matrix = problem.linearise(u)
@@ -146,7 +146,7 @@ def test_a_guess_that_cannot_be_simulated_costs_everything(problem: PayloadProbl
 
 
 @pytest.fixture(scope="module")
-def pooled() -> PayloadProblem:
+def pooled() -> Problem:
     """The payload, a weighed reference and an empty hand in one problem, held joints that yield, under a correlated prior."""
     root = Path(__file__).resolve().parents[2] / "bags"
     robot = load_robot("open_manipulator_x")
@@ -169,10 +169,10 @@ def pooled() -> PayloadProblem:
         recording = read_recording(bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains))
         runs += [prepare_run(robot, run, load, FACTS) for run in cut_runs(recording, joints=list(robot.drive_trains))]
     assert len(runs) == 3 and runs[1].yielding
-    return PayloadProblem(robot, runs, FACTS, payload_unknowns(robot, runs, FACTS, Role.FREE, 0.03))
+    return Problem(robot, runs, FACTS, load_unknowns(robot, runs, FACTS, Role.FREE, 0.03))
 
 
-def test_jacobian_of_pooled_runs(pooled: PayloadProblem) -> None:
+def test_jacobian_of_pooled_runs(pooled: Problem) -> None:
     """Unknowns of one run, of one joint, of the payload and of all: each moves just the runs it belongs to."""
     test_jacobian_against_central_differences(pooled)
     columns = np.arange(len(pooled.unknowns))
@@ -185,11 +185,11 @@ def test_jacobian_of_pooled_runs(pooled: PayloadProblem) -> None:
     assert moves[:, at["arm_scale"]].all() and moves[:, at["delay"]].all() and moves[:, at["link_mass", "link5"]].all()
 
 
-def test_gradient_under_a_correlated_prior(pooled: PayloadProblem) -> None:
+def test_gradient_under_a_correlated_prior(pooled: Problem) -> None:
     test_gradient_and_matrix_belong_to_the_cost(pooled)
 
 
-def test_tangents_by_the_simulators_parameters_equal_those_by_the_unknowns(pooled: PayloadProblem) -> None:
+def test_tangents_by_the_simulators_parameters_equal_those_by_the_unknowns(pooled: Problem) -> None:
     """Few unknowns are differentiated directly, many by way of the simulator's parameters: one number, two ways."""
     values = points(pooled, 3)
     everything = np.arange(len(pooled.unknowns))
@@ -201,14 +201,14 @@ def test_tangents_by_the_simulators_parameters_equal_those_by_the_unknowns(poole
         np.testing.assert_allclose(few[:, seen] / scale, whole[:, seen][..., columns] / scale, atol=1e-10)
 
 
-def test_a_known_load_is_the_payload_at_that_mass(pooled: PayloadProblem) -> None:
+def test_a_known_load_is_the_payload_at_that_mass(pooled: Problem) -> None:
     values = points(pooled, 1)
     values[:, pooled.index["payload_mass"]] = 0.1
     for name, axis in zip(("payload_com_x", "payload_com_y", "payload_com_z"), FACTS.com, strict=True):
         values[:, pooled.index[name]] = axis
     values[:, pooled.index["shape_scale"]] = 1.0
     unknown = [replace(run, load=None) if row == 1 else run for row, run in enumerate(pooled.runs)]
-    same = PayloadProblem(pooled.robot, unknown, FACTS, pooled.unknowns)
+    same = Problem(pooled.robot, unknown, FACTS, pooled.unknowns)
     np.testing.assert_allclose(
         same.simulate(values, pooled.free[:1])[0][0, 1, : pooled.runs[1].used],
         pooled.simulate(values, pooled.free[:1])[0][0, 1, : pooled.runs[1].used],

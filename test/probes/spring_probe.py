@@ -12,7 +12,7 @@ from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.fit import FitResult, SearchOptions, misfit_over, summary
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
 from proprio_ros.identification.judge import Assessment, judge, rejected
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, joints_of, prepare_run, robot_unknowns
+from proprio_ros.identification.problem import KnownLoad, Problem, joints_of, prepare_run, robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import KINDS, Kind
 from proprio_ros.probes.base import Example, Probe, Recorded
@@ -72,7 +72,7 @@ class SpringSimulator(JointSimulator):
         return rollout(law, self.integrator), law.out
 
 
-class SpringProblem(PayloadProblem):
+class SpringProblem(Problem):
     def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator:
         return SpringSimulator(runs, integrator)
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from proprio_ros.identification.problem import (
-    PayloadProblem,
     PreparedRun,
+    Problem,
     axis_and_gravity,
-    payload_unknowns,
+    load_unknowns,
     reduced_model,
 )
 from proprio_ros.identification.unknowns import Role, Unknown
@@ -206,7 +206,7 @@ def container_unknowns(
         priors: one for each of those.
         drive_role: what the recording may move of the robot and of the contact.
     """
-    unknowns = payload_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
+    unknowns = load_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
     lightest = LIGHTEST_KG if facts.law == "paper" else -0.2
     unknowns.append(Unknown("sphere_mass", 0.01, np.inf, lightest, 5.0, asinh_scale=0.002))
@@ -255,11 +255,11 @@ def _between(known_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
     return spline
 
 
-class ContainerProblem(PayloadProblem):
+class ContainerProblem(Problem):
     """Whitened residuals of runs with and without a sphere in the container.
 
     Args:
-        robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``container_unknowns``.
+        robot, runs, unknowns, integrator, step_s: as for ``Problem``, with the unknowns of ``container_unknowns``.
         facts: what is stated about container and sphere.
         rolling: which runs have a sphere, length R; at least one.
         tracks: what a camera saw in each run, length R; None is nothing.

@@ -51,7 +51,7 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import KnownLoad, PayloadProblem, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, joints_of, prepare_run
 from proprio_ros.identification.reasons import of_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
@@ -321,7 +321,7 @@ def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], wit
     return Value("payload_com", "m", numbers, stds, intervals, reason)
 
 
-def _static_std(problem: PayloadProblem, runs: Sequence[PreparedRun]) -> float:
+def _static_std(problem: Problem, runs: Sequence[PreparedRun]) -> float:
     """What the open friction and torque constant are worth as a weight at rest [kg]; 0 if any run moved far enough."""
     if any(abs(run.travel) >= LITTLE_TRAVEL for run in runs):
         return 0.0

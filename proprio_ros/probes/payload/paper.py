@@ -20,7 +20,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Estimate, Fit, Scan, SolverSummary, StartPath, Value, Verdict
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.identification.posterior import run_fits
-from proprio_ros.identification.problem import PayloadProblem, PreparedRun, payload_unknowns, prepare_run
+from proprio_ros.identification.problem import PreparedRun, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
@@ -191,10 +191,10 @@ class _LastFrame:
         # nothing but the mass is unknown: everything else keeps the value of the robot file
         unknowns = [
             u if u.kind == "payload_mass" else replace(u, role=Role.FROZEN)
-            for u in payload_unknowns(robot, [run], facts, Role.FROZEN, 0.05)
+            for u in load_unknowns(robot, [run], facts, Role.FROZEN, 0.05)
         ]
-        self._problem = PayloadProblem(robot, [at_rest], facts, unknowns, "semi_implicit", step_s)
-        self.whole = PayloadProblem(robot, [run], facts, unknowns, "semi_implicit", step_s)
+        self._problem = Problem(robot, [at_rest], facts, unknowns, "semi_implicit", step_s)
+        self.whole = Problem(robot, [run], facts, unknowns, "semi_implicit", step_s)
         self._mass = np.array([self._problem.index["payload_mass"]])
 
     def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

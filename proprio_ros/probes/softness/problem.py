@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.problem import PayloadProblem, PreparedRun, robot_unknowns
+from proprio_ros.identification.problem import PreparedRun, Problem, robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot
@@ -119,11 +119,11 @@ def block_unknowns(
     return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
 
 
-class SqueezeProblem(PayloadProblem):
+class SqueezeProblem(Problem):
     """Whitened residuals of runs with and without a block between the fingers.
 
     Args:
-        robot, runs, unknowns, integrator, step_s: as for ``PayloadProblem``, with the unknowns of ``block_unknowns`` and runs
+        robot, runs, unknowns, integrator, step_s: as for ``Problem``, with the unknowns of ``block_unknowns`` and runs
             that were prepared as empty hands.
         facts: what is stated about the block.
         squeezing: which runs have it, length R; at least one.

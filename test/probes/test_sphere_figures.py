@@ -17,7 +17,7 @@ from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
 from proprio_ros.replay import ReplayOptions, replay, write_report
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "report"))
 
 from pages import read
 
