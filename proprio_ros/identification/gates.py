@@ -114,7 +114,7 @@ def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
             Reason(
                 "short_travel",
                 f"{name}: {joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
-                f"{LITTLE_TRAVEL} rad determines much more",
+                f"{LITTLE_TRAVEL} rad gives a much narrower interval",
             )
         )
     limits = robot.model.joint(joint)

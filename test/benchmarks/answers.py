@@ -2,8 +2,8 @@
 
 ``python test/benchmarks/answers.py write FILE.json [FOLDER ...]`` has the command line answer for every recording below the folders
 (default: ``bags`` and ``../shared/recordings``) and keeps what it prints; run it in the old checkout and in the new one.
-``... compare OLD.json NEW.json`` lists every difference, or prints "identical". Times are not compared, and neither are keys that
-only one of the two has: those are listed once, by name.
+``... compare OLD.json NEW.json`` lists every difference, or prints "identical"; with ``--numbers`` sentences may differ. Times
+are not compared, and neither are keys that only one of the two has: those are listed once, by name.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOLDERS = (REPOSITORY / "bags", REPOSITORY.parent / "shared" / "recordings")
 NOT_COMPARED = {"timing_s", "elapsed_s", "version", "schema", "output"}
+SENTENCES = {"reasons", "reason", "notes", "assumptions"}
 
 
 def answer(arguments: list[str]) -> dict[str, Any]:
@@ -142,27 +143,29 @@ def write(path: Path, roots: list[Path]) -> None:
     print(f"{len(kept)} answers in {path}")
 
 
-def differences(old: Any, new: Any, where: str, unshared: set[str]) -> Iterator[str]:
+def differences(old: Any, new: Any, where: str, unshared: set[str], left_out: set[str]) -> Iterator[str]:
     """Where two answers differ; keys that only one of them has go to ``unshared``."""
     if isinstance(old, dict) and isinstance(new, dict):
         unshared |= {f"{where.split('/')[-1].split(' ')[-1]}.{key}" for key in old.keys() ^ new.keys()}
-        for key in sorted(old.keys() & new.keys() - NOT_COMPARED):
-            yield from differences(old[key], new[key], f"{where}: {key}", unshared)
+        for key in sorted(old.keys() & new.keys() - left_out):
+            yield from differences(old[key], new[key], f"{where}: {key}", unshared, left_out)
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for row, pair in enumerate(zip(old, new, strict=True)):
-            yield from differences(*pair, f"{where}[{row}]", unshared)
+            yield from differences(*pair, f"{where}[{row}]", unshared, left_out)
     elif old != new:
         yield f"{where}\n    was {str(old)[:400]!r}\n    is  {str(new)[:400]!r}"
 
 
-def compare(old: Path, new: Path) -> int:
+def compare(old: Path, new: Path, numbers: bool) -> int:
     """Print every difference; 1 if there is any."""
     before, after = json.loads(old.read_text()), json.loads(new.read_text())
     unshared: set[str] = set()
     found = [
         line
         for name in sorted(before.keys() & after.keys())
-        for line in differences(before[name], after[name], name, unshared)
+        for line in differences(
+            before[name], after[name], name, unshared, NOT_COMPARED | (SENTENCES if numbers else set())
+        )
     ]
     found += [f"{name}: only in one of them" for name in sorted(before.keys() ^ after.keys())]
     print("\n".join(found) if found else f"identical: {len(before)} answers")
@@ -179,11 +182,12 @@ def main() -> int:
     writing.add_argument("folders", type=Path, nargs="*", default=[folder for folder in FOLDERS if folder.is_dir()])
     comparing = commands.add_parser("compare")
     comparing.add_argument("files", type=Path, nargs=2)
+    comparing.add_argument("--numbers", action="store_true", help="sentences may differ")
     options = parser.parse_args()
     if options.command == "write":
         write(options.file, options.folders)
         return 0
-    return compare(*options.files)
+    return compare(*options.files, numbers=options.numbers)
 
 
 if __name__ == "__main__":
