@@ -34,15 +34,25 @@ from proprio_ros.identification.gates import (
     CONTRADICTION,
     MIN_USED,
     MISFIT_LIMIT,
+    Contradiction,
     Findings,
     contradicting,
+    contradiction,
     screen_run,
     unusable,
 )
-from proprio_ros.identification.judge import Assessment, Refusal, judge, not_identifiable, positive, rejected
+from proprio_ros.identification.judge import (
+    Assessment,
+    Refusal,
+    contradicted,
+    judge,
+    not_identifiable,
+    positive,
+    rejected,
+)
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import PreparedRun, joints_of, prepare_run, reduced_model
-from proprio_ros.identification.reasons import of_run
+from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.problem import (
@@ -71,6 +81,11 @@ EMPTY_SIGMAS = 3.0
 DISTINCT = 0.03
 """Ends of the first search whose masses differ by less than this share, or by 0.1 g, are one."""
 MOST_ENDS = 5
+ALIKE_KG, ALIKE_SHARE = 1e-3, 0.1
+"""Masses that differ by less, or by this share, do not contradict each other: where a sphere bounces and how it slips is not quite
+what the law of contact says, which is worth so much in a single run. Half of the difference then counts as uncertainty."""
+SAME_KG = 5e-4
+"""A difference that is not worth a sentence."""
 STIFFER = 2.0
 """The contact's frequency is not known: the fit is repeated with so many times as much."""
 
@@ -385,6 +400,30 @@ def _stiffness_shift(
     return float((posterior.covariance @ posterior.sensitivity.T @ off)[fit.column("sphere_mass")])
 
 
+def _apart(
+    robot: Robot, data: _Recorded, facts: ContainerFacts, options: ContainerOptions, outlier: int, mass: float
+) -> Contradiction:
+    """What a run says that the others predict badly; ``mass`` is what all of them say together [kg]."""
+    name = data.runs[outlier].run.name
+    rolling = np.flatnonzero(data.rolling).tolist()
+    others = [row for row in rolling if row != outlier]
+    if not data.rolling[outlier] or not others:
+        return Contradiction(
+            Reason(
+                "runs_contradict",
+                f"{name} contradicts the other runs ({1e3 * mass:.1f} g together): was the same sphere in the same container, held "
+                "in the same place, and the baseline empty?",
+            )
+        )
+    masses = []
+    for left_out in (others, [outlier]):  # each with the empty container's runs
+        part = data.without(left_out)
+        fit = _solve(robot, part, facts, options, Role.FREE, _solve(robot, part, facts, options, Role.FROZEN))
+        masses.append(float(fit.values[fit.problem.index["sphere_mass"]]))
+    question = "was the same sphere in the same container, held in the same place?"
+    return contradiction(name, "kg", masses[0], masses[1], max(ALIKE_SHARE * abs(mass), ALIKE_KG), SAME_KG, question)
+
+
 def _conclude(
     robot: Robot,
     data: _Recorded,
@@ -406,6 +445,10 @@ def _conclude(
     budget = assessed.budget()
     shift = _stiffness_shift(robot, data, facts, options, fit, assessed.posterior)
     assessed.widen(shift)
+    outlier = contradicting(Posterior(problem, fit.values)) if len(runs) > 1 and not fit.explains else None
+    apart = None if outlier is None else _apart(robot, data, facts, options, outlier, mass)
+    if apart is not None and apart.half is not None:
+        assessed.widen(apart.half)
     budget = sorted([*budget, ("contact stiffness", abs(shift))], key=lambda entry: -entry[1])
     std = assessed.std
     paths = _paths(robot, fit, assessed.covariance)
@@ -417,17 +460,7 @@ def _conclude(
             yield rejected("unsimulated", unsimulated, unsimulated + sizes)
         if not_empty:
             yield rejected("baseline_not_empty", "the baseline contradicts what was stated", not_empty)
-        if (
-            len(runs) > 1
-            and not fit.explains
-            and (outlier := contradicting(Posterior(problem, fit.values))) is not None
-        ):
-            yield rejected(
-                "runs_contradict",
-                "the runs contradict each other",
-                f"{runs[outlier].run.name} contradicts the other runs ({1e3 * mass:.1f} g together): "
-                "was the same sphere in the same container, held in the same place?",
-            )
+        yield from contradicted(apart)
         if fit.reduced_chi2 > MISFIT_LIMIT:
             suspects = _bounces(robot, data, facts, options) or other_suspects(robot)
             misfit = misfit_reason(assessed.rms, assessed.expected, mass, fit.reduced_chi2)
@@ -494,6 +527,7 @@ def _conclude(
         scan=misfit_over(fit, "sphere_mass", grid),
         budget=[(shown.get(name, name), share) for name, share in budget],
         assumptions=_assumptions(robot, facts, options, fit, not all(data.rolling)),
+        apart=apart,
         remarks=lambda: tuple(remarks()),
         open_drive_train=budget,
         unknowns=tuple(
