@@ -16,15 +16,16 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode, run_node
 from proprio_ros.robot import load_robot
+from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.objects import Payload, parse_object
-from proprio_ros.virtual.process import VirtualRobotProcess
+from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
 DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
 
 
 class VirtualNode(ManagedNode):
-    """Has a process open a pseudo-terminal with servos and an arm behind it, and says what really goes on there."""
+    """Opens a pseudo-terminal with servos and an arm behind it."""
 
     parameters = (
         ROBOT,
@@ -38,13 +39,16 @@ class VirtualNode(ManagedNode):
         Parameter("fault", "", "drop=P, corrupt=P, hang=JOINT, overheat=JOINT, jump=JOINT or unplug.", dynamic=True),
     )  # fmt: skip
 
+    real_time = True  # servos do not wait for other programs either
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("virtual", **kwargs)
-        self._robot: VirtualRobotProcess | None = None
+        self._robot: VirtualRobot | None = None
         self._hand = "any"
         self._content_is_out = False
 
     def configure(self) -> None:
+        import_mujoco()  # takes a second, which none of the nodes has once it is active
         robot = load_robot(self.values["robot"])
         self._object = parse_object(self.values["object"])
         self._reference = Payload(self.values["reference"])
@@ -67,7 +71,7 @@ class VirtualNode(ManagedNode):
 
     def activate(self) -> None:
         seed = max(self.values["seed"], 0)
-        self._robot = VirtualRobotProcess(self._model, self._truth, link=Path(self.values["link"]), seed=seed)
+        self._robot = VirtualRobot(self._model, self._truth, link=Path(self.values["link"]), seed=seed)
         self._fill_hand()
         self.say("info", f"a virtual {self.values['robot']} at {self.values['link']}")
 
