@@ -537,6 +537,11 @@ class IdentifierNode(ManagedNode):
             raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
         begun = time.monotonic()
         answer = self._call(self._run, Trigger.Request())
+        # a pause of the bus just now is over in a second, and nothing has moved yet
+        while not answer.success and "no joint states" in answer.message and time.monotonic() - begun < READY_S:
+            if job.cancelled.wait(0.2):
+                raise JobError("cancelled")
+            answer = self._call(self._run, Trigger.Request())
         if not answer.success:
             raise JobError(f"the excitation node refuses: {answer.message}")
         number = answer.message.split(":")[0].removeprefix("sequence ")
