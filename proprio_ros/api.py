@@ -279,7 +279,7 @@ class Plans(_Listed[ProbePlan]):
             **header("plan"),
             "probe": "payload",
             "robot": self.robot.name,
-            "calibrated": self.robot.calibration is not None,
+            "calibrated": self.robot.is_calibrated(),
             "masses_kg": self.masses_kg,
             "plans": [plan.as_json() for plan in self],
         }

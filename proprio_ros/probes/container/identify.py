@@ -445,7 +445,9 @@ def _conclude(
     budget = assessed.budget()
     shift = _stiffness_shift(robot, data, facts, options, fit, assessed.posterior)
     assessed.widen(shift)
-    outlier = contradicting(Posterior(problem, fit.values)) if len(runs) > 1 and not fit.explains else None
+    # two more fits, which a fit that is refused for a worse reason is spared
+    judged = len(runs) > 1 and not fit.explains and np.isfinite(fit.chi2) and not not_empty
+    outlier = contradicting(Posterior(problem, fit.values)) if judged else None
     apart = None if outlier is None else _apart(robot, data, facts, options, outlier, mass)
     if apart is not None and apart.half is not None:
         assessed.widen(apart.half)
