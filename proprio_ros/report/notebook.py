@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from proprio_ros.identification.estimate import Value, Verdict
-from proprio_ros.report.page import _WORDS, _in_words, _interval_in_words
+from proprio_ros.report.page import WORDS, in_words, interval_in_words
 
 COLORS = {Verdict.ACCEPTED: "#2b7a4b", Verdict.REJECTED: "#b23a48", Verdict.NOT_IDENTIFIABLE: "#a06a12"}
 """As on the page."""
@@ -15,10 +15,10 @@ COLORS = {Verdict.ACCEPTED: "#2b7a4b", Verdict.REJECTED: "#b23a48", Verdict.NOT_
 def card(title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str]) -> str:
     """The verdict in its colour, each value with its interval, and the reasons."""
     badge = f"background:{COLORS[verdict]};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600"
-    lines = [f'<div style="{badge};display:inline-block">{escape(_WORDS[verdict])}</div> {escape(title)}']
+    lines = [f'<div style="{badge};display:inline-block">{escape(WORDS[verdict])}</div> {escape(title)}']
     for value in values:
-        lines.append(f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(_in_words(value))}</div>')
-        lines.append(f"<div>{escape(_interval_in_words(value))}</div>")
+        lines.append(f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value))}</div>')
+        lines.append(f"<div>{escape(interval_in_words(value))}</div>")
     if reasons:
         lines.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in reasons) + "</ul>")
     return "<div>" + "".join(lines) + "</div>"

@@ -13,7 +13,7 @@ from proprio_ros.report import figures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
 
-_WORDS = {
+WORDS = {
     Verdict.ACCEPTED: "accepted",
     Verdict.REJECTED: "rejected: the model does not explain the recording",
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording does not determine it",
@@ -67,17 +67,18 @@ def _headline(estimate: Estimate) -> list[str]:
     runs = f"{estimate.runs} run" + "s" * (estimate.runs != 1)
     parts = [
         f"<h1>{escape(estimate.probe)} in the hand of {escape(estimate.robot)}, {runs}</h1>",
-        f'<span class="verdict {estimate.verdict.value}">{escape(_WORDS[estimate.verdict])}</span>',
+        f'<span class="verdict {estimate.verdict.value}">{escape(WORDS[estimate.verdict])}</span>',
     ]
     for value in estimate.values:
-        parts.append(f"<p class=value>{escape(_in_words(value))}</p>")
-        parts.append(f"<p class=interval>{escape(_interval_in_words(value))}</p>")
+        parts.append(f"<p class=value>{escape(in_words(value))}</p>")
+        parts.append(f"<p class=interval>{escape(interval_in_words(value))}</p>")
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
     return parts
 
 
-def _in_words(value: Value) -> str:
+def in_words(value: Value) -> str:
+    """The number with its unit, as a headline."""
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
@@ -87,7 +88,8 @@ def _in_words(value: Value) -> str:
     return shown(value.unit, value.value)
 
 
-def _interval_in_words(value: Value) -> str:
+def interval_in_words(value: Value) -> str:
+    """Its name and interval, or why there is none."""
     if isinstance(value.ci95, list) and not isinstance(value.value, list):
         words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, between=' to ')}"
         if shown_unit(value.unit)[0] == 1.0:

@@ -79,11 +79,6 @@ class Payload(Probe[PayloadJob]):
         paper = settings.options(PaperOptions, "paper.", defaults["paper"])
         return PayloadJob(payload, weighing, paper if profile == "paper" else None, frozenset(settings.taken))
 
-    def prepare(self, facts: PayloadJob) -> None:
-        from proprio_ros.sim.joint import compile_kernels
-
-        compile_kernels()
-
     def identify(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
         from proprio_ros.probes.payload.paper import as_published, weigh_as_paper
