@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording
-from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate
+from proprio_ros.motions import Motion, motion_of
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
-from proprio_ros.records import Run
+from proprio_ros.records import Recording, Run
 from proprio_ros.report import write_page
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
+from proprio_ros.runs import DrivenAtOnce, cut_runs
 from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, number
 from proprio_ros.threads import one_blas_thread
@@ -80,7 +81,7 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     loaded = time.perf_counter()
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
-    baseline = [run for path in baseline_paths for run in bag_runs(Path(path), robot, options, held)]
+    motions: list[Motion] = []
     text: TextRecording | None = None
     for path in paths:
         if Path(path) in texts:
@@ -88,10 +89,27 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
             robot = published_robot(robot, text)
             runs.append(published_run(robot, text, held))
         else:
-            runs.extend(bag_runs(Path(path), robot, options, held))
+            found = bag_runs_or_motion(Path(path), robot, options, held)
+            motions.extend([found] if isinstance(found, Motion) else [])
+            runs.extend([] if isinstance(found, Motion) else found)
         sources.extend([Path(path)] * (len(runs) - len(sources)))
+    if motions and runs:
+        raise RecordingError(
+            f"{motions[0].name}: several joints were driven at once, but not in {runs[0].name}: replay them apart"
+        )
+    if motions and not probe.takes_motions:
+        raise RecordingError(
+            f"{motions[0].name}: several joints were driven at once; --probe {probe.name} wants one at a time"
+        )
+    baseline: list[Run] = []
+    baseline_motions: list[Motion] = []
+    for path in baseline_paths:
+        if motions:
+            baseline_motions.append(bag_motion(Path(path), robot, options, held))
+        else:
+            baseline.extend(bag_runs(Path(path), robot, options, held))
     read = time.perf_counter()
-    estimate = probe.identify(robot, Recorded(runs, baseline, sources, text), facts)
+    estimate = probe.identify(robot, Recorded(runs, baseline, sources, text, motions, baseline_motions), facts)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
     origin = {
@@ -189,17 +207,48 @@ def held_positions(robot: Robot, settings: Settings) -> dict[str, float]:
 
 
 def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> tuple[Run, ...]:
-    """The runs of one bag, named after it."""
-    joints = list(robot.drive_trains)
+    """The runs of one bag, named after it.
+
+    Raises:
+        RecordingError: it cannot be read, or holds no runs.
+    """
+    recording = _bag(path, robot, options)
+    runs = cut_runs(recording, held=held, joints=list(robot.drive_trains))
+    return tuple(replace(run, notes=(*recording.notes, *run.notes)) for run in runs)
+
+
+def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> Motion:
+    """One bag as a motion of all joints that have a motor and turn, named after it.
+
+    Raises:
+        RecordingError: it cannot be read, or nothing moves in it.
+    """
+    turning = [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+    return motion_of(_bag(path, robot, options), joints=turning, held=held)
+
+
+def bag_runs_or_motion(
+    path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]
+) -> tuple[Run, ...] | Motion:
+    """The runs of one bag, or its motion where several joints were driven at once.
+
+    Raises:
+        RecordingError: it cannot be read, or holds neither.
+    """
+    try:
+        return bag_runs(path, robot, options, held)
+    except DrivenAtOnce:
+        return bag_motion(path, robot, options, held)
+
+
+def _bag(path: Path, robot: Robot, options: ReplayOptions) -> Recording:
     recording = read_recording(
         path,
         state_topic=options.state_topic,
         command_topic=options.command_topic,
         effort_unit=options.effort_unit,
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
-        joint_order=joints,
+        joint_order=list(robot.drive_trains),
     )
     # a bag's folder is often called after its storage, so the folder above says which one it is
-    name = "/".join(path.resolve().parts[-2:])
-    runs = cut_runs(replace(recording, name=name), held=held, joints=joints)
-    return tuple(replace(run, notes=(*recording.notes, *run.notes)) for run in runs)
+    return replace(recording, name="/".join(path.resolve().parts[-2:]))

@@ -42,6 +42,10 @@ MIN_SAMPLES = 5
 """Fewer samples than this say nothing about a motion that starts at rest."""
 
 
+class DrivenAtOnce(RecordingError):
+    """Several joints were driven at once: a motion, and no run."""
+
+
 class _Interval(NamedTuple):
     """Rows first..last of the input drive the joint; the current ends at end_ns."""
 
@@ -70,8 +74,8 @@ def cut_runs(
         The runs, at least one.
 
     Raises:
-        RecordingError: No joint was driven, several were at once, an unknown or unrecorded one was, or every run has fewer
-            than five samples.
+        DrivenAtOnce: Several joints were.
+        RecordingError: No joint was driven, an unknown or unrecorded one was, or every run has fewer than five samples.
     """
     inputs = recording.inputs
     if inputs is None:
@@ -118,9 +122,8 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
     intervals.sort(key=lambda interval: interval.onset_ns)
     for earlier, later in pairwise(intervals):
         if later.onset_ns < earlier.end_ns:
-            raise RecordingError(
-                f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; this is not supported yet:"
-                " drive one joint at a time"
+            raise DrivenAtOnce(
+                f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; drive one joint at a time"
             )
     if not intervals:
         stays = "never leaves its rest level for long" if inputs.measured else "is zero throughout"

@@ -25,14 +25,17 @@ ROOMS: dict[str, set[str]] = {
     "realtime": set(),
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
+    # recordings in which several joints move at once
+    "motions": {"errors", "records"},
     "sim": {"errors", "records", "robot"},
-    "identification": {"errors", "schema", "records", "quantity", "kinds", "robot", "calibration", "sim"},
+    "identification": {"errors", "schema", "records", "motions", "quantity", "kinds", "robot", "calibration", "sim"},
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room below
     "probes": {
         "errors",
         "records",
+        "motions",
         "quantity",
         "kinds",
         "settings",
@@ -54,6 +57,7 @@ ROOMS: dict[str, set[str]] = {
         "robot",
         "bags",
         "runs",
+        "motions",
         "published",
         "identification",
         "probes",

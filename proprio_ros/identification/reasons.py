@@ -18,12 +18,16 @@ CODES = {
     "on_bound": "the value ended on a bound of the search",
     "misfit": "the best simulation does not follow the recording",
     "coarse_fit": "the residuals are coarser than the encoder; the interval is wider for it",
+    "arm_unlike_urdf": "by its torques the arm weighs far more or less than its URDF says",
     "lighter_than_empty": "the hand seems lighter than it was empty",
     "interval_too_wide": "the interval is too wide to be of use",
     "several_values": "more than one value explains the recording",
     "baseline_not_empty": "the baseline contradicts what is known about it",
     "hardly_pressed": "the block was hardly pressed",
     "not_calibrated": "what the robot's file leaves open counts as uncertainty",
+    "no_empty_motion": "a motion of several joints came without one of the empty hand",
+    "far_from_prior": "an unknown ended too far from what is known about it beforehand",
+    "changed_midway": "the two halves of a recording say different values",
     "other": "a reason without a code of its own",
 }
 """Every code and what it means. A code keeps its meaning; the words of a sentence may change."""

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from proprio_ros.bags import TextRecording
     from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
 
@@ -36,12 +37,15 @@ class Recorded:
         runs, baseline: of the object, and made with them without it.
         sources: where each run comes from.
         text: the text recording among them.
+        motions, baseline_motions: recordings in which several joints were driven at once; then there are no runs.
     """
 
     runs: Sequence[Run]
     baseline: Sequence[Run] = ()
     sources: Sequence[Path] = ()
     text: TextRecording | None = None
+    motions: Sequence[Motion] = ()
+    baseline_motions: Sequence[Motion] = ()
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,7 @@ class Probe(ABC, Generic[Facts]):
         default_sequence: the runs that are made where none is named.
         solvers, profiles: that ``replay`` may be asked for.
         live: whether there is an estimate while a run is under way.
+        takes_motions: whether recordings in which several joints were driven at once determine it.
         prepares: what takes long to prepare, in words; empty: nothing.
         baseline, limits, example: see there; ``example`` None: no demo.
     """
@@ -178,6 +183,7 @@ class Probe(ABC, Generic[Facts]):
     solvers: ClassVar[tuple[str, ...]] = ("lm",)
     profiles: ClassVar[tuple[str, ...]] = ("default",)
     live: ClassVar[bool] = False
+    takes_motions: ClassVar[bool] = False
     prepares: ClassVar[str] = ""
     baseline: ClassVar[Baseline | None] = None
     limits: ClassVar[tuple[Limit, ...]] = ()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from proprio_ros.errors import RecordingError
 from proprio_ros.probes.base import Body, Carried, Example, Probe, Recorded, Shapes
 from proprio_ros.settings import Settings, probe_file
 
@@ -52,6 +53,7 @@ class Payload(Probe[PayloadJob]):
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
     live = True
+    takes_motions = True
     example = Example(
         flag="mass",
         metavar="KG",
@@ -83,6 +85,15 @@ class Payload(Probe[PayloadJob]):
         from proprio_ros.probes.payload.identify import weigh
         from proprio_ros.probes.payload.paper import as_published, weigh_as_paper
 
+        if recorded.motions:
+            from proprio_ros.probes.payload.moving import weigh_in_motion
+
+            if facts.paper is not None:
+                raise RecordingError(
+                    f"{recorded.motions[0].name}: several joints were driven at once; the paper's method knows one"
+                )
+            stated_centre = "payload.com" in facts.stated
+            return weigh_in_motion(robot, recorded.motions, recorded.baseline_motions, facts.payload, stated_centre)
         if facts.paper is None:
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
         stated = facts.paper

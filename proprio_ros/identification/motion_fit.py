@@ -1,0 +1,457 @@
+"""What an arm carries, from any motion of several joints, against the same arm with an empty hand.
+
+A linear regression in weak form (`weak_form`): over windows of half a second the mean torque of each joint is that of the arm's
+bodies, of the rotors, of friction and of what the hand carries. The arm's own parameters are unknowns, too, around what its URDF
+says, and the empty runs determine them: a URDF alone puts an empty arm off by some percent of its own weight. What no model has
+(friction that depends on place and temperature) is a torque that drifts over seconds, so neighbouring windows share one error and
+the formal covariance of a regression is five to ten times too small. The interval comes from leaving out stretches of 2.5 s
+instead, one by one (delete-a-group jackknife, Kott 2001, Journal of Official Statistics 17), which assumes nothing about the
+residuals within a stretch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, filtfilt
+from scipy.stats import t as student
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, torque_regressor
+from proprio_ros.kinds import KINDS
+from proprio_ros.motions import LONGEST_GAP_S, Motion
+from proprio_ros.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+WINDOW_S = 0.5
+"""Long enough to average over what encoders and current sensors add, short enough to tell one attitude from the next."""
+HOP_SHARE = 0.25
+BANDWIDTH_HZ = 6.0
+"""Positions are smoothed to this before their velocity is taken: arms follow nothing faster with weight on them."""
+SLOW_RAD_S = 0.02
+"""Dry friction is smoothed over this; a window in which a joint is slower for most of the time rests on friction and does not count."""
+ITERATIONS = 6
+"""Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last."""
+BLOCK_S = 2.5
+"""Stretches that are left out together: longer than what friction and controllers keep in memory."""
+MIN_BLOCKS = 4
+LEAST_TORQUE_STD = 0.01
+"""Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten."""
+LEAST_LOAD_FRICTION_STD = 0.05
+"""Gears lose part of the torque that they transmit; a file that does not say how much has not measured it."""
+LINK_SHARE = 0.2
+"""How far a body's mass may lie off its URDF, relative; first moments and inertia accordingly over the body's size."""
+ARM_SHARE = 0.01
+"""And in parts of the whole arm's: cables and screws are in no model."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One unknown of the regression.
+
+    Attributes:
+        kind: What it is: a key of `KINDS`, or a body's parameter.
+        scope: Joint, link or run.
+        prior, std: Gaussian prior.
+    """
+
+    kind: str
+    scope: str
+    unit: str
+    prior: float
+    std: float
+
+    @property
+    def label(self) -> str:
+        """For people: ``mass of the body behind elbow_joint``."""
+        if self.kind.startswith("body_"):
+            return f"{self.kind.removeprefix('body_').replace('_', ' ')} of the body behind {self.scope}"
+        return f"{KINDS[self.kind].label if self.kind in KINDS else self.kind.replace('_', ' ')} {self.scope}".strip()
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The linear equations of one motion: a window and a joint each.
+
+    Attributes:
+        arm: Per unit of the bodies' parameters, shape (E, n * 10).
+        payload: Per unit of the payload's, in its frame, shape (E, 10).
+        rotor: Per unit of armature, shape (E, n).
+        direction: Mean of the joint's direction of motion, -1 to 1, shape (E,).
+        friction: Per unit of viscous friction, Coulomb friction and offset of the motion's own, shape (E, 3 n).
+        right: Mean motor torque [N m], shape (E,).
+        joint: Number of the joint, shape (E,).
+        block: Number of the stretch, shape (E,).
+    """
+
+    arm: FloatArray
+    payload: FloatArray
+    rotor: FloatArray
+    direction: FloatArray
+    friction: FloatArray
+    right: FloatArray
+    joint: NDArray[np.int64]
+    block: NDArray[np.int64]
+
+
+def equations(robot: Robot, motion: Motion, joints: Sequence[str], window_s: float = WINDOW_S) -> Equations:
+    """What one motion says, one row per window and moving joint.
+
+    Raises:
+        RecordingError: It is too short, or too fast for its rate.
+    """
+    times_s, position, current = _evenly(motion)
+    period_s = float(times_s[1] - times_s[0])
+    velocity = np.gradient(position, period_s, axis=0)
+    model = robot.model.lock(list(joints), motion.held, robot.gravity)
+    columns = [motion.joints.index(name) for name in model.joint_names]
+    position, velocity, current = position[:, columns], velocity[:, columns], current[:, columns]
+    count = len(columns)
+    width = round(window_s / period_s)
+    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    regressor = torque_regressor(model, position, velocity, windows, period_s)
+    body, body_from_payload = model.frames[robot.payload_frame]
+    if body < 0:
+        raise RecordingError(f"{motion.name}: {robot.payload_frame} does not move with any joint of {robot.name}")
+    payload = regressor[:, :, body] @ _moved_to_body(body_from_payload)
+    torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in model.joint_names])
+    direction = np.tanh(velocity / SLOW_RAD_S)
+    rotor = windows.derivative(velocity, period_s)
+    mean = {
+        "torque": windows.mean(torque),
+        "viscous": windows.mean(velocity),
+        "coulomb": windows.mean(direction),
+    }
+    slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
+    counts = ~slow & np.isin(model.joint_names, motion.moved)[None, :]
+    # windows that span a gap in the recording know nothing of what happened there
+    counts &= ~_across_gaps(motion, times_s, windows, width)[:, None]
+    rows, joint = np.nonzero(counts)
+    if not len(rows):
+        raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
+    own = np.eye(count)[joint]
+    middle_s = times_s[windows.starts[rows]] + 0.5 * window_s
+    return Equations(
+        arm=regressor[rows, joint].reshape(len(rows), count * PARAMETERS),
+        payload=payload[rows, joint],
+        rotor=own * rotor[rows, joint, None],
+        direction=mean["coulomb"][rows, joint],
+        friction=np.hstack(
+            [own * mean["viscous"][rows, joint, None], own * mean["coulomb"][rows, joint, None], own]
+        ),
+        right=mean["torque"][rows, joint],
+        joint=joint,
+        block=(middle_s / BLOCK_S).astype(np.int64),
+    )  # fmt: skip
+
+
+def _evenly(motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Equally spaced times [s], smoothed positions and currents, shapes (T,), (T, J), (T, J)."""
+    period_s = float(np.median(np.diff(motion.times_s)))
+    times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
+    position = np.column_stack([np.interp(times_s, motion.times_s, column) for column in motion.position.T])
+    current = np.column_stack([np.interp(times_s, motion.times_s, column) for column in motion.current_A.T])
+    b, a = butter(2, min(2.0 * BANDWIDTH_HZ * period_s, 0.9))
+    if len(times_s) <= 3 * max(len(a), len(b)):
+        raise RecordingError(f"{motion.name}: {len(times_s)} samples are too few for a motion")
+    return times_s, filtfilt(b, a, position, axis=0), current
+
+
+def _across_gaps(motion: Motion, times_s: FloatArray, windows: Windows, width: int) -> NDArray[np.bool_]:
+    gaps = np.flatnonzero(np.diff(motion.times_s) > LONGEST_GAP_S)
+    first, last = times_s[windows.starts], times_s[windows.starts + width - 1]
+    crossed = np.zeros(len(windows.starts), dtype=bool)
+    for gap in gaps:
+        crossed |= (first < motion.times_s[gap + 1]) & (last > motion.times_s[gap])
+    return crossed
+
+
+def _moved_to_body(body_from_payload: FloatArray) -> FloatArray:
+    """The body's parameters per unit of the payload's, which count in the payload's own frame, shape (10, 10)."""
+    columns = []
+    for unit in np.eye(PARAMETERS):
+        inertia = np.zeros((3, 3))
+        inertia[np.triu_indices(3)] = unit[4:]
+        inertia = inertia + np.triu(inertia, 1).T
+        pseudo = np.zeros((4, 4))
+        pseudo[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        pseudo[:3, 3] = pseudo[3, :3] = unit[1:4]
+        pseudo[3, 3] = unit[0]
+        columns.append(body_parameters(body_from_payload @ pseudo @ body_from_payload.T))
+    return np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class MotionFit:
+    """The solution, and what it rests on.
+
+    Attributes:
+        joints: That moved or could, in the order of the arrays by joint.
+        terms: Of the regression, P of them: the payload's ten first.
+        values: Shape (P,).
+        covariance: From the jackknife, the priors and the torque constants together, shape (P, P).
+        parts: What each of these three puts on the mass, as a standard deviation [kg].
+        blocks: Number of stretches of the motions with the payload.
+        residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,).
+        driven: rms of the mean torque itself [N m], shape (n,).
+        quantile: Half width of a 95 % interval in standard deviations: Student's, by the number of stretches.
+        halves: Mass and its standard deviation from the first and from the second half [kg]; None where they are too short.
+        arm_kg: Mass of all that moves of the arm.
+        arm_over_urdf: By how much the torques of the arm's own bodies are those that its URDF says.
+        payload_prior: Standard deviations of the payload's ten parameters under their prior, shape (10,).
+    """
+
+    joints: tuple[str, ...]
+    terms: tuple[Term, ...]
+    values: FloatArray
+    covariance: FloatArray
+    parts: tuple[float, float, float]
+    blocks: int
+    residual: FloatArray
+    empty_residual: FloatArray
+    driven: FloatArray
+    quantile: float
+    halves: tuple[tuple[float, float], tuple[float, float]] | None
+    arm_kg: float
+    arm_over_urdf: float
+    payload_prior: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of every unknown, shape (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def budget(self) -> tuple[tuple[str, float], ...]:
+        """What puts how much standard deviation on the mass [kg], the most first."""
+        names = ("what differs from stretch to stretch", "what the motion does not determine", "torque constants")
+        return tuple(sorted(zip(names, self.parts, strict=True), key=lambda part: -part[1]))
+
+    def unseen(self) -> tuple[str, ...]:
+        """Of the payload's ten parameters, those that the motion says less about than what any load of that mass may have."""
+        return tuple(
+            term.kind
+            for term, std, prior in zip(self.terms, self.std[:PARAMETERS], self.payload_prior, strict=False)
+            if std > 0.5 * prior
+        )
+
+    def pulls(self) -> FloatArray:
+        """How far each unknown lies from its prior, in standard deviations of the prior, shape (P,)."""
+        return np.array([(v - term.prior) / term.std for v, term in zip(self.values, self.terms, strict=True)])
+
+
+def terms_of(robot: Robot, joints: Sequence[str], held: dict[str, float], runs: int) -> tuple[Term, ...]:
+    """All unknowns: payload, bodies, rotors, torque constants, load friction, and friction of each motion."""
+    model = robot.model.lock(list(joints), held, robot.gravity)
+    bodies = [body_parameters(pseudo) for pseudo in model.pseudo_inertia]
+    total = float(sum(body[0] for body in bodies))
+    reach = float(sum(np.linalg.norm(place[:3, 3]) for place in model.placement))
+    reach += float(np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
+    names = [f"payload_{name}" for name in _PARAMETER_NAMES]
+    sizes = _sizes(total, 0.3 * reach)
+    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, _PARAMETER_UNITS, sizes, strict=True)]
+    for name, place, body in zip(model.joint_names, [*model.placement[1:], None], bodies, strict=True):
+        length = max(0.1 * reach, 0.0 if place is None else float(np.linalg.norm(place[:3, 3])))
+        stds = _sizes(LINK_SHARE * float(body[0]) + ARM_SHARE * total, length)
+        for kind, unit, value, std in zip(_PARAMETER_NAMES, _PARAMETER_UNITS, body, stds, strict=True):
+            terms.append(Term(f"body_{kind}", name, unit, float(value), std))
+    drives = [robot.drive_trains[name] for name in model.joint_names]
+    effort = float(total * 9.81 * reach)
+    for name, drive in zip(model.joint_names, drives, strict=True):
+        std = max(drive.armature.std, 0.5 * abs(drive.armature.value), 1e-3 * total * reach**2)
+        terms.append(Term("armature", name, "kg m^2", drive.armature.value, std))
+    for name, drive in zip(model.joint_names, drives, strict=True):
+        std = max(drive.load_friction.std, LEAST_LOAD_FRICTION_STD)
+        terms.append(Term("load_friction", name, "1", drive.load_friction.value, std))
+    for run in range(runs):
+        for kind, unit in (("viscous", "N m s/rad"), ("coulomb", "N m"), ("offset", "N m")):
+            terms += [Term(kind, f"{name}, motion {run + 1}", unit, 0.0, effort) for name in model.joint_names]
+    return tuple(terms)
+
+
+_PARAMETER_NAMES = (
+    "mass",
+    *(f"moment_{a}" for a in "xyz"),
+    *(f"inertia_{a}" for a in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+_PARAMETER_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+
+
+def _sizes(mass_kg: float, length_m: float) -> list[float]:
+    """Standard deviations of a body's parameters from those of its mass, and its size."""
+    return [mass_kg, *[mass_kg * length_m] * 3, *[mass_kg * length_m**2] * 6]
+
+
+def fit_motions(
+    robot: Robot,
+    loaded: Sequence[Motion],
+    empty: Sequence[Motion],
+    *,
+    centre: tuple[FloatArray, FloatArray] | None = None,
+    window_s: float = WINDOW_S,
+    progress: Callable[[str], None] = lambda _: None,
+) -> MotionFit:
+    """Fit arm, friction and payload to motions with and without it.
+
+    Args:
+        robot: The arm as its file states it.
+        loaded: With the payload, at least one.
+        empty: With an empty hand, at least one.
+        centre: The payload's centre of mass in its frame and the standard deviation of each coordinate [m], where that is
+            stated; else it may be anywhere within a third of the arm's reach.
+        window_s: Length of a test function.
+        progress: Called with what is going on.
+
+    Raises:
+        RecordingError: A motion is of no use, or all together are too short.
+    """
+    motions = [*loaded, *empty]
+    joints = motions[0].joints
+    held = dict(motions[0].held)
+    parts = []
+    for motion in motions:
+        progress(f"reading the motion of {motion.name}")
+        parts.append(equations(robot, motion, joints, window_s))
+    terms = terms_of(robot, joints, held, len(motions))
+    model = robot.model.lock(list(joints), held, robot.gravity)
+    count = len(model.joint_names)
+    rows = []
+    for number, part in enumerate(parts):
+        friction = [np.zeros_like(part.friction) for _ in motions]
+        friction[number] = part.friction
+        payload = part.payload if number < len(loaded) else np.zeros_like(part.payload)
+        gears = np.zeros((len(part.right), count))
+        rows.append(np.hstack([payload, part.arm, part.rotor, gears, *friction]))
+    if centre is not None:
+        # what is looked for beside the mass is then how the payload differs from a point there
+        point = np.zeros((4, 4))
+        point[3] = point[:, 3] = [*centre[0], 1.0]
+        point[:3, :3] = np.outer(centre[0], centre[0])
+        for row in rows:
+            row[:, 0] = row[:, :PARAMETERS] @ body_parameters(point)
+    matrix, right = np.vstack(rows), np.concatenate([part.right for part in parts])
+    joint = np.concatenate([part.joint for part in parts])
+    run = np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)])
+    block = np.concatenate([part.block + 100_000 * number for number, part in enumerate(parts)])
+    prior, spread = np.array([t.prior for t in terms]), np.array([t.std for t in terms])
+
+    direction = np.concatenate([part.direction for part in parts])
+    bodies = PARAMETERS * (1 + count)
+    geared = slice(bodies + count, bodies + 2 * count)
+    weight = np.ones(len(right))
+    length_m = float(spread[1] / spread[0])
+    # gears lose part of what they transmit: take the last solution's, since the measured torque holds the friction itself
+    for _ in range(ITERATIONS):
+        scaled, target = matrix * weight[:, None], right * weight
+        normal, side = scaled.T @ scaled, scaled.T @ target
+        values = _solve(normal, side, prior, spread)
+        residual = right - matrix @ values
+        for number in range(count):
+            mine = joint == number
+            if mine.any():
+                weight[mine] = 1.0 / max(float(np.std(residual[mine])), 1e-9)
+        # something light has little first moment and inertia, wherever in the hand it sits
+        inverse = np.linalg.inv(normal + np.diag(spread**-2.0))
+        heavy_kg = abs(values[0]) + np.sqrt(inverse[0, 0])
+        spread[1:PARAMETERS] = _sizes(heavy_kg, length_m)[1:]
+        if centre is not None:
+            spread[1:4] = heavy_kg * np.maximum(centre[1], 1e-3)
+        transmitted = np.abs(matrix[:, :bodies] @ values[:bodies])
+        matrix[:, geared] = np.eye(count)[joint] * (transmitted * direction)[:, None]
+    scaled, target = matrix * weight[:, None], right * weight
+    normal, side = scaled.T @ scaled, scaled.T @ target
+    values = _solve(normal, side, prior, spread)
+    residual = right - matrix @ values
+
+    labels = np.unique(block)
+    with_payload = int(np.sum(labels < 100_000 * len(loaded)))
+    if with_payload < MIN_BLOCKS:
+        raise RecordingError(
+            f"{loaded[0].name}: only {BLOCK_S * with_payload:.0f} s of motion can be used; record {BLOCK_S * MIN_BLOCKS:.0f} s "
+            "at least, better 15, with all joints moving"
+        )
+    deviations = []
+    for label in labels:
+        out = block == label
+        less = normal - scaled[out].T @ scaled[out]
+        deviations.append(_solve(less, side - scaled[out].T @ target[out], prior, spread) - values)
+    moved = np.array(deviations)
+    jackknife = (len(labels) - 1) / len(labels) * moved.T @ moved
+    # what the priors leave open, and what the torque constants do: makers' numbers err together, so their errors add up
+    inverse = np.linalg.inv(normal + np.diag(spread**-2.0))
+    scale = np.array([_relative_torque_std(robot, name) for name in model.joint_names])
+    by_scale = inverse @ (scaled.T @ (target * scale[joint]))
+    by_prior = inverse @ np.diag(spread**-2.0) @ inverse
+    covariance = jackknife + by_prior + np.outer(by_scale, by_scale)
+
+    halves = None
+    middle = [np.median(block[run == number]) for number in range(len(loaded))]
+    late = np.zeros(len(right), dtype=bool)
+    for number, at in enumerate(middle):
+        late |= (run == number) & (block > at)
+    if with_payload >= 2 * MIN_BLOCKS:
+        halves = (
+            _mass_without(late, block, scaled, target, prior, spread),
+            _mass_without(~late & (run < len(loaded)), block, scaled, target, prior, spread),
+        )
+    carrying = run < len(loaded)
+    return MotionFit(
+        model.joint_names,
+        terms,
+        values,
+        covariance,
+        (float(np.sqrt(jackknife[0, 0])), float(np.sqrt(by_prior[0, 0])), float(abs(by_scale[0]))),
+        with_payload,
+        _rms_by_joint(residual[carrying], joint[carrying], count),
+        _rms_by_joint(residual[~carrying], joint[~carrying], count),
+        _rms_by_joint(right[carrying], joint[carrying], count),
+        float(student.ppf(0.975, with_payload - 1)),
+        halves,
+        float(model.pseudo_inertia[:, 3, 3].sum()),
+        _arm_over_urdf(matrix, values, prior, count),
+        spread[:PARAMETERS].copy(),
+    )
+
+
+def _arm_over_urdf(matrix: FloatArray, values: FloatArray, prior: FloatArray, count: int) -> float:
+    bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
+    fitted, stated = matrix[:, bodies] @ values[bodies], matrix[:, bodies] @ prior[bodies]
+    return float(fitted @ stated / (stated @ stated))
+
+
+def _relative_torque_std(robot: Robot, joint: str) -> float:
+    constant = robot.drive_trains[joint].torque_constant
+    return max(constant.std / abs(constant.value), LEAST_TORQUE_STD)
+
+
+def _solve(normal: FloatArray, side: FloatArray, prior: FloatArray, spread: FloatArray) -> FloatArray:
+    """The posterior mean; columns are scaled by their priors, since they differ by ten orders of magnitude."""
+    scaled = normal * spread[:, None] * spread[None, :] + np.eye(len(prior))
+    return spread * np.linalg.solve(scaled, spread * side + prior / spread)
+
+
+def _mass_without(
+    out: NDArray[np.bool_],
+    block: NDArray[np.int64],
+    scaled: FloatArray,
+    target: FloatArray,
+    prior: FloatArray,
+    spread: FloatArray,
+) -> tuple[float, float]:
+    """Mass [kg] and its standard deviation, without some of the equations."""
+    kept, right, labels = scaled[~out], target[~out], block[~out]
+    normal, side = kept.T @ kept, kept.T @ right
+    value = _solve(normal, side, prior, spread)[0]
+    each = []
+    for label in np.unique(labels):
+        mine = labels == label
+        less = kept[mine]
+        each.append(_solve(normal - less.T @ less, side - less.T @ right[mine], prior, spread)[0] - value)
+    return float(value), float(np.sqrt((len(each) - 1) / len(each) * np.sum(np.square(each))))
+
+
+def _rms_by_joint(values: FloatArray, joint: NDArray[np.int64], count: int) -> FloatArray:
+    return np.array([np.sqrt(np.mean(values[joint == n] ** 2)) if (joint == n).any() else np.nan for n in range(count)])

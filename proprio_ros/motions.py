@@ -1,0 +1,124 @@
+"""Motions taken from a recording: several joints move at once, under whatever controller, and the motors' currents are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.records import FloatArray, Recording
+
+MOVED_RAD = 0.05
+"""A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
+SHORTEST_S = 3.0
+"""A shorter motion says nothing about how well it is explained [s]."""
+SLOWEST_HZ = 20.0
+"""Below this rate a motion of half a second has no shape."""
+LONGEST_GAP_S = 0.1
+"""Across a longer gap nobody knows how the arm moved [s]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Joints that moved, and the currents that drove them.
+
+    Attributes:
+        name: Of the recording.
+        joints: That have a motor, one per column.
+        times_s: From the first sample on [s], strictly increasing, shape (T,).
+        position: [rad], shape (T, J).
+        current_A: Of the motors, shape (T, J).
+        held: Mean position of every other joint [rad or m].
+        source: Where the currents come from.
+        notes: What a reader of the result should know, one sentence each.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    times_s: FloatArray
+    position: FloatArray
+    current_A: FloatArray
+    held: Mapping[str, float]
+    source: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """The joints that did not stand still."""
+        spans = np.ptp(self.position, axis=0)
+        return tuple(name for name, span in zip(self.joints, spans, strict=True) if span > MOVED_RAD)
+
+
+def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str, float] | None = None) -> Motion:
+    """The whole recording as one motion.
+
+    The measured current is taken where there is one: a command is reached a cycle late, and not quite.
+
+    Args:
+        recording: The recording.
+        joints: Those of the robot that have a motor and turn.
+        held: Positions of joints that are not recorded, or that replace recorded ones [rad or m].
+
+    Raises:
+        RecordingError: A joint, its current or enough samples are missing, or nothing moves.
+    """
+    record, name = recording.joints, recording.name
+    missing = [joint for joint in joints if joint not in record.names]
+    if missing:
+        raise RecordingError(
+            f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}"
+        )
+    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
+    columns = [record.column(joint) for joint in joints]
+    notes = list(recording.notes)
+    measured = None if record.current is None else record.current[:, columns]
+    if measured is not None and np.isfinite(measured).any(axis=0).all():
+        current, source = measured, "measured current"
+        complete = np.isfinite(current).all(axis=1)
+        if not complete.all():
+            notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
+        times_s, position, current = times_s[complete], record.position[complete][:, columns], current[complete]
+    elif recording.inputs is not None:
+        inputs = recording.inputs
+        absent = [joint for joint in joints if joint not in inputs.names]
+        if absent:
+            raise RecordingError(
+                f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
+            )
+        row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
+        current = inputs.current_A[row][:, [inputs.column(joint) for joint in joints]]
+        source, position = inputs.source, record.position[:, columns]
+        notes.append(
+            f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
+            "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
+        )
+    else:
+        raise RecordingError(f"{name}: the recording holds no current; state the unit of its effort with --effort-unit")
+    if len(times_s) < 2 or times_s[-1] - times_s[0] < SHORTEST_S:
+        lasted = 0.0 if len(times_s) < 2 else times_s[-1] - times_s[0]
+        raise RecordingError(f"{name}: the motion lasts {lasted:.1f} s; record at least {SHORTEST_S:g} s, better 15")
+    intervals = np.diff(times_s)
+    if 1.0 / float(np.median(intervals)) < SLOWEST_HZ:
+        raise RecordingError(
+            f"{name}: joint states come at {1.0 / float(np.median(intervals)):.0f} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+        )
+    motion = Motion(
+        name=name,
+        joints=tuple(joints),
+        times_s=times_s - times_s[0],
+        position=position,
+        current_A=current,
+        held={
+            joint: float(record.position[:, record.column(joint)].mean())
+            for joint in record.names
+            if joint not in joints
+        }
+        | dict(held or {}),
+        source=source,
+        notes=tuple(notes),
+    )
+    if not motion.moved:
+        raise RecordingError(f"{name}: no joint moved by more than {MOVED_RAD} rad")
+    return motion

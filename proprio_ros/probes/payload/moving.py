@@ -1,0 +1,204 @@
+"""What the hand holds, from a motion of several joints under whatever controller, against the same arm with an empty hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
+from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
+from proprio_ros.identification.motion_fit import BLOCK_S, LEAST_TORQUE_STD, MotionFit, fit_motions
+from proprio_ros.motions import Motion
+from proprio_ros.quantity import shown
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+PULL_LIMIT = 5.0
+"""An unknown that ends so many standard deviations from its prior contradicts the model, whatever the residual says."""
+MISFIT_RATIO = 3.0
+"""The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
+UNEXPLAINED_SHARE = 0.5
+"""A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
+URDF_RATIO = 1.35
+"""URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
+APART_SIGMAS = 4.0
+"""Two halves of a recording that differ by more did not carry the same."""
+WIDEST_SHARE, WIDEST_OF_ARM = 0.5, 0.02
+"""No mass is given whose half width is more than this share of it and of the arm's own mass."""
+
+
+@dataclass(frozen=True)
+class MotionDetail:
+    """What only an answer from a motion has.
+
+    Attributes:
+        stretches: Of 2.5 s, with the payload, that the interval was made from.
+        unseen: Of the ten inertial parameters, those that this motion does not determine.
+    """
+
+    stretches: int
+    unseen: tuple[str, ...]
+
+    def as_json(self) -> dict[str, object]:
+        return {"motion": {"stretches": self.stretches, "stretch_s": BLOCK_S, "undetermined": list(self.unseen)}}
+
+
+def weigh_in_motion(
+    robot: Robot,
+    motions: Sequence[Motion],
+    baseline: Sequence[Motion],
+    facts: PayloadFacts,
+    centre_is_stated: bool = False,
+) -> Estimate:
+    """Identify the payload that all ``motions`` share.
+
+    Args:
+        robot: As its file states it; the empty motions correct it.
+        motions: With the payload, at least one.
+        baseline: The same arm with an empty hand.
+        facts: Where the payload's centre is, and how well that is known.
+        centre_is_stated: Whether the user said so; else it is identified, too.
+
+    Raises:
+        RecordingError: A motion is of no use.
+    """
+    notes = tuple(note for motion in (*motions, *baseline) for note in motion.notes)
+    if not baseline:
+        refusal = not_identifiable(
+            "no_empty_motion",
+            "nothing says what the arm itself weighs",
+            "several joints moved at once, and a URDF alone puts an arm off by some percent of its own weight: record about the "
+            "same motion with an empty hand and add it with --baseline",
+        )
+        return _estimate(robot, motions, None, refusal, notes)
+    centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
+    fit = fit_motions(robot, motions, baseline, centre=centre)
+    return _estimate(robot, motions, fit, next(_refusals(motions, fit), None), notes, centre_is_stated)
+
+
+def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
+    mass, half = float(fit.values[0]), fit.quantile * float(fit.std[0])
+    name = motions[0].name
+    unexplained = fit.residual / fit.driven
+    worst = int(np.nanargmax(unexplained))
+    if unexplained[worst] > UNEXPLAINED_SHARE:
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{name}: {100.0 * unexplained[worst]:.0f} % of the torque of {fit.joints[worst]} is not explained by the arm, its "
+            "friction and a payload: check the effort's unit and sign, and that nothing touched the arm",
+        )
+    ratio = fit.residual / fit.empty_residual
+    worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))
+    if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
+            "the payload held firmly, and did nothing touch the arm?",
+        )
+    if not 1.0 / URDF_RATIO < fit.arm_over_urdf < URDF_RATIO:
+        yield rejected(
+            "arm_unlike_urdf",
+            "the arm does not fit its URDF",
+            f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
+            "check the effort's unit, the torque constants and the URDF's masses",
+        )
+    pulls = np.abs(fit.pulls())
+    pulls[:10] = 0.0  # the payload's own prior is only there to keep the equations solvable
+    worst = int(np.argmax(pulls))
+    if pulls[worst] > PULL_LIMIT:
+        term = fit.terms[worst]
+        yield rejected(
+            "far_from_prior",
+            "the arm does not fit its robot file",
+            f"{term.label} ended {pulls[worst]:.0f} standard deviations from what the robot file says "
+            f"({term.prior:.3g} +- {term.std:.2g} {term.unit}): check the URDF, the torque constants and the effort's unit",
+        )
+    if fit.halves is not None:
+        (early, early_std), (late, late_std) = fit.halves
+        if abs(early - late) > APART_SIGMAS * np.hypot(early_std, late_std):
+            yield rejected(
+                "changed_midway",
+                "the two halves of the recording say different masses",
+                f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: was something "
+                "picked up or put down meanwhile? Record the motions with and without it apart",
+            )
+    if mass + half < 0.0:
+        yield rejected(
+            "lighter_than_empty",
+            "the hand seems lighter than empty",
+            f"the hand with its load seems {shown('kg', -mass, spec='.0f')} lighter than with nothing in it: are the "
+            "recordings mixed up?",
+        )
+    if half > max(WIDEST_SHARE * abs(mass), WIDEST_OF_ARM * fit.arm_kg):
+        yield not_identifiable(
+            "interval_too_wide",
+            "the interval is too wide to state a mass",
+            f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
+            f"the hand, longer than the {BLOCK_S * fit.blocks:.0f} s used here, and record the empty hand in the same motion",
+        )
+
+
+def _estimate(
+    robot: Robot,
+    motions: Sequence[Motion],
+    fit: MotionFit | None,
+    refusal: Refusal | None,
+    notes: tuple[str, ...],
+    centre_is_stated: bool = False,
+) -> Estimate:
+    withheld = "" if refusal is None else refusal.withheld
+    if fit is None or withheld:
+        values = [Value("payload_mass", "kg", None, reason=withheld)]
+    else:
+        mass, std = float(fit.values[0]), float(fit.std[0])
+        half = fit.quantile * std
+        values = [Value("payload_mass", "kg", max(mass, 0.0), std, [max(mass - half, 0.0), max(mass + half, 0.0)])]
+        if not centre_is_stated:
+            values.append(_centre(fit))
+    torque_std = max(robot.drive_trains[joint].torque_constant.std / robot.drive_trains[joint].torque_constant.value
+                     for joint in motions[0].joints)  # fmt: skip
+    return Estimate(
+        probe="payload",
+        robot=robot.name,
+        verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
+        reasons=() if refusal is None else tuple(refusal.reasons),
+        values=tuple(values),
+        fit=None
+        if fit is None
+        else Fit(_mean(fit.residual), _mean(fit.empty_residual), _mean(fit.residual / fit.empty_residual), "N m"),
+        solver=None,
+        runs=len(motions),
+        budget=() if fit is None else fit.budget(),
+        detail=None if fit is None else MotionDetail(fit.blocks, fit.unseen()),
+        assumptions=(
+            f"several joints moved at once: the {motions[0].source} of {len(motions[0].joints)} joints and their positions were "
+            "fitted together with the baseline's, the arm's own inertia and friction included",
+            f"torque constants as in {robot.source.name}, to {100.0 * max(torque_std, LEAST_TORQUE_STD):.1f} %: a mass errs by as much",
+            f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says"
+            if fit is not None
+            else "",
+            "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset per joint",
+        ),
+        notes=notes,
+    )
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+def _centre(fit: MotionFit) -> Value:
+    """Centre of mass in the payload frame, where the mass is known well enough to divide by."""
+    mass, std = float(fit.values[0]), fit.std
+    if abs(mass) < 5.0 * std[0]:
+        return Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, "too little is held to say where")
+    centre = fit.values[1:4] / mass
+    # of the quotient, to first order
+    gradient = np.hstack([-centre[:, None], np.eye(3)]) / mass
+    stds = np.sqrt(np.diag(gradient @ fit.covariance[:4, :4] @ gradient.T))
+    bounds = [[float(c - fit.quantile * s), float(c + fit.quantile * s)] for c, s in zip(centre, stds, strict=True)]
+    return Value("payload_com", "m", centre.tolist(), stds.tolist(), bounds)
