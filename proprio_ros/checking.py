@@ -15,11 +15,12 @@ from proprio_ros.identification.estimate import plain
 from proprio_ros.identification.gates import MIN_USED, Findings, screen_run, unusable
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.motions import Motion, motion_of
 from proprio_ros.records import LOST_AFTER_PERIODS, InputRecord, Recording, Run
-from proprio_ros.replay import DEFAULT_ROBOT, TEXT_ROBOT
+from proprio_ros.replay import DEFAULT_ROBOT, TEXT_ROBOT, turning_joints
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
+from proprio_ros.runs import DrivenAtOnce, cut_runs
 from proprio_ros.schema import header, reason_codes
 from proprio_ros.threads import one_blas_thread
 
@@ -78,6 +79,7 @@ class BagCheck:
         input_unit: What its numbers are.
         problem: Why no run could be looked for, or an empty string.
         notes: Every repair made while reading.
+        motion: What was recorded where several joints were driven at once; then there are no runs.
     """
 
     bag: str
@@ -93,11 +95,12 @@ class BagCheck:
     runs: tuple[RunCheck, ...] = ()
     problem: str = ""
     notes: tuple[str, ...] = ()
+    motion: Motion | None = None
 
     @property
     def usable(self) -> int:
-        """Number of runs that a fit could use."""
-        return sum(not run.problem for run in self.runs)
+        """Number of runs that a fit could use; a motion counts as one."""
+        return sum(not run.problem for run in self.runs) + (self.motion is not None)
 
     def as_json(self) -> dict[str, Any]:
         record = plain(
@@ -113,6 +116,9 @@ class BagCheck:
                 "input": self.input,
                 "input_unit": self.input_unit,
                 "runs": [run.as_json() for run in self.runs],
+                "motion": None
+                if self.motion is None
+                else {"joints": self.motion.moved, "duration_s": float(self.motion.times_s[-1])},
                 "usable_runs": self.usable,
                 "problem": self.problem or None,
                 "notes": self.notes,
@@ -122,7 +128,8 @@ class BagCheck:
 
     def as_text(self) -> str:
         """For the terminal."""
-        lines = [f"{self.bag}: {self.usable} of {len(self.runs)} run{'s' * (len(self.runs) != 1)} usable"]
+        found = len(self.runs) + (self.motion is not None)
+        lines = [f"{self.bag}: {self.usable} of {found} run{'s' * (found != 1)} usable"]
         if self.joints:
             lost = f"{self.gaps} gaps, the longest {1e3 * self.longest_gap_s:.0f} ms" if self.gaps else "no gaps"
             states = f"{self.state_topic or 'in a text file'}, {', '.join(self.joints)}"
@@ -135,6 +142,11 @@ class BagCheck:
             judged = f"not usable, {run.problem}" if run.problem else "usable"
             lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
             lines += [f"    note: {note}" for note in run.notes]
+        if self.motion is not None:
+            lines.append(
+                f"  a motion of {len(self.motion.moved)} joints at once, {self.motion.times_s[-1]:.1f} s: tells the payload's mass "
+                "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`)"
+            )
         lines += [f"  problem: {self.problem}"] * bool(self.problem)
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
@@ -214,11 +226,14 @@ def _bag_check(
         except RecordingError as worse:
             return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=str(worse))
     runs: tuple[RunCheck, ...] = ()
+    motion: Motion | None = None
     if not problem:
         try:
             named = replace(recording, name="/".join(path.resolve().parts[-2:]))  # as in a replay
-            cut = cut_runs(named, joints=list(robot.drive_trains))
-            runs = tuple(_run_check(robot, run) for run in cut)
+            try:
+                runs = tuple(_run_check(robot, run) for run in cut_runs(named, joints=list(robot.drive_trains)))
+            except DrivenAtOnce:
+                motion = motion_of(named, joints=turning_joints(robot))
         except RecordingError as error:
             problem = str(error)
     times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])
@@ -238,6 +253,7 @@ def _bag_check(
         runs,
         problem,
         recording.notes,
+        motion,
     )
 
 

@@ -223,8 +223,12 @@ def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[s
     Raises:
         RecordingError: it cannot be read, or nothing moves in it.
     """
-    turning = [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
-    return motion_of(_bag(path, robot, options), joints=turning, held=held)
+    return motion_of(_bag(path, robot, options), joints=turning_joints(robot), held=held)
+
+
+def turning_joints(robot: Robot) -> list[str]:
+    """The joints that have a motor and turn: those of a motion."""
+    return [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
 
 
 def bag_runs_or_motion(

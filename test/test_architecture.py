@@ -100,6 +100,7 @@ ROOMS: dict[str, set[str]] = {
         "robot",
         "bags",
         "runs",
+        "motions",
         "identification",
         "probes",
         "replay",

@@ -9,7 +9,7 @@ import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
-from proprio_ros.identification.motion_fit import BLOCK_S, LEAST_TORQUE_STD, MotionFit, fit_motions
+from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
 from proprio_ros.motions import Motion
 from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
@@ -81,6 +81,15 @@ def weigh_in_motion(
 def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
     mass, half = float(fit.values[0]), fit.quantile * float(fit.std[0])
     name = motions[0].name
+    if fit.halves is not None:
+        (early, early_std), (late, late_std) = fit.halves
+        if abs(early - late) > APART_SIGMAS * np.hypot(early_std, late_std):
+            yield rejected(
+                "changed_midway",
+                "the two halves of the recording say different masses",
+                f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
+                "was something picked up or put down meanwhile? Record the motions with and without it apart",
+            )
     unexplained = fit.residual / fit.driven
     worst = int(np.nanargmax(unexplained))
     if unexplained[worst] > UNEXPLAINED_SHARE:
@@ -103,8 +112,8 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
         yield rejected(
             "arm_unlike_urdf",
             "the arm does not fit its URDF",
-            f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
-            "check the effort's unit, the torque constants and the URDF's masses",
+            f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as "
+            "much: check the effort's unit, the torque constants and the URDF's masses",
         )
     pulls = np.abs(fit.pulls())
     pulls[:10] = 0.0  # the payload's own prior is only there to keep the equations solvable
@@ -117,15 +126,6 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
             f"{term.label} ended {pulls[worst]:.0f} standard deviations from what the robot file says "
             f"({term.prior:.3g} +- {term.std:.2g} {term.unit}): check the URDF, the torque constants and the effort's unit",
         )
-    if fit.halves is not None:
-        (early, early_std), (late, late_std) = fit.halves
-        if abs(early - late) > APART_SIGMAS * np.hypot(early_std, late_std):
-            yield rejected(
-                "changed_midway",
-                "the two halves of the recording say different masses",
-                f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: was something "
-                "picked up or put down meanwhile? Record the motions with and without it apart",
-            )
     if mass + half < 0.0:
         yield rejected(
             "lighter_than_empty",
@@ -159,8 +159,6 @@ def _estimate(
         values = [Value("payload_mass", "kg", max(mass, 0.0), std, [max(mass - half, 0.0), max(mass + half, 0.0)])]
         if not centre_is_stated:
             values.append(_centre(fit))
-    torque_std = max(robot.drive_trains[joint].torque_constant.std / robot.drive_trains[joint].torque_constant.value
-                     for joint in motions[0].joints)  # fmt: skip
     return Estimate(
         probe="payload",
         robot=robot.name,
@@ -174,16 +172,19 @@ def _estimate(
         runs=len(motions),
         budget=() if fit is None else fit.budget(),
         detail=None if fit is None else MotionDetail(fit.blocks, fit.unseen()),
-        assumptions=(
-            f"several joints moved at once: the {motions[0].source} of {len(motions[0].joints)} joints and their positions were "
-            "fitted together with the baseline's, the arm's own inertia and friction included",
-            f"torque constants as in {robot.source.name}, to {100.0 * max(torque_std, LEAST_TORQUE_STD):.1f} %: a mass errs by as much",
-            f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says"
-            if fit is not None
-            else "",
-            "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset per joint",
-        ),
+        assumptions=_assumptions(robot, motions, fit),
         notes=notes,
+    )
+
+
+def _assumptions(robot: Robot, motions: Sequence[Motion], fit: MotionFit | None) -> tuple[str, ...]:
+    torque_std = max(relative_torque_std(robot, joint) for joint in motions[0].joints)
+    return (
+        f"several joints moved at once: the {motions[0].source} of {len(motions[0].joints)} joints and their positions were fitted "
+        "together with the baseline's, the arm's own inertia and friction included",
+        f"torque constants as in {robot.source.name}, to {100.0 * torque_std:.1f} %: a mass errs as they do",
+        *([] if fit is None else [f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says"]),
+        "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset per joint",
     )
 
 
