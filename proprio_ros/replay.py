@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording
+from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording, without_jumps
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
-from proprio_ros.records import Run
+from proprio_ros.records import InputRecord, Run
 from proprio_ros.report import write_page
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
@@ -77,18 +77,21 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
 
+    once = Recordings([*paths, *baseline_paths])
     loaded = time.perf_counter()
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
-    baseline = [run for path in baseline_paths for run in bag_runs(Path(path), robot, options, held)]
+    baseline = [
+        run for path in baseline_paths for run in once.checked(path, bag_runs(Path(path), robot, options, held))
+    ]
     text: TextRecording | None = None
     for path in paths:
         if Path(path) in texts:
             text = read_text_recording(path)
             robot = published_robot(robot, text)
-            runs.append(published_run(robot, text, held))
+            runs.extend(once.checked(path, (published_run(robot, text, held),)))
         else:
-            runs.extend(bag_runs(Path(path), robot, options, held))
+            runs.extend(once.checked(path, bag_runs(Path(path), robot, options, held)))
         sources.extend([Path(path)] * (len(runs) - len(sources)))
     read = time.perf_counter()
     estimate = probe.identify(robot, Recorded(runs, baseline, sources, text), facts)
@@ -188,6 +191,44 @@ def held_positions(robot: Robot, settings: Settings) -> dict[str, float]:
     return held
 
 
+class Recordings:
+    """What was given, each recording once: a run that counts twice would narrow the interval without a reason.
+
+    Args:
+        paths: All that were given, whatever for.
+
+    Raises:
+        ConfigurationError: Two of them lead to the same place.
+    """
+
+    def __init__(self, paths: Sequence[str | Path]) -> None:
+        places: dict[Path, str | Path] = {}
+        for path in paths:
+            place = Path(path).resolve()
+            if place in places:
+                raise ConfigurationError(_twice(places[place], path))
+            places[place] = path
+        self._paths: dict[tuple[str, bytes, bytes, bytes], str | Path] = {}
+
+    def checked(self, path: str | Path, runs: Sequence[Run]) -> Sequence[Run]:
+        """The runs of one path.
+
+        Raises:
+            ConfigurationError: Another path held one of them: the same samples at the same times, and the same current.
+        """
+        for run in runs:
+            key = run.joint, run.times_s.tobytes(), run.position.tobytes(), run.input_current_A.tobytes()
+            if self._paths.setdefault(key, path) != path:
+                raise ConfigurationError(_twice(self._paths[key], path))
+        return runs
+
+
+def _twice(one: str | Path, other: str | Path) -> str:
+    if str(one) == str(other):
+        return f"{one} was given twice: name each recording once"
+    return f"{one} and {other} are the same recording: name it once"
+
+
 def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> tuple[Run, ...]:
     """The runs of one bag, named after it."""
     joints = list(robot.drive_trains)
@@ -199,7 +240,16 @@ def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=joints,
     )
+    recording = without_jumps(recording, joints)
     # a bag's folder is often called after its storage, so the folder above says which one it is
     name = "/".join(path.resolve().parts[-2:])
     runs = cut_runs(replace(recording, name=name), held=held, joints=joints)
-    return tuple(replace(run, notes=(*recording.notes, *run.notes)) for run in runs)
+    notes = recording.notes + unit_not_used(recording.inputs, options.effort_unit)
+    return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
+
+
+def unit_not_used(inputs: InputRecord | None, effort_unit: str | None) -> tuple[str, ...]:
+    """A note where the user said what effort means, and nothing was made of it."""
+    if inputs is None or inputs.measured or effort_unit is None:
+        return ()
+    return (f"--effort-unit {effort_unit} was not used: the current is that of {inputs.source}, not measured effort",)
