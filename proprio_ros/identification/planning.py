@@ -187,8 +187,8 @@ def weighable(
     """
     facts = PayloadFacts()
     best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
-    for joint in joints:
-        if joint not in candidate_joints(robot):
+    for joint in candidate_joints(robot):
+        if joint not in joints:
             continue
         for pose in _poses(robot, joint, COARSE_STARTS, COARSE_POSES):
             candidates = _candidates(robot, joint, pose, np.array([mass_kg]), facts, None, duration_s)

@@ -203,7 +203,7 @@ def calibrate(
         found.reasons.insert(
             0, Reason("one_run", f"{used[0].run.name} is the only run, and nothing confirms it: add others, both ways")
         )
-    elif verdict is Verdict.ACCEPTED and set(one_way) == set(calibration.joints):
+    elif verdict is Verdict.ACCEPTED and one_way and set(one_way) == set(calibration.joints):
         verdict = Verdict.NOT_IDENTIFIABLE
         found.reasons.insert(
             0, Reason("not_separated", "no joint was driven both ways, so torque and friction were not told apart")
