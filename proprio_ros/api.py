@@ -393,6 +393,7 @@ def calibrate(
     *,
     references: Mapping[AnyPath, float] | None = None,
     output: AnyPath | None = None,
+    force: bool = False,
     robot: AnyPath | None = None,
     settings: Mapping[str, Any] | None = None,
     state_topic: str | None = None,
@@ -407,6 +408,7 @@ def calibrate(
         bags: Bags with nothing in the hand.
         references: Bags with a weighed reference in the hand, and its mass [kg].
         output: The calibration file (.yaml); written when the calibration is accepted.
+        force: Whether an older file of that name may be replaced.
         progress: Called with a sentence on what is going on.
         robot: As for `weigh`.
         settings: As for `weigh`.
@@ -429,7 +431,7 @@ def calibrate(
     folder = None if output is not None else tempfile.TemporaryDirectory(prefix="proprio-")
     path = Path(output) if folder is None else Path(folder.name) / "calibration.yaml"  # type: ignore[arg-type]
     known: dict[str | Path, float] = {os.fspath(bag): mass for bag, mass in (references or {}).items()}
-    estimate = calibrate_from_bags(_texts(bags), known, options, path, progress)
+    estimate = calibrate_from_bags(_texts(bags), known, options, path, progress, force)
     accepted = estimate.verdict.value == "accepted"
     return CalibrationResult(estimate, path if accepted else None, call, folder)
 
@@ -524,7 +526,7 @@ def _plain(value: Any) -> Any:
 
 def _call(name: str, bags: Paths, given: Mapping[str, Any]) -> str:
     """The call as it was made, for the report."""
-    unsaid: tuple[Any, ...] = (None, (), {}, "")
+    unsaid: tuple[Any, ...] = (None, (), {}, "", False)
     words = [repr(list(_texts(bags)))]
     for key, value in given.items():
         default = {"probe": "payload", "solver": "lm", "profile": "default"}.get(key)

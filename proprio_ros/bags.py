@@ -10,9 +10,10 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,6 +51,9 @@ FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArra
 MIN_SAMPLES = 5
 IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
+
+IMPLAUSIBLE_SPEED = 10.0
+"""rad/s or m/s: no joint of an arm gets that fast there and back between three samples; a damaged number does."""
 
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
@@ -161,6 +165,8 @@ def _open(path: Path) -> Iterator[_Bag]:
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
         if "erialization format" in reason:
             advice = "only 'cdr' can be read"
+        elif "checksum" in reason:
+            advice = "the file has changed since it was written: copy it again, or record it again"
         else:
             advice = "if the recorder was killed, try `ros2 bag reindex` or `mcap recover` on it"
         raise RecordingError(f"{path}: not readable as a ROS 2 bag ({reason}); {advice}") from error
@@ -625,6 +631,40 @@ def read_recording(
     return Recording(path.resolve().name, record, inputs, tuple(notes))
 
 
+def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
+    """Leave out, with a note, joint states in which a joint jumps away from both its neighbours, as one damaged number would.
+
+    That is all that can be seen of damage in a file without checksums (sqlite3): smaller errors, and those at the ends, cannot.
+
+    Args:
+        recording: As it was read.
+        joints: Those of the robot; others may be wheels.
+    """
+    record = recording.joints
+    position = record.position[:, np.isin(record.names, joints)]
+    if len(position) <= MIN_SAMPLES:
+        return recording
+    intervals = 1e-9 * np.diff(record.times_ns)
+    step = np.diff(position, axis=0)
+    # two messages may be stamped at nearly the same time
+    far = np.abs(step) > IMPLAUSIBLE_SPEED * np.maximum(intervals, np.median(intervals))[:, None]
+    back = far[:-1] & far[1:] & (step[:-1] * step[1:] < 0.0)
+    kept = np.concatenate([[True], ~_any(back, axis=1), [True]])
+    if kept.all():
+        return recording
+    note = (
+        f"in {_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s; they were left "
+        "out: is the file damaged?"
+    )
+    columns: dict[str, Any] = {
+        quantity: None if values is None else values[kept]
+        for quantity in ("position", "velocity", "effort", "current", "reported_effort")
+        for values in [getattr(record, quantity)]
+    }
+    joint_states = replace(record, times_ns=record.times_ns[kept], **columns)
+    return replace(recording, joints=joint_states, notes=(*recording.notes, note))
+
+
 @dataclass(frozen=True)
 class Contents:
     """What a bag holds, before a message of it is read.
@@ -752,6 +792,7 @@ def write_recording(path: str | Path, recording: Recording, storage: str = "mcap
             ]
             for time_ns, connection, message in sorted(rows, key=lambda row: row[0]):
                 writer.write(connection, time_ns, types.serialize_cdr(message, connection.msgtype))
+        _add_checksums(Path(path))
     except (WriterError, OSError) as error:
         raise RecordingError(f"{path}: cannot be written ({error}); give a new folder") from error
 
@@ -790,10 +831,34 @@ def write_messages(path: str | Path, messages: Sequence[RawMessage], storage: st
             connections = {kind: writer.add_connection(*kind, typestore=_types()) for kind in kinds}
             for message in sorted(messages, key=lambda message: message.time_ns):
                 writer.write(connections[message.topic, message.msgtype], message.time_ns, message.data)
+        _add_checksums(path)
     except (WriterError, OSError) as error:
         if not existed:
             shutil.rmtree(path, ignore_errors=True)
         raise RecordingError(f"{path}: cannot be written ({error}); give a new folder on a disk with room") from error
+
+
+def _add_checksums(path: Path) -> None:
+    """Give each chunk of a new MCAP bag its CRC-32, which rosbags leaves out but checks when it reads.
+
+    Records: an opcode, a length of 8 bytes, the content; that of a chunk (opcode 6): two times and a size of 8 bytes each, the CRC,
+    the compression's name (none here) and the records with a length before each (mcap.dev/spec, Chunk).
+    """
+    for file in path.glob("*.mcap"):
+        with file.open("r+b") as stream:
+            content = stream.read()
+            at = len(_MCAP_MAGIC)
+            while at < len(content) - len(_MCAP_MAGIC):
+                length = int.from_bytes(content[at + 1 : at + 9], "little")
+                if content[at] == _MCAP_CHUNK:
+                    records = content[at + 9 + 40 : at + 9 + length]
+                    stream.seek(at + 9 + 24)
+                    stream.write(zlib.crc32(records).to_bytes(4, "little"))
+                at += 9 + length
+
+
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+_MCAP_CHUNK = 6
 
 
 def _storage_plugin(storage: str) -> StoragePlugin:

@@ -23,7 +23,7 @@ from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.facts import payload_facts
-from proprio_ros.replay import ReplayOptions, bag_runs, held_positions, robot_of
+from proprio_ros.replay import Recordings, ReplayOptions, bag_runs, held_positions, robot_of
 from proprio_ros.resources import paths_of, resource, resource_names, write_in_one_step
 from proprio_ros.robot import Robot, nested_settings
 from proprio_ros.schema import calibration_used
@@ -40,6 +40,7 @@ def calibrate_from_bags(
     options: ReplayOptions | None = None,
     output: str | Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    force: bool = False,
 ) -> CalibrationEstimate:
     """Calibrate a robot and write the file that ``proprio replay --calibration`` takes.
 
@@ -49,12 +50,15 @@ def calibrate_from_bags(
         options: robot, settings and topics; what concerns the probe is not used.
         output: the file; it is only written when the calibration is accepted.
         progress: called with what is going on.
+        force: whether an older file of that name may be replaced.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
     """
     options = options or ReplayOptions()
     paths = paths_of(paths)
+    if output is not None:
+        _check_writable(Path(output), force)
     started = time.perf_counter()
     if not paths and not references:
         raise ConfigurationError("no recording given: name at least one bag with an empty hand")
@@ -69,19 +73,19 @@ def calibrate_from_bags(
     held = held_positions(robot, settings)
     facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
     settings.refuse_rest()
-    if output is not None:
-        _check_writable(Path(output))
     loads = [*((Path(path), KnownLoad()) for path in paths)]
     loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
+    once = Recordings([path for path, _ in loads])
     runs = []
     for number, (path, load) in enumerate(loads, start=1):
         progress(f"reading {path} ({number} of {len(loads)})")
-        runs += [LoadedRun(run, load) for run in bag_runs(path, robot, options, held)]
+        runs += [LoadedRun(run, load) for run in once.checked(path, bag_runs(path, robot, options, held))]
     read = time.perf_counter()
     estimate = calibrate(robot, runs, progress=progress)
     written = None
     if output is not None and estimate.calibration is not None and estimate.verdict.value == "accepted":
-        write_calibration(Path(output), robot, estimate.calibration, overrides)
+        said = "" if estimate.weighable is None else estimate.weighable.sentence()
+        write_calibration(Path(output), robot, estimate.calibration, overrides, said)
         written = calibration_used(Path(output))
     origin = {
         "bags": [str(path) for path in paths],
@@ -115,7 +119,7 @@ def plan_probes(
 
 
 def write_calibration(
-    path: Path, robot: Robot, calibration: Calibration, overrides: Mapping[str, Any] | None = None
+    path: Path, robot: Robot, calibration: Calibration, overrides: Mapping[str, Any] | None = None, said: str = ""
 ) -> None:
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
@@ -124,6 +128,7 @@ def write_calibration(
         robot: what was calibrated, overrides included.
         calibration: what was learnt.
         overrides: dotted robot settings that were in force, so that they come back with the file.
+        said: what can be weighed with it, for the file's comment.
 
     Raises:
         ConfigurationError: the file cannot be written.
@@ -141,7 +146,8 @@ def write_calibration(
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     content.yaml_set_start_comment(
         f"What one {robot.name} says about itself: {len(calibration.runs)} runs, {now}, proprio_ros {__version__}.\n"
-        f"Use it with: proprio replay BAG --probe payload --calibration {path.name}\n"
+        + (f"It {said}.\n" if said else "")
+        + f"Use it with: proprio replay BAG --probe payload --calibration {path.name}\n"
     )
     stream = io.StringIO()
     writer = YAML()
@@ -164,9 +170,11 @@ def _reference_to(source: Path, output: Path) -> str:
     return os.path.relpath(source.resolve(), output.resolve().parent)
 
 
-def _check_writable(path: Path) -> None:
-    """Refuse an impossible output before the work is done."""
+def _check_writable(path: Path, force: bool) -> None:
+    """Refuse an impossible output, and one that is there already, before the work is done."""
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"--output {path}: name a .yaml file")
     if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
         raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
+    if path.exists() and not force:
+        raise ConfigurationError(f"--output {path}: the file exists; --force replaces it (in Python: force=True)")

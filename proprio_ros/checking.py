@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.bags import EFFORT_UNITS, is_text_recording, look_into, read_recording, read_text_recording
+from proprio_ros.bags import (
+    EFFORT_UNITS,
+    is_text_recording,
+    look_into,
+    read_recording,
+    read_text_recording,
+    without_jumps,
+)
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import plain
 from proprio_ros.identification.gates import MIN_USED, Findings, screen_run, unusable
@@ -17,7 +24,7 @@ from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_r
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.motions import Motion, motion_of
 from proprio_ros.records import LOST_AFTER_PERIODS, InputRecord, Recording, Run
-from proprio_ros.replay import DEFAULT_ROBOT, TEXT_ROBOT, turning_joints
+from proprio_ros.replay import DEFAULT_ROBOT, TEXT_ROBOT, turning_joints, unit_not_used
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import DrivenAtOnce, cut_runs
@@ -205,7 +212,7 @@ def _bag_check(
         return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=contents.problem)
 
     def read(unit: str | None) -> Recording:
-        return read_recording(
+        recording = read_recording(
             path,
             state_topic=state_topic,
             command_topic=command_topic,
@@ -213,6 +220,7 @@ def _bag_check(
             nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
             joint_order=list(robot.drive_trains),
         )
+        return without_jumps(recording, list(robot.drive_trains))
 
     problem = ""
     try:
@@ -252,7 +260,7 @@ def _bag_check(
         _unit_of(recording.inputs, {name: kind for name, kind, _ in contents.topics}, effort_unit),
         runs,
         problem,
-        recording.notes,
+        recording.notes + (() if motion is not None else unit_not_used(recording.inputs, effort_unit)),
         motion,
     )
 

@@ -65,7 +65,22 @@ class _UsageError(SystemExit):
         self.sentence = sentence
 
 
+class _Once(argparse.Action):
+    """What an option with one value does with it; a second one would silently replace the first."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        given = namespace.__dict__.setdefault("_given", set())
+        if option_string is not None and self.dest in given:
+            raise argparse.ArgumentError(self, "given twice; give it once")
+        given.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.register("action", None, _Once)
+
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
         print(f"{self.prog}: error: {message}", file=sys.stderr)
@@ -99,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument(
         "--baseline",
         nargs="+",
+        action="extend",
         metavar="BAG",
         default=[],
         help="runs made with the others and fitted together with them: with an empty hand, to check whether the robot has changed "
@@ -135,6 +151,7 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument(
         "--output", required=True, metavar="FILE.yaml", help="the calibration, for `replay --calibration`"
     )
+    calibrate.add_argument("--force", action="store_true", help="replace an older file of that name")
     _add_robot(calibrate)
     _add_set(calibrate)
     _add_topics(calibrate)
@@ -251,9 +268,17 @@ def _refuse_unwritable(report: str | None) -> None:
         raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")
 
 
+def _settings(pairs: Sequence[str]) -> dict[str, Any]:
+    keys = [pair.partition("=")[0] for pair in pairs]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise ConfigurationError(f"--set {key}: given twice; give it once")
+    return parse_settings(pairs)
+
+
 def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     _refuse_unwritable(options.report)
-    settings = parse_settings(options.set)
+    settings = _settings(options.set)
     # heavy imports only now, so that --help and a mistyped option answer at once
     from proprio_ros.replay import ReplayOptions, replay
 
@@ -286,16 +311,19 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     _refuse_unwritable(options.report)
-    settings = parse_settings(options.set)
+    settings = _settings(options.set)
     references = {}
     for pair in options.reference:
         path, _, mass = pair.rpartition("=")
         try:
-            references[path] = float(mass)
+            known = float(mass)
         except ValueError:
             path = ""
+        if path in references:
+            raise ConfigurationError(f"--reference {path}: given twice; give it once")
         if not path:
             raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
+        references[path] = known
     from proprio_ros.calibrating import calibrate_from_bags
     from proprio_ros.replay import ReplayOptions
 
@@ -311,6 +339,7 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         ),
         options.output,
         _progress,
+        force=options.force,
     )
     accepted = estimate.verdict.value == "accepted"
     if options.json:
@@ -351,7 +380,7 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     masses = _masses(options.mass)
     if options.count < 1:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
-    settings = parse_settings(options.set)
+    settings = _settings(options.set)
     from proprio_ros.api import Plans
     from proprio_ros.calibrating import plan_probes
     from proprio_ros.replay import ReplayOptions
@@ -370,7 +399,7 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
-    settings = parse_settings(options.set)
+    settings = _settings(options.set)
     from proprio_ros.probes.softness import rebuild_table
 
     started = time.monotonic()
@@ -481,7 +510,11 @@ def _calibration_as_text(estimate: Any) -> str:
     lines = [
         f"{estimate.verdict.value}  (calibration, {estimate.robot}, {len(estimate.run_fits)} of {estimate.runs} runs used)"
     ]
+    if estimate.weighable is not None:
+        lines.append(f"  {estimate.weighable.sentence()}")
     lines += [f"  - {reason}" for reason in estimate.reasons]
+    if estimate.empty_hand is not None:
+        lines.append(f"  empty hand: {estimate.empty_hand.sentence()}")
     listed = [row for row in estimate.unknowns if not row.is_detail and row.kind != "zero"]
     for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit

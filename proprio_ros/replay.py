@@ -8,14 +8,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording
+import numpy as np
+
+from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording, without_jumps
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.motions import Motion, motion_of
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
-from proprio_ros.records import Recording, Run
+from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.report import write_page
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
@@ -78,6 +80,7 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
 
+    once = Recordings([*paths, *baseline_paths])
     loaded = time.perf_counter()
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
@@ -87,11 +90,13 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
         if Path(path) in texts:
             text = read_text_recording(path)
             robot = published_robot(robot, text)
-            runs.append(published_run(robot, text, held))
+            runs.extend(once.checked(path, (published_run(robot, text, held),)))
         else:
             found = bag_runs_or_motion(Path(path), robot, options, held)
-            motions.extend([found] if isinstance(found, Motion) else [])
-            runs.extend([] if isinstance(found, Motion) else found)
+            if isinstance(found, Motion):
+                motions.append(once.checked_motion(path, found))
+            else:
+                runs.extend(once.checked(path, found))
         sources.extend([Path(path)] * (len(runs) - len(sources)))
     if motions and runs:
         raise RecordingError(
@@ -105,9 +110,9 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     baseline_motions: list[Motion] = []
     for path in baseline_paths:
         if motions:
-            baseline_motions.append(bag_motion(Path(path), robot, options, held))
+            baseline_motions.append(once.checked_motion(path, bag_motion(Path(path), robot, options, held)))
         else:
-            baseline.extend(bag_runs(Path(path), robot, options, held))
+            baseline.extend(once.checked(path, bag_runs(Path(path), robot, options, held)))
     read = time.perf_counter()
     estimate = probe.identify(robot, Recorded(runs, baseline, sources, text, motions, baseline_motions), facts)
     solved = time.perf_counter()
@@ -206,6 +211,52 @@ def held_positions(robot: Robot, settings: Settings) -> dict[str, float]:
     return held
 
 
+class Recordings:
+    """What was given, each recording once: a run that counts twice would narrow the interval without a reason.
+
+    Args:
+        paths: All that were given, whatever for.
+
+    Raises:
+        ConfigurationError: Two of them lead to the same place.
+    """
+
+    def __init__(self, paths: Sequence[str | Path]) -> None:
+        places: dict[Path, str | Path] = {}
+        for path in paths:
+            place = Path(path).resolve()
+            if place in places:
+                raise ConfigurationError(_twice(places[place], path))
+            places[place] = path
+        self._paths: dict[tuple[object, ...], str | Path] = {}
+
+    def checked(self, path: str | Path, runs: Sequence[Run]) -> Sequence[Run]:
+        """The runs of one path.
+
+        Raises:
+            ConfigurationError: Another path held one of them: the same samples at the same times, and the same current.
+        """
+        for run in runs:
+            self._check(path, run.joint, run.times_s, run.position, run.input_current_A)
+        return runs
+
+    def checked_motion(self, path: str | Path, motion: Motion) -> Motion:
+        """The motion of one path; Raises as `checked` does."""
+        self._check(path, " ".join(motion.joints), motion.times_s, motion.position, motion.current_A)
+        return motion
+
+    def _check(self, path: str | Path, joint: str, *arrays: np.ndarray) -> None:
+        key: tuple[object, ...] = (joint, *(array.tobytes() for array in arrays))
+        if self._paths.setdefault(key, path) != path:
+            raise ConfigurationError(_twice(self._paths[key], path))
+
+
+def _twice(one: str | Path, other: str | Path) -> str:
+    if str(one) == str(other):
+        return f"{one} was given twice: name each recording once"
+    return f"{one} and {other} are the same recording: name it once"
+
+
 def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> tuple[Run, ...]:
     """The runs of one bag, named after it.
 
@@ -214,7 +265,8 @@ def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str
     """
     recording = _bag(path, robot, options)
     runs = cut_runs(recording, held=held, joints=list(robot.drive_trains))
-    return tuple(replace(run, notes=(*recording.notes, *run.notes)) for run in runs)
+    notes = recording.notes + unit_not_used(recording.inputs, options.effort_unit)
+    return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
 
 
 def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> Motion:
@@ -255,4 +307,11 @@ def _bag(path: Path, robot: Robot, options: ReplayOptions) -> Recording:
         joint_order=list(robot.drive_trains),
     )
     # a bag's folder is often called after its storage, so the folder above says which one it is
-    return replace(recording, name="/".join(path.resolve().parts[-2:]))
+    return replace(without_jumps(recording, list(robot.drive_trains)), name="/".join(path.resolve().parts[-2:]))
+
+
+def unit_not_used(inputs: InputRecord | None, effort_unit: str | None) -> tuple[str, ...]:
+    """A note where the user said what effort means, and nothing was made of it."""
+    if inputs is None or inputs.measured or effort_unit is None:
+        return ()
+    return (f"--effort-unit {effort_unit} was not used: the current is that of {inputs.source}, not measured effort",)

@@ -697,6 +697,28 @@ def test_flipped_bytes_are_read_or_refused_and_never_crash(
         assert "\n" not in str(error)
 
 
+@settings(max_examples=20, deadline=None)
+@given(places=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
+def test_a_bag_of_ours_that_was_damaged_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, places: list[float]
+) -> None:
+    """Bits of the messages, wherever they are: MCAP has a checksum, and what we write carries it."""
+    folder = tmp_path_factory.mktemp("ours") / "bag"
+    write_recording(folder, read(BAGS / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap"))
+    (file,) = folder.glob("*.mcap")
+    content = bytearray(file.read_bytes())
+    end = content.rindex(b"serialized_metadata")  # behind the only chunk and its indices
+    begin = content.index(b"sensor_msgs/msg/JointState")
+    message = content.index(b"joint1\x00", begin)
+    last = content[:end].rindex(b"joint4\x00")
+    read(folder)
+    for place in {message + int(share * (last - message)) for share in places}:
+        content[place] ^= 1 << 4
+    file.write_bytes(content)
+    with refused("checksum"):
+        read(folder)
+
+
 def test_a_bag_that_holds_less_than_its_metadata_promises(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "bag", states() + commands())
     metadata = folder / "metadata.yaml"

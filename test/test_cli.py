@@ -13,6 +13,7 @@ from proprio_ros.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = str(ROOT / "bags" / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
+CUBE = "realistic_s00_fixed_heavy_cube_23g_joint3"
 STUCK = str(ROOT / "bags" / "friction_s00_fixed_random_a_joint3" / "bag_mcap")
 
 
@@ -58,12 +59,39 @@ def test_text_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
         ([BAG, "--command-topic", "/joints"], "/current_command"),
         ([BAG, "--calibration", "robot.yaml"], "there is no robot file robot.yaml"),
         ([BAG, "--report", "/nowhere/page.html"], "exists and is writable"),
+        ([BAG, "--set", "payload.size=0.03", "--set", "payload.size=0.04"], "--set payload.size: given twice"),
+        ([BAG, "--baseline", "nowhere", "--baseline", STUCK], "nowhere: no such bag"),  # the first counts, too
     ],
 )
 def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
     assert main(["replay", *arguments, "--probe", "payload"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("proprio: ") and words in lines[0]
+
+
+@pytest.mark.parametrize("flag", ["--robot", "--calibration", "--report", "--effort-unit", "--solver", "--probe"])
+def test_an_option_that_takes_one_value_is_given_once(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    value = {"--effort-unit": "A", "--solver": "lm", "--probe": "payload"}.get(flag, "one")
+    with pytest.raises(SystemExit) as refused:
+        main(["replay", BAG, "--probe", "payload", flag, value, flag, value])
+    told = capsys.readouterr().err.splitlines()
+    assert refused.value.code == 2 and told[-1].endswith(f"argument {flag}: given twice; give it once")
+
+
+def test_a_unit_that_was_not_needed_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["replay", BAG, "--probe", "payload"], ["check", BAG]):
+        assert main([*arguments, "--effort-unit", "A"]) == 0
+        said = capsys.readouterr().out
+        assert "--effort-unit A was not used: the current is that of /current_command" in said
+        main(arguments)
+        assert "--effort-unit" not in capsys.readouterr().out
+
+
+def test_the_papers_profile_speaks_of_no_interval_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["replay", str(ROOT / "bags" / CUBE / "bag_mcap"), "--probe", "payload", "--profile", "paper", "--json"])
+    result = json.loads(capsys.readouterr().out)
+    assert result["estimates"][0]["ci95"] is None and "not_calibrated" in result["reason_codes"]
+    assert not any("interval" in reason for reason in result["reasons"])
 
 
 def test_the_installed_command() -> None:

@@ -80,7 +80,9 @@ def ur10e(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def replayed(capsys: pytest.CaptureFixture[str], ur10e: Path, bag: str, *more: str) -> tuple[int, dict]:
+def replayed(
+    capsys: pytest.CaptureFixture[str], ur10e: Path, bag: str, *more: str, unit: str = "A"
+) -> tuple[int, dict]:
     words = [
         "replay",
         str(REAL / bag),
@@ -89,7 +91,7 @@ def replayed(capsys: pytest.CaptureFixture[str], ur10e: Path, bag: str, *more: s
         "--robot",
         str(ur10e),
         "--effort-unit",
-        "A",
+        unit,
         "--json",
         *more,
     ]
@@ -117,9 +119,7 @@ def test_a_real_empty_hand_weighs_nothing(capsys: pytest.CaptureFixture[str], ur
 
 
 def test_a_real_arm_with_another_unit_is_refused(capsys: pytest.CaptureFixture[str], ur10e: Path) -> None:
-    code, answer = replayed(
-        capsys, ur10e, "ur10e_loaded_14", "--baseline", str(REAL / "ur10e_empty_14"), "--effort-unit", "N.m"
-    )
+    code, answer = replayed(capsys, ur10e, "ur10e_loaded_14", "--baseline", str(REAL / "ur10e_empty_14"), unit="N.m")
     assert code == 3 and answer["reason_codes"] == ["arm_unlike_urdf"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +17,10 @@ from proprio_ros.bags import read_recording, write_recording
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, replay
+from proprio_ros.replay import ReplayOptions, bag_runs, replay
+from proprio_ros.robot import load_robot
 
+JOINTS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")
 LOADED = "quantised_s00_fixed_heavy_ball_50g_joint3"
 
 
@@ -418,7 +421,7 @@ def test_unknown_words_list_the_choices(bags: Path) -> None:
         with pytest.raises(ConfigurationError, match=words):
             replay([bag], options)
     with pytest.raises(ConfigurationError, match="profile paper fits one run"):
-        replay([bag, bag], ReplayOptions(profile="paper"))
+        replay([bag, bag_in(bags / "quantised_s00_fixed_light_cube_10g_joint2")], ReplayOptions(profile="paper"))
 
 
 def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
@@ -444,3 +447,45 @@ def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
     assert estimate.verdict is Verdict.ACCEPTED and estimate.robot == "pendulum"
     assert value.ci95[0] < mass < value.ci95[1] and value.std < 2e-3
     assert not any("calibrated" in reason for reason in estimate.reasons)  # its drive train is known exactly
+
+
+@pytest.mark.parametrize("way", ["path", "folder above", "link", "file", "copy", "baseline", "both storages"])
+def test_a_recording_counts_once(bags: Path, tmp_path: Path, way: str) -> None:
+    bag = bags / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap"
+    other, baseline = bag, ()
+    if way == "folder above":
+        other = bag.parent / ".." / bag.parent.name / bag.name
+    elif way == "link":
+        other = tmp_path / "link"
+        other.symlink_to(bag)
+    elif way == "file":
+        (other,) = bag.glob("*.mcap")
+    elif way == "copy":
+        other = tmp_path / "copy"
+        shutil.copytree(bag, other)
+    elif way == "baseline":
+        baseline = (bag,)
+    elif way == "both storages":
+        recording = read_recording(bag, nominal_torque_constants={}, joint_order=JOINTS)
+        write_recording(tmp_path / "again", recording, "sqlite3")
+        other = tmp_path / "again"
+    given = [bag] if baseline else [bag, other]
+    with pytest.raises(ConfigurationError, match=r"was given twice|are the same recording"):
+        replay(given, ReplayOptions(baseline=baseline))
+
+
+def test_a_damaged_number_is_left_out(bags: Path, tmp_path: Path) -> None:
+    """One exponent's bit of one sample, in a storage without checksums."""
+    bag = bags / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap"
+    robot = load_robot("open_manipulator_x")
+    recording = read_recording(bag, nominal_torque_constants={}, joint_order=JOINTS)
+    (run,) = bag_runs(bag, robot, ReplayOptions(), {})
+    hit = int(np.searchsorted(recording.joints.times_ns, run.onset_ns)) + 8
+    position = recording.joints.position.copy()
+    position[hit, recording.joints.column("joint3")] += 2.0
+    damaged = replace(recording, joints=replace(recording.joints, position=position))
+    write_recording(tmp_path / "damaged", damaged, "sqlite3")
+    (cleaned,) = bag_runs(tmp_path / "damaged", robot, ReplayOptions(), {})
+    assert len(cleaned.times_s) == len(run.times_s) - 1 and np.isin(cleaned.position, run.position).all()
+    assert any("in 1 of " in note and "jumps there and back" in note for note in cleaned.notes)
+    assert not any("jumps" in note for note in run.notes)

@@ -8,7 +8,11 @@ from typing import Any
 
 from proprio_ros.calibration import Calibration
 from proprio_ros.identification.estimate import Fit, RunFit, UnknownRow, Verdict, plain
+from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
+
+NOT_EMPTY = 5.0
+"""Standard deviations of a mass in the hand beyond which runs that were stated to be empty are not believed."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,79 @@ class HeldOutRun:
 
 
 @dataclass(frozen=True)
+class Weighable:
+    """What a weighing with a calibration would give, were it made as well as this robot can.
+
+    Attributes:
+        mass_kg: of the object; std_kg: expected standard deviation of its mass.
+        joints: that would be driven, each both ways where it can be.
+    """
+
+    mass_kg: float
+    std_kg: float
+    joints: tuple[str, ...]
+
+    def sentence(self) -> str:
+        """The headline of a calibration."""
+        mass, half = shown("kg", self.mass_kg, spec=".0f"), shown("kg", Z95 * self.std_kg, spec=".1f")
+        return f"weighs {mass} to +-{half} (95 %) with {' and '.join(self.joints)}"
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "mass_kg": self.mass_kg,
+            "std_kg": self.std_kg,
+            "half_width95_kg": Z95 * self.std_kg,
+            "joints": list(self.joints),
+        }
+
+
+@dataclass(frozen=True)
+class EmptyHand:
+    """What the runs that were stated to be empty say about the hand, were it not.
+
+    Attributes:
+        mass_kg: with which in the hand they would fit best; std_kg: standard deviation of it.
+    """
+
+    mass_kg: float
+    std_kg: float
+
+    @property
+    def pull(self) -> float:
+        """Standard deviations from nothing."""
+        return self.mass_kg / self.std_kg
+
+    @property
+    def unnoticed_kg(self) -> float:
+        """A mass in the hand up to which the runs would have been believed."""
+        return NOT_EMPTY * self.std_kg
+
+    @property
+    def _said(self) -> str:
+        return f"{1e3 * self.mass_kg:.1f} +- {shown('kg', self.std_kg, spec='.1f')}"
+
+    def sentence(self) -> str:
+        """What a mass that nobody knew of would have done."""
+        unnoticed = shown("kg", self.unnoticed_kg, spec=".0f")
+        return (
+            f"by the runs themselves it held {self._said}: up to {unnoticed} in it would not have been refused, and every weighing "
+            "would read that much less"
+        )
+
+    def contradiction(self) -> str:
+        """What is wrong where the runs do not look like those of an empty hand."""
+        if self.mass_kg > 0.0:
+            return f"the empty-hand runs look as if the hand held {self._said}: empty it and record them again"
+        return (
+            f"the empty-hand runs look as if {self._said} hung at the hand: does the robot file describe this arm, and is the "
+            "reference's mass right?"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return {"mass_kg": self.mass_kg, "std_kg": self.std_kg, "unnoticed_kg": self.unnoticed_kg}
+
+
+@dataclass(frozen=True)
 class CalibrationEstimate:
     """The result of one calibration.
 
@@ -79,6 +156,8 @@ class CalibrationEstimate:
         held_out: one entry per run used.
         not_separated: sentences on what these runs leave open.
         advice: the runs that would help most, best first.
+        weighable: what can be weighed with it; None where that was not asked for, or nothing can.
+        empty_hand: how far the runs themselves say that the hand was empty; None where no empty run moved it.
         origin: bags, references, and the file that was written, as ``as_json`` gives them.
     """
 
@@ -94,6 +173,8 @@ class CalibrationEstimate:
     not_separated: tuple[str, ...] = ()
     advice: tuple[ProbePlan, ...] = ()
     notes: tuple[str, ...] = ()
+    weighable: Weighable | None = None
+    empty_hand: EmptyHand | None = None
     timing_s: dict[str, float] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
 
@@ -113,6 +194,8 @@ class CalibrationEstimate:
                 "verdict": self.verdict.value,
                 "reasons": list(self.reasons),
                 "reason_codes": reason_codes(self.reasons),
+                "can_weigh": None if self.weighable is None else self.weighable.as_json(),
+                "empty_hand": None if self.empty_hand is None else self.empty_hand.as_json(),
                 "unknowns": [
                     {
                         "name": row.name,

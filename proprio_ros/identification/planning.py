@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.calibration_estimate import ProbePlan
+from proprio_ros.identification.calibration_estimate import ProbePlan, Weighable
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
 from proprio_ros.identification.problem import (
     KnownLoad,
@@ -41,6 +41,10 @@ STARTS = 6
 """Start positions of the driven joint, over its range."""
 POSES = 4
 """Positions of each held joint that matters, over its range."""
+COARSE_STARTS, COARSE_POSES = 4, 2
+"""The same, where one good run will do."""
+TYPICAL_KG = 0.02
+"""For which a calibration says how well it weighs."""
 PUSHES = (0.1, 0.2, 0.4)
 """Torque beyond balance and friction, relative to the largest gravity load at that pose."""
 WIDEST = 1.5  # rad: the range searched of a joint without limits
@@ -66,15 +70,23 @@ class _Candidates:
 
     def posterior(self, s: int, r: int) -> tuple[list[Key], np.ndarray]:
         """Keys of the unknowns that one run touches, and their covariance after it, everything else under its prior."""
-        problem = self.problem
-        free = [problem.unknowns[row] for row in problem.free]
-        own = [f for f, u in enumerate(free) if u.shared or u.scope == r]
-        alive = self.alive[s, r]
-        rows = self.dq[s, r][alive][:, own] * problem.weight[r][: len(alive)][alive][:, None]
-        normal = rows.T @ rows + problem.coordinates.prior_precision[np.ix_(own, own)]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        inverse = np.linalg.pinv(normal * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
-        return [free[f].key for f in own], inverse * scale[:, None] * scale[None, :]
+        return _posterior(self.problem, self.dq[s], self.alive[s], [r])
+
+
+def _posterior(
+    problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]
+) -> tuple[list[Key], np.ndarray]:
+    """Keys and covariance of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
+    free = [problem.unknowns[row] for row in problem.free]
+    own = [f for f, u in enumerate(free) if u.shared or u.scope in runs]
+    normal = problem.coordinates.prior_precision[np.ix_(own, own)].copy()
+    for r in runs:
+        weight = problem.weight[r][: alive.shape[1]][alive[r]]
+        rows = dq[r][alive[r]][:, own] * weight[:, None]
+        normal += rows.T @ rows
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
+    return [free[f].key for f in own], inverse * scale[:, None] * scale[None, :]
 
 
 def plan(
@@ -140,7 +152,7 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
     for joint in joints:
         if robot.model.joint(joint).kind == "prismatic":
             continue
-        for pose in _poses(robot, joint, 4, 2):
+        for pose in _poses(robot, joint, COARSE_STARTS, COARSE_POSES):
             candidates = _candidates(robot, joint, pose, np.zeros(1), PayloadFacts(), KnownLoad(), duration_s)
             if candidates is None:
                 continue
@@ -157,6 +169,46 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
                 found.append((gain, _as_plan(candidates, int(r), [], words)))
     found.sort(key=lambda entry: -entry[0])
     return _varied([entry for _, entry in found], count)
+
+
+def weighable(
+    robot: Robot, joints: Sequence[str], mass_kg: float = TYPICAL_KG, duration_s: float = 0.6
+) -> Weighable | None:
+    """What the best runs of two of these joints, each driven both ways, would together determine of an object's mass.
+
+    Args:
+        robot: with its calibration.
+        joints: that may be driven.
+        mass_kg: of the object.
+        duration_s: of every run.
+
+    Returns:
+        None where no run of these joints suits such an object.
+    """
+    facts = PayloadFacts()
+    best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
+    for joint in candidate_joints(robot):
+        if joint not in joints:
+            continue
+        for pose in _poses(robot, joint, COARSE_STARTS, COARSE_POSES):
+            candidates = _candidates(robot, joint, pose, np.array([mass_kg]), facts, None, duration_s)
+            if candidates is None:
+                continue
+            for r in np.flatnonzero(candidates.fits[0]).tolist():
+                std = _std_of_mass(*candidates.posterior(0, r))
+                way = best.setdefault(joint, {})
+                upwards = bool(candidates.travel[0, r] > 0.0)
+                if upwards not in way or std < way[upwards][0]:
+                    way[upwards] = (std, candidates.problem.runs[r], candidates.alive[0, r])
+    chosen = sorted(best, key=lambda joint: min(std for std, _, _ in best[joint].values()))[:2]
+    if not chosen:
+        return None
+    runs = [entry for joint in chosen for entry in best[joint].values()]
+    prepared = [run for _, run, _ in runs]
+    problem = Problem(robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, mass_kg))
+    _, _, dq = problem.simulate(problem.base[None], problem.free)
+    keys, covariance = _posterior(problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs)))
+    return Weighable(mass_kg, _std_of_mass(keys, covariance), tuple(joint for joint in joints if joint in chosen))
 
 
 def _log_volume(covariance: np.ndarray) -> float:

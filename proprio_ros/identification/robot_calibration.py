@@ -18,10 +18,17 @@ import numpy as np
 from proprio_ros.calibration import Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, HeldOutRun, ProbePlan
+from proprio_ros.identification.calibration_estimate import (
+    NOT_EMPTY,
+    CalibrationEstimate,
+    EmptyHand,
+    HeldOutRun,
+    ProbePlan,
+    Weighable,
+)
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.gates import Findings, contradicting, never_reversed, screen_run, unusable
-from proprio_ros.identification.planning import advise
+from proprio_ros.identification.planning import advise, weighable
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
@@ -32,6 +39,7 @@ from proprio_ros.identification.problem import (
     prepare_run,
     robot_unknowns,
 )
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import shown
 from proprio_ros.records import Run
@@ -61,7 +69,11 @@ UNLEARNT = 0.7
 """Posterior over prior standard deviation above which the runs have not determined an unknown."""
 INSEPARABLE = 0.95
 """Correlation above which two unknowns are determined only together."""
+MAYBE_NOT_EMPTY = 3.0
+"""Standard deviations of a mass in the empty hand beyond which that is said."""
 SAID_AT_MOST = 6
+HIDDEN_STEP_KG = 1e-4
+"""With which the sensitivity to a mass in the empty hand is taken by difference."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +120,7 @@ def calibrate(
     Args:
         robot: as its file states it; its standard deviations are the priors.
         runs: empty-hand runs, and runs with a weighed reference.
-        advice: how many further runs to suggest.
+        advice: how many further runs to suggest; with 0 it is not looked either what can be weighed.
         progress: called with what is going on.
 
     Raises:
@@ -172,21 +184,48 @@ def calibrate(
             f"run to run; the robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot "
             "in the recordings (weights, unit of the current, gears?), or something pulls at it",
         )
+    hand = _empty_hand(fitted)
+    if hand is not None and abs(hand.pull) > NOT_EMPTY:
+        verdict = Verdict.REJECTED
+        found.reasons.insert(0, Reason("hand_not_empty", hand.contradiction()))
+    elif hand is not None and abs(hand.pull) > MAYBE_NOT_EMPTY:
+        found.reasons.append(Reason("hand_not_empty", hand.contradiction()))
     ends = fitted.solution.cost
     apart = int(np.sum(~(ends <= ends.min() + 2.0)))
     if apart:
         found.notes.append(f"{apart} of {len(ends)} starts ended in a worse place; the best was taken")
     found.reasons.extend(_far_from_file(fitted))
     found.reasons.extend(never_reversed(used))
-    calibration = _as_calibration(fitted)
+    calibration = whole = _as_calibration(fitted)
+    one_way = _driven_one_way(robot, used)
+    if verdict is Verdict.ACCEPTED and len(used) == 1:
+        verdict = Verdict.NOT_IDENTIFIABLE
+        found.reasons.insert(
+            0, Reason("one_run", f"{used[0].run.name} is the only run, and nothing confirms it: add others, both ways")
+        )
+    elif verdict is Verdict.ACCEPTED and one_way and set(one_way) == set(calibration.joints):
+        verdict = Verdict.NOT_IDENTIFIABLE
+        found.reasons.insert(
+            0, Reason("not_separated", "no joint was driven both ways, so torque and friction were not told apart")
+        )
+    elif verdict is Verdict.ACCEPTED and one_way:
+        found.reasons.insert(0, _said_left_out(tuple(one_way)))
+        calibration = calibration.without({(term, joint) for term in DRIVE_TERMS for joint in one_way})
     fits, rms, expected = run_fits(fitted.problem, fitted.values, used)
     posterior = fitted.posterior
     chi2 = float(posterior.residual @ posterior.residual)
     solved = time.perf_counter()
     suggestions: list[ProbePlan] = []
-    if advice and verdict is Verdict.ACCEPTED:
+    can_weigh: Weighable | None = None
+    if advice and verdict is not Verdict.REJECTED:
         progress("looking for the run that would help most")
-        suggestions = advise(robot.with_calibration(calibration), calibration.joints, advice)
+        if one_way:  # then nothing is worth advice but the other way
+            found_runs = advise(robot.with_calibration(whole), tuple(one_way), 10 * advice)
+            suggestions = [p for p in found_runs if (p.travel[0] > 0.0) != one_way[p.joint]][:advice]
+        else:
+            suggestions = advise(robot.with_calibration(whole), whole.joints, advice)
+        if verdict is Verdict.ACCEPTED:
+            can_weigh = weighable(robot.with_calibration(calibration), calibration.joints)
     return CalibrationEstimate(
         robot=robot.name,
         verdict=verdict,
@@ -200,8 +239,56 @@ def calibrate(
         not_separated=_not_separated(robot, fitted, calibration),
         advice=tuple(suggestions),
         notes=tuple(found.notes),
+        weighable=can_weigh,
+        empty_hand=hand,
         timing_s={"solve": solved - started, "advice": time.perf_counter() - solved},
     )
+
+
+def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool]:
+    """Joints whose torque and friction are open and whose friction was never seen reversed, and whether they were driven upwards.
+
+    A gripper's friction need not be: squeezes go the same way as its empty closings.
+    """
+    ways: dict[str, set[bool]] = {}
+    for run in runs:
+        drive = run.drive
+        is_open = drive.torque_constant.std > 0.0 and drive.coulomb.std > 0.0
+        if is_open and robot.model.joint(run.run.joint).kind != "prismatic":
+            ways.setdefault(run.run.joint, set()).add(run.travel > 0.0)
+    return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}
+
+
+def _said_left_out(joints: Sequence[str]) -> Reason:
+    stays, its = ("stays", "it was") if len(joints) == 1 else ("stay", "they were")
+    return Reason("not_separated", f"{', '.join(joints)} {stays} uncalibrated, because {its} driven one way only")
+
+
+def _empty_hand(fitted: _Fitted) -> EmptyHand | None:
+    """The mass with which the hand of all empty runs would fit best: one step from the fit, everything else moving with it.
+
+    A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
+    """
+    problem, posterior = fitted.problem, fitted.posterior
+    empty = [
+        (run.load is None or run.load.mass == 0.0) and bool(run.coefficients.payload.any()) for run in problem.runs
+    ]
+    if not any(empty):
+        return None
+    runs = [
+        replace(run, load=KnownLoad(HIDDEN_STEP_KG)) if unloaded else run
+        for run, unloaded in zip(problem.runs, empty, strict=True)
+    ]
+    loaded = Problem(problem.robot, runs, problem.facts, problem.unknowns)
+    some = problem.free[:1]
+    change = loaded.simulate(fitted.values[None], some)[0] - problem.simulate(fitted.values[None], some)[0]
+    seen = problem.weight > 0.0
+    slope = change[0][seen] / HIDDEN_STEP_KG * problem.weight[seen]
+    across = posterior.sensitivity.T @ slope
+    information = float(slope @ slope - across @ posterior.covariance @ across)
+    if information <= 0.0:
+        return None
+    return EmptyHand(float(slope @ posterior.residual) / information, information**-0.5)
 
 
 def _fit_what_agrees(

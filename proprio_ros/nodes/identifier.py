@@ -464,7 +464,10 @@ class IdentifierNode(ManagedNode):
         output = bag.parent / "calibration.yaml"
         facts = parse_settings(value_of(self, "reference_settings"))
         options = ReplayOptions(robot=self.values["robot"], settings=facts)
-        estimate = calibrate_from_bags([bag], references, options, output, lambda text: self._tell(job.kind, text))
+        # the folder is this session's own
+        estimate = calibrate_from_bags(
+            [bag], references, options, output, lambda text: self._tell(job.kind, text), force=True
+        )
         self._publish_calibration(estimate)
         sources = [str(path) for path in (bag, *references)]
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))

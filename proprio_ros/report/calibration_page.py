@@ -90,15 +90,18 @@ def _headline(estimate: CalibrationEstimate) -> list[str]:
         f"<h1>calibration of {escape(estimate.robot)}, {used}</h1>",
         f'<span class="verdict {estimate.verdict.value}">{escape(_WORDS[estimate.verdict])}</span>',
     ]
+    if estimate.weighable is not None:
+        parts.append(f"<p class=value>{escape(estimate.weighable.sentence())}</p>")
     if estimate.fit is not None:
         fit = estimate.fit
-        parts.append(f"<p class=value>{shown(fit.unit, fit.rms)}</p>")
         parts.append(
-            f"<p class=interval>rms of the residuals over all runs; {shown(fit.unit, fit.expected_rms)} expected of encoder and "
-            "stamps as they were learnt</p>"
+            f"<p class=interval>{shown(fit.unit, fit.rms)} rms of the residuals over all runs; "
+            f"{shown(fit.unit, fit.expected_rms)} expected of encoder and stamps as they were learnt</p>"
         )
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
+    if estimate.empty_hand is not None:
+        parts.append(f"<p>Empty hand: {escape(estimate.empty_hand.sentence())}.</p>")
     return parts
 
 

@@ -290,3 +290,20 @@ def test_a_wider_prior_never_narrows(recordings: Path, robot: Robot) -> None:
         folder = recordings / "realistic_s00" / "fixed_light_ball_20g_joint3"
         stds.append(weigh(calibrated, runs_of(folder, robot), facts_of(folder)).value("payload_mass").std)
     assert stds[1] > stds[0]
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_an_empty_hand_looks_empty(learnt: dict[tuple[str, bool], CalibrationEstimate], level: str) -> None:
+    hand = learnt[level, False].empty_hand
+    assert hand is not None and abs(hand.pull) < 2.0 and hand.std_kg < 6e-3
+
+
+@pytest.mark.parametrize(("pattern", "mass"), [("fixed_heavy_ball_50g_*", 0.05), ("fixed_reference_100g_*", 0.1)])
+def test_a_hand_that_always_held_the_same_is_seen(recordings: Path, robot: Robot, pattern: str, mass: float) -> None:
+    """Every run with the same object, stated to be empty: no run contradicts another, but the arm's weight does."""
+    estimate = calibrate(robot, empty_runs(recordings / "quantised_s00", robot, pattern), advice=0)
+    hand = estimate.empty_hand
+    assert hand is not None and abs(hand.mass_kg - mass) < 2.0 * hand.std_kg < 0.03
+    assert any("look as if the hand held" in reason for reason in estimate.reasons)
+    assert (estimate.verdict is Verdict.REJECTED) == (mass == 0.1)
+    assert hand.unnoticed_kg == pytest.approx(5.0 * hand.std_kg)

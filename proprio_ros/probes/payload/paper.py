@@ -21,6 +21,7 @@ from proprio_ros.identification.estimate import Estimate, Fit, Scan, SolverSumma
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.identification.posterior import run_fits
 from proprio_ros.identification.problem import PreparedRun, Problem, load_unknowns, prepare_run
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
@@ -111,7 +112,7 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
     fits, rms, expected = run_fits(loss.whole, loss.whole.all_values(np.array([[best]]))[0], [prepared])
     reduced = float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2))
     masses = scan_masses(best)
-    reasons = list(honest.reasons)
+    reasons = [_without_interval(reason) for reason in honest.reasons]
     verdict = honest.verdict
     if reduced > MISFIT_LIMIT:
         verdict = Verdict.REJECTED
@@ -148,6 +149,18 @@ def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, optio
         ),
         notes=(),
     )
+
+
+def _without_interval(reason: str) -> str:
+    """A reason of the default profile; where that speaks of its interval, it is said whose interval that is."""
+    match getattr(reason, "code", "other"):
+        case "not_calibrated":
+            return Reason(
+                "not_calibrated", "the robot has not been calibrated: the method takes its file's numbers as exact"
+            )
+        case "coarse_fit" | "interval_too_wide" as code:
+            return Reason(code, f"default profile: {reason}")
+    return reason
 
 
 def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Container[str]) -> PaperOptions:
