@@ -21,6 +21,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
 from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.replay import Recordings, ReplayOptions, bag_runs, held_positions, robot_of
@@ -92,7 +93,9 @@ def calibrate_from_bags(
         "references": [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()],
         "calibration": written,
     }
-    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
+    used = {fit.name for fit in estimate.run_fits}
+    unused = tuple(recorded_run(robot, each.run) for each in runs if each.run.name not in used)
+    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin, unused=unused)
 
 
 @one_blas_thread

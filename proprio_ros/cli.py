@@ -6,6 +6,7 @@ import argparse
 import gc
 import json
 import os
+import shlex
 import signal
 import sys
 import time
@@ -304,7 +305,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     if options.report:
         from proprio_ros.replay import write_report
 
-        write_report(estimate, Path(options.report), command="proprio " + " ".join(given), sources=options.bags)
+        write_report(estimate, Path(options.report), command=shlex.join(["proprio", *given]), sources=options.bags)
         print(f"proprio: report written to {options.report}", file=sys.stderr)
     return EXIT_OK if estimate.verdict.value == "accepted" else EXIT_NO_ANSWER
 
@@ -351,7 +352,10 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         from proprio_ros.report import write_calibration_report
 
         write_calibration_report(
-            estimate, Path(options.report), command="proprio " + " ".join(given), sources=[*options.bags, *references]
+            estimate,
+            Path(options.report),
+            command=shlex.join(["proprio", *given]),
+            sources=[*options.bags, *references],
         )
         print(f"proprio: report written to {options.report}", file=sys.stderr)
     if accepted:

@@ -13,6 +13,7 @@ import numpy as np
 from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording, without_jumps
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate
+from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.motions import Motion, motion_of
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
@@ -122,7 +123,8 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
         "baseline": [str(path) for path in baseline_paths],
         "calibration": None if robot.calibration is None else calibration_used(robot.source),
     }
-    return replace(estimate, timing_s=timing, origin=origin)
+    recorded = [*(recorded_run(robot, run) for run in runs), *(recorded_run(robot, run, True) for run in baseline)]
+    return replace(estimate, timing_s=timing, origin=origin, recorded=tuple(recorded))
 
 
 def probe_asked_for(options: ReplayOptions) -> Probe[Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from proprio_ros.calibration import Calibration
-from proprio_ros.identification.estimate import Fit, RunFit, UnknownRow, Verdict, plain
+from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, plain
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
 
@@ -150,7 +150,7 @@ class CalibrationEstimate:
 
     Attributes:
         robot: its name.
-        runs: how many were given; run_fits: those used, as recorded and as simulated.
+        runs: how many were given; run_fits: those used, as recorded and as simulated; unused: the others.
         calibration: what is known now; None where the runs do not determine it.
         unknowns: every shared unknown, robot file's word against posterior.
         held_out: one entry per run used.
@@ -168,6 +168,7 @@ class CalibrationEstimate:
     calibration: Calibration | None
     fit: Fit | None = None
     run_fits: tuple[RunFit, ...] = ()
+    unused: tuple[RecordedRun, ...] = ()
     unknowns: tuple[UnknownRow, ...] = ()
     held_out: tuple[HeldOutRun, ...] = ()
     not_separated: tuple[str, ...] = ()

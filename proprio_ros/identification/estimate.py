@@ -88,6 +88,34 @@ class RunFit:
 
 
 @dataclass(frozen=True)
+class RecordedRun:
+    """One run as it was recorded, whether a fit could use it or not.
+
+    Attributes:
+        unit: of the positions, rad or m; a slide that a motor turns is seen from its shaft [rad], as in a fit.
+        times_s, position: before and while the current flowed, shape (K,); it came on at time 0.
+        input_times_s, input_current_A: each current holds from its time on, shape (C,); the last until ``duration_s``.
+        arm: the links from the side at the start and at the end, each a line from joint to joint, to the right and up [m], shape
+            (2, L, 2, 2); no line where the position of a joint is not known.
+        driven: place of the driven joint in both, shape (2, 2).
+        baseline: whether it was made without what is to be identified.
+    """
+
+    name: str
+    joint: str
+    source: str
+    unit: str
+    times_s: np.ndarray
+    position: np.ndarray
+    input_times_s: np.ndarray
+    input_current_A: np.ndarray
+    duration_s: float
+    arm: np.ndarray
+    driven: np.ndarray
+    baseline: bool = False
+
+
+@dataclass(frozen=True)
 class StartPath:
     """What one start did: what was searched for (kg, or Pa) after each iteration, and the cost."""
 
@@ -102,7 +130,12 @@ class StartPath:
 
 @dataclass(frozen=True)
 class SolverSummary:
-    """Which solver ran, and whether its starts agree."""
+    """Which solver ran, and whether its starts agree.
+
+    Attributes:
+        paths: of the search from every start.
+        refined: of the fit that was started from its ends and gave the answer; empty where the search itself gave it.
+    """
 
     name: str
     profile: str
@@ -110,6 +143,7 @@ class SolverSummary:
     paths: tuple[StartPath, ...]
     integrator: str
     step_s: float
+    refined: tuple[StartPath, ...] = ()
 
     @property
     def starts_agreeing(self) -> int:
@@ -145,16 +179,18 @@ class UnknownRow(Tag):
 
 @dataclass(frozen=True)
 class Scan:
-    """Cost against what was searched for, everything else at the estimate's values.
+    """Cost against what was searched for.
 
     Attributes:
         values: of what was searched for [kg, or Pa]; cost: shape (M,).
         measure: what the cost is, in words.
+        level: cost at the ends of the 95 % interval; None where the cost says nothing about it.
     """
 
     values: np.ndarray
     cost: np.ndarray
-    measure: str = "reduced chi-square"
+    measure: str
+    level: float | None = None
 
 
 class Detail(Protocol):
@@ -178,6 +214,7 @@ class Estimate:
     solver: SolverSummary | None
     runs: int
     run_fits: tuple[RunFit, ...] = ()
+    recorded: tuple[RecordedRun, ...] = ()  # every run, those that no fit could use among them
     unknowns: tuple[UnknownRow, ...] = ()
     budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the first value, in its unit)
     scan: Scan | None = None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import itertools
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +14,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Scan, SolverSummary, StartPath, UnknownRow
 from proprio_ros.identification.gates import Findings, chi2_limit
+from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
     PreparedRun,
@@ -20,11 +24,34 @@ from proprio_ros.identification.problem import (
 )
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.kinds import key_of, label_of
+from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 ENCODER, CALIBRATION = "encoder", "calibration"
-"""Sources of uncertainty that are no unknown: noise of the readings, and all that a calibration left correlated."""
+"""Sources of uncertainty that are no unknown: noise of the readings, and what a calibration left correlated."""
+CALIBRATED = {
+    "torque_constant": "torque constants",
+    "coulomb": "friction",
+    "viscous": "friction",
+    "load_friction": "friction",
+    "stribeck": "friction",
+    "stribeck_velocity": "friction",
+    "armature": "armatures",
+    "zero": "zeros and encoder errors",
+    "ripple_cos": "zeros and encoder errors",
+    "ripple_sin": "zeros and encoder errors",
+    "delay": "delay",
+}
+"""What a calibration's unknowns are called together, by kind; all others are the arm's masses."""
+CHI2_95 = Z95**2
+"""Chi-square above its least at the ends of a 95 % interval of one unknown."""
+PROFILE = "chi-square above the least"
+PROFILE_STEPS, PROFILE_STDS, PROFILE_ITERATIONS = 6, 3.0, 15
+"""At how many values to each side a profile is fitted again, how far it reaches, and iterations of each fit at most."""
+PROFILE_HIGHEST = 100.0
+"""A profile ends where it rises above this: what comes then is no continuation of the fit."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +171,7 @@ def warn_if_uncalibrated(
         return
     if known_exactly(robot, runs):
         return
-    largest = [f"{source} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
+    largest = [f"{source_label(source)} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
     sentence = "the robot has not been calibrated: the interval carries what its file leaves open"
     sentence += f" (standard deviations: {', '.join(largest)})" if largest else ""
     found.reasons.append(Reason("not_calibrated", sentence))
@@ -154,7 +181,7 @@ def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_ma
     """Which source puts how much standard deviation on the mass called ``name`` [kg], largest first.
 
     With normal matrix ``J^T J + P`` and its inverse C, the variance of the mass is ``C J^T J C + C P C``: the first part is the
-    samples', and the second falls into the priors that are independent of each other. What a calibration left correlated is one.
+    samples', and the second falls into the priors. What a calibration left correlated is split by what it is of, see ``_split``.
     """
     problem = fit.problem
     at = problem.index[name]
@@ -162,14 +189,62 @@ def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_ma
     correlated = set() if calibration is None else set(calibration.names)
     row = covariance[at, problem.free]
     pulled = problem.coordinates.prior_precision @ row
-    names = [problem.unknowns[column].name for column in problem.free]
     parts: dict[str, float] = {}
-    for name, share in zip(names, row * pulled, strict=True):
-        source = CALIBRATION if name in correlated else name
-        parts[source] = parts.get(source, 0.0) + float(share)
+    groups: dict[str, list[int]] = {}
+    for place, column in enumerate(problem.free):
+        unknown = problem.unknowns[column]
+        if unknown.name in correlated:
+            part = f"{CALIBRATION}: {CALIBRATED.get(unknown.kind, 'arm masses')}"
+            groups.setdefault(part, []).append(place)
+        else:
+            parts[unknown.name] = float(row[place] * pulled[place])
+    parts |= _split(row, problem.coordinates.prior_precision, groups)
     parts[ENCODER] = float(covariance[at, at]) - sum(parts.values())
     budget = [(source, float(np.sqrt(max(variance, 0.0)))) for source, variance in parts.items()]
     return sorted((entry for entry in budget if entry[1] > 1e-7), key=lambda entry: -entry[1])
+
+
+def _split(row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence[int]]) -> dict[str, float]:
+    """A variance that correlated unknowns cause together, split among groups of them.
+
+    A group's share is what knowing it would take from the variance, on average over all orders in which the groups become known
+    (Shapley effects, Owen 2014, SIAM/ASA J. Uncertainty Quantification 2(1)): no share is negative, and they add up.
+
+    Args:
+        row: covariance of the result with each free unknown, shape (F,).
+        precision: of their prior, shape (F, F).
+        groups: places of the unknowns, by name.
+    """
+    names, every = list(groups), [place for places in groups.values() for place in places]
+    scale = 1.0 / np.sqrt(np.diag(precision)[every])
+    prior = np.linalg.inv(precision[np.ix_(every, every)] * scale[:, None] * scale) * scale[:, None] * scale
+    within = [[every.index(place) for place in groups[name]] for name in names]
+
+    @functools.cache
+    def known(subset: frozenset[int]) -> float:
+        """What knowing these groups takes from the variance: the prior's pull on the result is precision @ row."""
+        rows = [place for group in sorted(subset) for place in within[group]]
+        if not rows:
+            return 0.0
+        seen, sizes = row[every][rows], np.sqrt(np.diag(prior)[rows])
+        block = prior[np.ix_(rows, rows)] / sizes[:, None] / sizes
+        return float(seen / sizes @ np.linalg.solve(block, seen / sizes))
+
+    shares = {}
+    for group, name in enumerate(names):
+        others = [other for other in range(len(names)) if other != group]
+        shares[name] = 0.0
+        for size in range(len(names)):
+            weight = 1.0 / (len(names) * math.comb(len(names) - 1, size))
+            for before in itertools.combinations(others, size):
+                gain = known(frozenset((*before, group))) - known(frozenset(before))
+                shares[name] += weight * max(gain, 0.0)
+    return shares
+
+
+def source_label(source: str) -> str:
+    """For people: a source of ``error_budget`` that is an unknown by its label, any other as it is."""
+    return source if source.startswith(CALIBRATION) else label_of(key_of(source))
 
 
 def rivals(fit: FitResult, name: str, value: float, std: float, share: float) -> list[float]:
@@ -200,6 +275,7 @@ def summary(
     iterations: int,
     options: SearchOptions,
     margin: float = np.inf,
+    final: FitResult | None = None,
 ) -> SolverSummary:
     """What every start did.
 
@@ -211,19 +287,28 @@ def summary(
         iterations: of all searches together.
         options: what was asked for.
         margin: .. and whose cost is above the best by less.
+        final: the fit that gave the answer, where that is another one, started from the ends of this.
     """
+    refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
+    paths = _paths(fit, name, tolerance, margin, starts)
+    return SolverSummary(options.solver, "default", iterations, paths, options.integrator, options.step_s, refined)
+
+
+def _paths(
+    fit: FitResult, name: str, tolerance: float, margin: float, starts: Sequence[float] | None = None
+) -> tuple[StartPath, ...]:
+    """See ``summary``; without ``starts`` each path starts where its first iteration does."""
     solution = fit.solution
     ends, history = fit.physical(name), fit.physical(name, solution.path)
     near = np.abs(ends - ends[solution.best]) <= tolerance
     near &= solution.cost < solution.cost[solution.best] + margin
-    paths = tuple(
+    return tuple(
         StartPath(
-            starts[s % len(starts)], float(end), float(solution.cost[s]), bool(near[s]), history[:, s],
-            solution.path_cost[:, s],
+            float(history[0, s]) if starts is None else starts[s % len(starts)], float(end), float(solution.cost[s]),
+            bool(near[s]), history[:, s], solution.path_cost[:, s],
         )
         for s, end in enumerate(ends)
     )  # fmt: skip
-    return SolverSummary(options.solver, "default", iterations, paths, options.integrator, options.step_s)
 
 
 def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float) -> str:
@@ -264,14 +349,78 @@ def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ..
     )
 
 
-def misfit_over(fit: FitResult, name: str, grid: np.ndarray) -> Scan:
-    """The data's misfit over the unknown called ``name``, at the values of ``grid`` (shape (M,)), all others as fitted."""
-    problem = fit.problem
-    values = np.tile(fit.values, (len(grid), 1))
-    values[:, problem.index[name]] = grid
-    q, _, _ = problem.simulate(values, problem.free[:3])
-    residual = np.where(problem.weight > 0.0, (q - problem.measured) * problem.weight, 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        cost = np.einsum("srt,srt->s", residual, residual)
-    good = np.isfinite(cost)
-    return Scan(grid[good], cost[good] / fit.dof)
+class _Held:
+    """A problem whose unknown in one column stays where each guess has it.
+
+    Args:
+        problem: whose other unknowns move.
+        column: place of the unknown among the free ones.
+        inflation: factor on the variance of the samples; the priors stay as narrow as they are.
+        best: free values of the fit, shape (F,), which stay the best ones whatever the inflation.
+    """
+
+    def __init__(self, problem: Problem, column: int, inflation: float, best: np.ndarray) -> None:
+        self.coordinates = problem.coordinates
+        self._problem, self._column, self._inflation, self._best = problem, column, inflation, best
+
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See ``LeastSquares``."""
+        cost, gradient, matrix = self._problem.linearise(internal, counts)
+        if self._inflation > 1.0:
+            precision, slope = self.coordinates.prior_precision, self.coordinates.slope(internal)
+            off = self.coordinates.physical(internal) - self._best
+            pull, share = off @ precision, 1.0 - 1.0 / self._inflation
+            cost = cost / self._inflation + share * 0.5 * np.einsum("sf,sf->s", off, pull)
+            gradient = gradient / self._inflation + share * pull * slope
+            matrix = matrix / self._inflation + share * precision * slope[:, :, None] * slope[:, None, :]
+        gradient[:, self._column] = 0.0
+        matrix[:, self._column, :] = matrix[:, :, self._column] = 0.0
+        matrix[:, self._column, self._column] = 1.0
+        return cost, gradient, matrix
+
+
+def misfit_profile(fit: FitResult, name: str, posterior: Posterior, inflation: float, value: float, std: float) -> Scan:
+    """Chi-square above its least over the unknown called ``name``, everything else fitted again at each of its values.
+
+    Upwards and downwards from the fit at once, each of these fits starts from its neighbour's end, where the posterior expects its
+    own, so that a few iterations reach it (Raue et al. 2009, Bioinformatics 25(15), call it the profile likelihood).
+
+    Args:
+        fit: with all that is open.
+        name: of the unknown.
+        posterior: of the fit.
+        inflation: of the posterior.
+        value: that was stated, in the unknown's unit; the profile reaches as far about it as about that of the fit.
+        std: of the statement.
+    """
+    problem, row, column = fit.problem, fit.problem.index[name], fit.column(name)
+    unknown, best, own = problem.unknowns[row], float(fit.values[row]), float(posterior.covariance[column, column])
+    if not np.isfinite([fit.chi2, best, value, std, own]).all() or own <= 0.0:
+        return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
+    # what spans orders of magnitude is less than nothing only where an empty hand reads so
+    lowest = 0.0 if unknown.asinh_scale > 0.0 and best > 0.0 else unknown.lower
+    ends = [
+        max(min(best, value) - PROFILE_STDS * std, lowest),
+        min(max(best, value) + PROFILE_STDS * std, unknown.upper),
+    ]
+    at = fit.values[problem.free]
+    coordinates, held = problem.coordinates, _Held(problem, column, inflation, at)
+    at_best = coordinates.internal(at)
+    step = (np.array(ends) - best) / PROFILE_STEPS
+    ahead = np.outer(step, posterior.covariance[:, column] / own)
+    ahead[:, column] = step
+    least = float(held.linearise(at_best[None])[0][0])
+    grid, costs = [best], [least]
+    end, follows = np.tile(at_best, (2, 1)), np.full(2, True)
+    for _ in range(PROFILE_STEPS):
+        guess = coordinates.internal(coordinates.physical(end) + ahead)
+        solution = solvers.levenberg_marquardt(held, guess, None, iterations=PROFILE_ITERATIONS, tolerance=0.1)
+        end = solution.internal
+        follows &= 2.0 * (solution.cost - least) < PROFILE_HIGHEST
+        grid += coordinates.physical(end)[follows, column].tolist()
+        costs += solution.cost[follows].tolist()
+    values, first = np.unique(grid, return_index=True)
+    chi2 = 2.0 * np.array(costs)[first]
+    return Scan(values, chi2 - chi2.min(), PROFILE, CHI2_95)

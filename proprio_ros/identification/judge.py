@@ -21,7 +21,13 @@ from proprio_ros.identification.estimate import (
     Value,
     Verdict,
 )
-from proprio_ros.identification.fit import FitResult, error_budget, unknown_rows, warn_if_uncalibrated
+from proprio_ros.identification.fit import (
+    FitResult,
+    error_budget,
+    misfit_profile,
+    unknown_rows,
+    warn_if_uncalibrated,
+)
 from proprio_ros.identification.gates import Contradiction, Findings
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import PreparedRun
@@ -108,6 +114,10 @@ class Assessment:
         """Which source puts how much standard deviation on the unknown, as it stands now."""
         return error_budget(self.opened, self.covariance, self.name)
 
+    def profile(self) -> Scan:
+        """How much worse other values of the unknown explain the recording, everything else that is open fitted again."""
+        return misfit_profile(self.opened, self.name, self.posterior, self.inflation, self.value, self.std)
+
 
 def judge(
     robot: Robot,
@@ -119,7 +129,6 @@ def judge(
     run_count: int,
     values: Callable[[str], tuple[Value, ...]],
     solver: SolverSummary,
-    scan: Scan,
     budget: Sequence[tuple[str, float]],
     assumptions: tuple[str, ...],
     apart: Contradiction | None = None,
@@ -139,7 +148,6 @@ def judge(
         run_count: how many runs there were, the unusable ones included.
         values: made when the verdict is known, from the words where a value would stand (empty where it is given).
         solver: see ``Estimate``.
-        scan: see ``Estimate``.
         budget: see ``Estimate``.
         assumptions: see ``Estimate``.
         apart: runs that say different values.
@@ -179,7 +187,7 @@ def judge(
         run_fits=assessed.run_fits,
         unknowns=unknown_rows(assessed.opened, assessed.covariance) if unknowns is None else unknowns,
         budget=tuple(budget),
-        scan=scan,
+        scan=assessed.profile(),
         detail=None if detail is None else detail(withheld),
         assumptions=assumptions,
         notes=tuple(found.notes),

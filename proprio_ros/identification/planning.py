@@ -25,7 +25,7 @@ from proprio_ros.identification.problem import (
     robot_unknowns,
 )
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.kinds import Key, name_of
+from proprio_ros.kinds import Key, label_of
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -165,7 +165,7 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
                 gain = 0.5 * (_log_volume(old[np.ix_(then, then)]) - _log_volume(covariance[np.ix_(now, now)]))
                 ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
                 best = int(np.argmin(ratio))
-                words = f"would shrink the uncertainty of {name_of(shared[best])} to {100 * ratio[best]:.0f} %"
+                words = f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
                 found.append((gain, _as_plan(candidates, int(r), [], words)))
     found.sort(key=lambda entry: -entry[0])
     return _varied([entry for _, entry in found], count)

@@ -41,6 +41,7 @@ from proprio_ros.identification.problem import (
 )
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.kinds import label_of
 from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -344,7 +345,7 @@ def _rows(fitted: _Fitted) -> tuple[UnknownRow, ...]:
 def _far_from_file(fitted: _Fitted) -> list[str]:
     """A sentence for each number that lies further from the robot file than its standard deviation allows."""
     return [
-        f"{row.name} came out as {row.value:.4g} {row.unit}, {abs(row.value - row.prior) / row.prior_std:.1f} standard deviations "
+        f"{row.label} came out as {row.value:.4g} {row.unit}, {abs(row.value - row.prior) / row.prior_std:.1f} standard deviations "
         f"from the robot file's {row.prior:.4g}: correct the file, or look for what else is wrong"
         for row in _rows(fitted)
         if abs(row.value - row.prior) > FAR_FROM_FILE * row.prior_std
@@ -366,12 +367,12 @@ def _not_separated(robot: Robot, fitted: _Fitted, calibration: Calibration) -> t
     for row in _rows(fitted):
         if row.kind in DRIVE_TERMS and row.kind != "stribeck_velocity" and row.std > UNLEARNT * row.prior_std:
             unit = "" if row.unit == "1" else " " + row.unit
-            sentences.append(f"{row.name} was not learnt: still {row.value:.3g} +- {row.std:.2g}{unit}")
+            sentences.append(f"{row.label} was not learnt: still {row.value:.3g} +- {row.std:.2g}{unit}")
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
     for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
         sentences.append(
-            f"{calibration.names[a]} and {calibration.names[b]} were only determined together (correlation "
+            f"{label_of(calibration.keys[a])} and {label_of(calibration.keys[b])} were only determined together (correlation "
             f"{calibration.correlation[a, b]:+.3f})"
         )
     if (

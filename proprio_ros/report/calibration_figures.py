@@ -9,7 +9,7 @@ from proprio_ros.identification.calibration_estimate import HeldOutRun
 from proprio_ros.identification.estimate import RunFit, UnknownRow
 from proprio_ros.kinds import KINDS, label_of
 from proprio_ros.quantity import Z95
-from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, svg
+from proprio_ros.report.figures import ACCENT, INK, MUTED, PALE, SIMULATED, drawn, plain, svg
 
 TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck")
 NOTICEABLE = 0.3
@@ -34,13 +34,13 @@ def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
                 if row is None:
                     continue
                 for value, std, height, color in (
-                    (row.prior, row.prior_std, 0.62, "#dbe2ea"),
+                    (row.prior, row.prior_std, 0.62, PALE),
                     (row.value, row.std, 0.26, ACCENT),
                 ):
                     low = value - Z95 * std if term == "torque_constant" else max(value - Z95 * std, 0.0)
                     axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
                 axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
-            axis.set_yticks(range(len(joints)), joints[::-1])
+            axis.set_yticks(range(len(joints)), [plain(joint) for joint in joints[::-1]])
             axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
             axis.grid(axis="y", visible=False)
             axis.locator_params(axis="x", nbins=5)
@@ -52,7 +52,7 @@ def correlation_figure(calibration: Calibration) -> str:
     strength = np.abs(calibration.correlation - np.eye(len(calibration.keys))).max(axis=1)
     chosen = [row for row in np.argsort(-strength) if strength[row] > NOTICEABLE][:MOST_CORRELATED]
     chosen = sorted(int(row) for row in chosen) or list(range(min(len(calibration.keys), 2)))
-    names = [label_of(calibration.keys[row]) for row in chosen]
+    names = [plain(label_of(calibration.keys[row])) for row in chosen]
     size = 3.8 + 0.2 * len(names)
     with drawn(size + 1.0, size) as (figure, axis):
         shown = calibration.correlation[np.ix_(chosen, chosen)]
@@ -88,7 +88,7 @@ def residuals_figure(fits: tuple[RunFit, ...]) -> str:
             )
             for left_out in fit.left_out_times_s:
                 axis.axvline(left_out, color=MUTED, linewidth=0.8, linestyle=":")
-            axis.set_title(_short(fit.name, 32), fontsize=7.5, loc="left")
+            axis.set_title(plain(_short(fit.name, 32)), fontsize=7.5, loc="left")
         figure.supxlabel("time after the current came on (s)", fontsize=9.5)
         figure.supylabel("residual (mrad)", fontsize=9.5)
         return svg(figure, "Residuals of every run over time, with two standard deviations")
@@ -96,10 +96,15 @@ def residuals_figure(fits: tuple[RunFit, ...]) -> str:
 
 def held_out_figure(held_out: tuple[HeldOutRun, ...]) -> str:
     """Error of the held-out prediction of each run, and what was expected of it."""
-    names = [_short(run.name) for run in held_out][::-1]
+    from matplotlib.ticker import LogLocator
+
+    names = [plain(_short(run.name)) for run in held_out][::-1]
     with drawn(9.2, 0.9 + 0.24 * len(names), ncols=2, sharey=True) as (figure, (left, right)):
         left.barh(names, [1e3 * run.rms for run in held_out][::-1], color=ACCENT, height=0.6)
         left.set_xscale("log")
+        left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        left.xaxis.set_major_formatter("{x:g}")
+        left.xaxis.set_minor_formatter("")
         left.set_xlabel("measured less predicted, rms (mrad)")
         right.barh(names, [run.reduced_chi2 for run in held_out][::-1], color=ACCENT, height=0.6)
         right.axvline(1.0, color=SIMULATED, linewidth=1.0)

@@ -11,6 +11,7 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.kinds import KINDS
 from proprio_ros.quantity import shown
 from proprio_ros.report import calibration_figures as figures
+from proprio_ros.report import pictures
 from proprio_ros.report.html import document, framed, listed, provenance, table
 from proprio_ros.resources import write_in_one_step
 
@@ -47,6 +48,7 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
                 figures.drive_train_figure(estimate.unknowns),
                 "Pale: the 95 % interval of the robot file. Dark: what the runs leave of it. A dark bar as long as the pale one "
                 "was not learnt.",
+                "large",
             )
         )
     parts += _noise(estimate)
@@ -56,6 +58,7 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
             framed(
                 figures.residuals_figure(estimate.run_fits),
                 "The points should scatter about zero inside the band, without a trend; dotted lines are samples left out.",
+                "large",
             )
         )
     if estimate.held_out:
@@ -65,8 +68,10 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
                 figures.held_out_figure(estimate.held_out),
                 "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
                 "further than promised: bars on the right that reach far past 1 contradict the others.",
+                "large",
             )
         )
+    parts += _unused(estimate)
     parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:
         parts.append("<h2>Correlations</h2>")
@@ -75,20 +80,31 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
                 figures.correlation_figure(estimate.calibration),
                 "Strong colours off the diagonal: two numbers that these runs know better together than each alone. A weighing "
                 "uses them together.",
+                "large",
             )
         )
     parts += _advice(estimate)
     parts += _unknowns(estimate)
     parts += listed("Notes on the runs", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
-    return document(f"proprio: calibration {estimate.verdict.value}", parts)
+    return document(f"proprio: calibration {estimate.verdict.value.replace('_', ' ')}", parts)
+
+
+def _unused(estimate: CalibrationEstimate) -> list[str]:
+    if not estimate.unused:
+        return []
+    parts = ["<h2>Runs that were not used</h2>"]
+    for n, run in enumerate(estimate.unused, start=1):
+        parts += [f"<h3>{escape(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
+    return parts
 
 
 def _headline(estimate: CalibrationEstimate) -> list[str]:
     used = f"{len(estimate.run_fits)} of {estimate.runs} runs used"
+    verdict = _WORDS.get(estimate.verdict, estimate.verdict.value.replace("_", " "))
     parts = [
         f"<h1>calibration of {escape(estimate.robot)}, {used}</h1>",
-        f'<span class="verdict {estimate.verdict.value}">{escape(_WORDS[estimate.verdict])}</span>',
+        f'<span class="verdict {escape(estimate.verdict.value)}">{escape(verdict)}</span>',
     ]
     if estimate.weighable is not None:
         parts.append(f"<p class=value>{escape(estimate.weighable.sentence())}</p>")

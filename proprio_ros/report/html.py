@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from proprio_ros import __version__
 
-STYLE = """
-:root { color-scheme: light; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 58rem; padding: 2rem 1.2rem 4rem; color: #1b2430; background: #fff;
-  font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
-h1 { font-size: 1.05rem; font-weight: 600; color: #5a6675; margin: 0 0 .4rem; }
-h2 { font-size: 1.15rem; margin: 2.6rem 0 .6rem; padding-top: .9rem; border-top: 1px solid #e4e8ee; }
-h3 { font-size: 1rem; margin: 1.4rem 0 .3rem; }
-.verdict { display: inline-block; padding: .1rem .7rem; border-radius: 1rem; font-weight: 600; color: #fff; }
-.accepted { background: #2b7a4b; } .rejected { background: #b23a48; } .not_identifiable { background: #a06a12; }
-.value { font-size: 2.6rem; font-weight: 650; line-height: 1.15; margin: .7rem 0 .1rem; }
-.interval { color: #5a6675; margin: 0 0 1rem; }
-ul { padding-left: 1.2rem; } li { margin: .25rem 0; }
-table { border-collapse: collapse; width: 100%; font-size: .9rem; }
-.wide { overflow-x: auto; }
-th, td { text-align: left; padding: .32rem .7rem .32rem 0; border-bottom: 1px solid #e4e8ee; vertical-align: top; }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-figure { margin: .4rem 0 1rem; } figure svg { width: 100%; height: auto; }
-code, pre { font: .86rem/1.5 ui-monospace, "DejaVu Sans Mono", Menlo, monospace; }
-pre { background: #f4f6f9; padding: .8rem 1rem; border-radius: .4rem; white-space: pre-wrap; overflow-wrap: anywhere; }
-.small { color: #5a6675; font-size: .88rem; }
-.moving figure { max-width: 24rem; } .moving summary { cursor: pointer; }
-@media (prefers-reduced-motion: reduce) { .moving { display: none; } }
-@media print { body { max-width: none; padding: 0; } figure, table { break-inside: avoid; } .moving { display: none; } }
-"""
+SCRIPT = Path(__file__).with_name("chart.js").read_text(encoding="utf-8")
+"""Of ``chart.py``; the only script of a page."""
+_ALLOWED = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+POLICY = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_ALLOWED}'"
+"""A browser loads nothing for the page, and runs no other script in it."""
+
+STYLE = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
+"""Of every page: bright, dark, narrow and on paper."""
 
 
 def document(title: str, parts: Sequence[str]) -> str:
@@ -41,9 +27,10 @@ def document(title: str, parts: Sequence[str]) -> str:
         [
             "<!doctype html>",
             '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">',
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
             f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
             *parts,
-            "</body></html>",
+            f"<script>{SCRIPT}</script></body></html>",
         ]
     )
 
@@ -71,10 +58,21 @@ def listed(title: str, sentences: Sequence[str]) -> list[str]:
     return [f"<h2>{escape(title)}</h2>", "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>"]
 
 
-def framed(svg: str, caption: str = "") -> str:
-    """A figure, with a sentence on what to look for."""
+def framed(svg: str, caption: str = "", size: str = "") -> str:
+    """A figure, with a sentence on what to look for; ``size``: ``large`` (scrolls where there is no room), or ``small-one``."""
     words = f"<figcaption class=small>{escape(caption)}</figcaption>" if caption else ""
-    return f"<figure>{svg}{words}</figure>"
+    return f"<figure{f' class={size}' if size else ''}>{svg}{words}</figure>"
+
+
+def bars(rows: Sequence[tuple[str, float, str]]) -> str:
+    """A bar per row: its label, its length, and what is written beside it."""
+    longest = max((length for _, length, _ in rows), default=0.0) or 1.0
+    body = "".join(
+        f"<tr><td>{escape(label)}</td><td><i style='width:{100.0 * length / longest:.1f}%'></i></td>"
+        f"<td class=number>{escape(words)}</td></tr>"
+        for label, length, words in rows
+    )
+    return f"<table class=bars><tbody>{body}</tbody></table>"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], numbers: Iterable[int]) -> str:

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from html import escape
 
 from proprio_ros.identification.estimate import Value, Verdict
-from proprio_ros.report.page import WORDS, in_words, interval_in_words
+from proprio_ros.report.page import in_words, interval_in_words, verdict_in_words
 
-COLORS = {Verdict.ACCEPTED: "#2b7a4b", Verdict.REJECTED: "#b23a48", Verdict.NOT_IDENTIFIABLE: "#a06a12"}
+COLORS = {"accepted": "#2b7a4b", "rejected": "#b23a48", "not_identifiable": "#96600c", "too_wide": "#96600c"}
+UNKNOWN = "#5a6675"
 """As on the page."""
 
 
 def card(title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str]) -> str:
     """The verdict in its colour, each value with its interval, and the reasons."""
-    badge = f"background:{COLORS[verdict]};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600"
-    lines = [f'<div style="{badge};display:inline-block">{escape(WORDS[verdict])}</div> {escape(title)}']
+    badge = f"background:{COLORS.get(verdict.value, UNKNOWN)};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600"
+    lines = [f'<div style="{badge};display:inline-block">{escape(verdict_in_words(verdict))}</div> {escape(title)}']
     for value in values:
         lines.append(f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value))}</div>')
         lines.append(f"<div>{escape(interval_in_words(value))}</div>")

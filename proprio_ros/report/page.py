@@ -7,17 +7,21 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.quantity import shown, shown_unit
-from proprio_ros.report import figures
+from proprio_ros.report import pictures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
 
-WORDS = {
+_WORDS = {
     Verdict.ACCEPTED: "accepted",
     Verdict.REJECTED: "rejected: the model does not explain the recording",
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording does not determine it",
 }
+
+HINT = "Rest the pointer on a curve for its values; drag to look closer, double-click for all of it."
 
 _ROLES = {"free": "fitted", "frozen": "as stated"}
 
@@ -41,33 +45,67 @@ def write_page(
 
 
 def _page(estimate: Estimate, own: Sequence[str], command: str, sources: Sequence[str]) -> str:
-    parts = [*_headline(estimate)]
-    if estimate.run_fits:
-        parts.append("<h2>Measured against simulated</h2>")
-        for n, fit in enumerate(estimate.run_fits, start=1):
-            about = f"{fit.joint}, {fit.current_A:+.3f} A from {fit.source}, travel {fit.travel:+.2f} rad"
-            parts.append(f"<h3>{escape(fit.name)}</h3><p class=small>{escape(about)}</p>")
-            parts.append(framed(figures.run_figure(fit, n)))
-    parts += own
-    if estimate.scan is not None:
-        mass = escape(figures.searched_in_words(estimate))
-        parts += [f"<h2>Misfit over {mass}</h2>", framed(figures.scan_figure(estimate))]
+    parts = [*_headline(estimate), *_runs(estimate), *own]
+    if estimate.scan is not None and len(estimate.scan.values) > 1:
+        parts += _scan(estimate)
     if estimate.solver is not None:
         parts += _convergence(estimate)
     if estimate.budget:
-        parts += ["<h2>Where the uncertainty comes from</h2>", framed(figures.budget_figure(estimate))]
+        about = f"Standard deviations that each puts on the {pictures.searched_in_words(estimate)}."
+        parts += ["<h2>Where the uncertainty comes from</h2>", f"<p class=small>{escape(about)}</p>"]
+        parts.append(pictures.budget_figure(estimate))
     parts += _values(estimate)
     parts += listed("What was assumed", estimate.assumptions)
     parts += listed("Notes on the recording", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
-    return document(f"proprio: {estimate.probe} {estimate.verdict.value}", parts)
+    return document(f"proprio: {estimate.probe} {estimate.verdict.value.replace('_', ' ')}", parts)
+
+
+def _runs(estimate: Estimate) -> list[str]:
+    pairs = pictures.paired(estimate)
+    if not pairs:
+        return []
+    parts = ["<h2>Measured against simulated</h2>" if estimate.run_fits else "<h2>What was recorded</h2>"]
+    parts.append(f"<p class='small hint'>{HINT}</p>")
+    for n, (fit, run) in enumerate(pairs, start=1):
+        if fit is not None:
+            name = fit.name
+            about = f"{fit.joint}, {fit.current_A:+.3f} A from {fit.source}, travel {fit.travel:+.2f} rad"
+        else:
+            assert run is not None
+            name = run.name
+            driven = run.input_current_A[np.argmax(np.abs(run.input_current_A))]
+            moved = run.position[-1] - run.position[0] if len(run.position) else 0.0
+            about = f"not used: see the reasons above. {run.joint}, {driven:+.3f} A from {run.source}, "
+            about += f"moved by {moved:+.3f} {run.unit}"
+        if run is not None and run.baseline:
+            about += "; baseline"
+        parts.append(f"<h3>{escape(name)}</h3><p class=small>{escape(about)}</p>")
+        trace = framed(pictures.run_figure(fit, run, n))
+        if run is not None and run.arm.size:
+            arm = framed(pictures.arm_figure(run, n), "From the side: dotted at the start, ring: the driven joint.")
+            trace = f"<div class=run>{trace}{arm}</div>"
+        parts.append(trace)
+    return parts
+
+
+def _scan(estimate: Estimate) -> list[str]:
+    assert estimate.scan is not None
+    caption = "Line: the value; band: its 95 % interval."
+    if estimate.scan.level is not None:
+        caption += (
+            " At each value everything else that is open was fitted again: the 95 % interval ends where the curve crosses the "
+            "dashed line (3.84), unless more than this fit counts as uncertainty."
+        )
+    name = escape(pictures.searched_in_words(estimate))
+    return [f"<h2>Misfit over {name}</h2>", framed(pictures.scan_figure(estimate), caption)]
 
 
 def _headline(estimate: Estimate) -> list[str]:
     runs = f"{estimate.runs} run" + "s" * (estimate.runs != 1)
     parts = [
         f"<h1>{escape(estimate.probe)} in the hand of {escape(estimate.robot)}, {runs}</h1>",
-        f'<span class="verdict {estimate.verdict.value}">{escape(WORDS[estimate.verdict])}</span>',
+        f'<span class="verdict {escape(estimate.verdict.value)}">{escape(verdict_in_words(estimate.verdict))}</span>',
     ]
     for value in estimate.values:
         parts.append(f"<p class=value>{escape(in_words(value))}</p>")
@@ -75,6 +113,11 @@ def _headline(estimate: Estimate) -> list[str]:
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
     return parts
+
+
+def verdict_in_words(verdict: Verdict) -> str:
+    """What a verdict means; one that the page does not know by its name."""
+    return _WORDS.get(verdict, verdict.value.replace("_", " "))
 
 
 def in_words(value: Value) -> str:
@@ -101,30 +144,43 @@ def interval_in_words(value: Value) -> str:
 def _convergence(estimate: Estimate) -> list[str]:
     solver = estimate.solver
     assert solver is not None
+    about = (
+        f"{solver.name}, profile {solver.profile}: {solver.starts_agreeing} of {len(solver.paths)} starts agree (blue); "
+        f"{solver.iterations} iterations, {solver.integrator.replace('_', ' ')}."
+    )
+    if solver.refined:
+        about += (
+            " These took the robot as its file or calibration states it. After them all that is open about it moved, too, under "
+            "its prior (red): that fit gave the answer."
+        )
+    if isinstance(estimate.values[0].value, float):
+        about += " Dashed: the answer."
     parts = [
         "<h2>Convergence of every start</h2>",
-        f"<p class=small>{escape(solver.name)}, profile {escape(solver.profile)}: {solver.starts_agreeing} of "
-        f"{len(solver.paths)} starts agree (blue); {solver.iterations} iterations, {escape(solver.integrator)}.</p>",
-        framed(figures.convergence_figure(estimate)),
+        f"<p class=small>{escape(about)}</p>",
+        framed(pictures.convergence_figure(estimate)),
     ]
     scheduled = any(path.scheduled is not None for path in solver.paths)
     factor, unit = shown_unit(estimate.values[0].unit)
     header = [
+        *(["fit"] * bool(solver.refined)),
         f"start ({unit})",
         *([f"where the schedule stops ({unit})"] * scheduled),
         f"least error ({unit})" if scheduled else f"end ({unit})",
         "cost",
     ]
+    stages = [("robot as stated", path) for path in solver.paths] + [("all open", path) for path in solver.refined]
     rows = [
         [
+            *([stage] * bool(solver.refined)),
             f"{factor * path.start:.3g}",
             *([f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled),
             f"{factor * path.end:.3f}",
             f"{path.cost:.3g}",
         ]
-        for path in solver.paths
+        for stage, path in stages
     ]
-    return [*parts, table(header, rows, numbers=range(len(header)))]
+    return [*parts, table(header, rows, numbers=range(bool(solver.refined), len(header)))]
 
 
 def _values(estimate: Estimate) -> list[str]:

@@ -1,10 +1,10 @@
-"""How high an arm is above its base's plane, without any dynamics: planning and excitation both ask before they move it."""
+"""Where an arm is, without any dynamics: how high above its base's plane, and what it looks like from the side."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from proprio_ros.errors import RobotError
 from proprio_ros.robot.robot_file import Robot
 
 Vector = tuple[float, float, float]
+_LEVEL = 0.7  # of a joint's axis that is level: with less, one sees its motion better from elsewhere
 _STILL_M = 1e-6  # a link whose height changes by less than this stands where it stands
 
 
@@ -50,6 +51,39 @@ def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
     """
     up, steps = _way_to_lowerable(robot)
     return _lowest(up, steps, pose)
+
+
+def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """The links as lines from joint to joint, seen along a joint's axis where that is level, else across the arm.
+
+    Args:
+        robot: the arm.
+        joint: whose motion is to be seen.
+        poses: positions of all independent joints [rad or m], the first decides where one stands: the hand is to the right.
+
+    Returns:
+        Both ends of the links in every pose, to the right of the base and above it [m], shape (P, L, 2, 2), and where the joint is,
+        shape (P, 2).
+
+    Raises:
+        RobotError: a position is missing.
+    """
+    model = robot.model
+    frames = [{link.name: model.frame_transform(link.name, pose) for link in model.links} for pose in poses]
+    up = -robot.gravity / np.linalg.norm(robot.gravity)
+    driven = model.joint(joint)
+    axis = frames[0][driven.child][:3, :3] @ driven.axis
+    reach = frames[0][robot.payload_frame][:3, 3] - frames[0][model.root][:3, 3]
+    level = axis - up * (up @ axis)
+    right = np.cross(level, up)
+    if driven.kind == "prismatic" or np.linalg.norm(level) < _LEVEL:
+        right = reach - up * (up @ reach)
+    if np.linalg.norm(right) < _STILL_M:
+        right = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    right *= (1.0 if right @ reach >= 0.0 else -1.0) / np.linalg.norm(right)
+    plane = np.array([right, up])
+    links = [[[plane @ at[end][:3, 3] for end in (j.parent, j.child)] for j in model.joints] for at in frames]
+    return np.array(links), np.array([plane @ at[driven.child][:3, 3] for at in frames])
 
 
 def bent_pose(robot: Robot) -> dict[str, float]:

@@ -209,7 +209,7 @@ def test_what_was_not_probed_is_not_determined(recordings: Path, robot: Robot) -
     lifts = empty_runs(recordings / "realistic_s00", robot, "empty_0[0-2]*")
     estimate = calibrate(robot, lifts, advice=0)
     assert any("joint3 only ever moved in the negative direction" in reason for reason in estimate.reasons)
-    assert any("load_friction[joint3] was not learnt" in sentence for sentence in estimate.not_separated)
+    assert any("load friction, joint3 was not learnt" in sentence for sentence in estimate.not_separated)
     both = calibrate(robot, empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*"), advice=0)
     assert not any("only ever moved" in reason for reason in both.reasons)
     stds = [e.calibration.quantities["coulomb", "joint3"].std for e in (estimate, both)]

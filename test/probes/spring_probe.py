@@ -9,7 +9,7 @@ import warp as wp
 
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Estimate, Value
-from proprio_ros.identification.fit import FitResult, SearchOptions, misfit_over, summary
+from proprio_ros.identification.fit import FitResult, SearchOptions, summary
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
 from proprio_ros.identification.judge import Assessment, judge, rejected
 from proprio_ros.identification.problem import KnownLoad, Problem, joints_of, prepare_run, robot_unknowns
@@ -106,7 +106,6 @@ def find_spring(robot: Robot, runs: Sequence[Run], prior: float) -> Estimate:
             else Value("spring_stiffness", "N m/rad", value, std, [value - Z95 * std, value + Z95 * std]),
         ),
         solver=summary(fit, "spring_stiffness", [0.0], std, fit.solution.iterations, SearchOptions()),
-        scan=misfit_over(fit, "spring_stiffness", np.linspace(-1.0, 1.0, 21)),
         budget=assessed.budget(),
         assumptions=("a spring between the joint and its zero",),
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from html.parser import HTMLParser
 from pathlib import Path
 
+from proprio_ros.report.html import SCRIPT
+
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 
 
@@ -15,11 +17,14 @@ class Reader(HTMLParser):
         super().__init__()
         self.open: list[str] = []
         self.words: list[str] = []
+        self.scripts: list[str] = []
         self.links: list[str] = []
         self.tags: list[str] = []
+        self.classes: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        self.classes += (dict(attrs).get("class") or "").split()
         self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data", "action")]
         if tag not in VOID:
             self.open.append(tag)
@@ -33,7 +38,9 @@ class Reader(HTMLParser):
         assert self.open and self.open.pop() == tag, f"</{tag}> closes nothing"
 
     def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
+        if "script" in self.open:
+            self.scripts.append(data)
+        elif "style" not in self.open:
             self.words.append(data)
 
 
@@ -43,4 +50,5 @@ def read(path: Path) -> tuple[Reader, str]:
     reader.close()
     assert not reader.open, f"left open: {reader.open}"
     assert all(link.startswith("#") for link in reader.links), "the page must not need anything else"
+    assert reader.scripts == [SCRIPT], "its own script, and nobody else's"
     return reader, " ".join(" ".join(reader.words).split())

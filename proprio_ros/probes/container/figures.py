@@ -14,10 +14,10 @@ import numpy as np
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
-from proprio_ros.report.figures import ACCENT, INK, MUTED
+from proprio_ros.report.figures import ACCENT, INK, INSIDE, LINE, MUTED, themed
 from proprio_ros.report.html import framed
 
-EARLY, LATE = (0xF2, 0x8E, 0x2B), (0x3D, 0x1A, 0x6E)
+EARLY, LATE = (0xF2, 0x8E, 0x2B), (0x7D, 0x4F, 0xC9)
 """Colours of the first and the last instant: also in grey print the early one is the paler."""
 INSTANTS = 5
 """Spheres drawn in the picture, the first and the last among them."""
@@ -48,6 +48,7 @@ def sections(estimate: Estimate) -> list[str]:
                 f"The sphere, of radius {1e3 * path.radius:g} mm, moved by up to {1e3 * shown.moved:.1f} mm. Seen along the "
                 "joint's axis: dashed at the start, bold at the end. Blue, about the path of its centre: two standard deviations, "
                 "where that shows.",
+                "small-one",
             ),
             "<details class=moving open><summary class=small>As it moved, five times slower</summary>",
             framed(
@@ -105,7 +106,7 @@ def path_figure(path: SpherePath, number: int) -> str:
     names.append(_text(left - 38, top + size[1] / 2, f"{_direction(plane[1], 'up')} (mm)", "middle", turned))
 
     colors = _colors(path.times_s)
-    shapes = [f'<polygon points="{_points(inside)}" fill="#f4f6f9" stroke="{INK}"/>']
+    shapes = [f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>']
     shapes.append(f'<g class="band" fill="{ACCENT}" stroke="none" opacity=".25">{_band(path, plane, scale)}</g>')
     shapes += [
         f'<path d="M{_points(centres[k : k + 2])}" stroke="{colors[k]}" stroke-width="{_n(2.5 / scale)}"/>'
@@ -123,7 +124,7 @@ def path_figure(path: SpherePath, number: int) -> str:
 
     aside = width - 58.0
     body = [
-        f'<path d="{"".join(marks)}" stroke="#dfe4eb" fill="none"/>',
+        f'<path d="{"".join(marks)}" stroke="{LINE}" fill="none"/>',
         f'<g transform="translate({_n(x0)} {_n(y0)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
         f'stroke-width="{_n(1.2 / scale)}">{"".join(shapes)}</g>',
         *names,
@@ -166,7 +167,7 @@ def moving_figure(path: SpherePath, number: int) -> str:
     body = [
         f'<g transform="translate({_n(side / 2)} {_n(side / 2)}) scale({scale:.5g} {-scale:.5g})" fill="none" '
         f'stroke-width="{_n(1.6 / scale)}"><g transform="rotate({degrees[0]})">{turn}'
-        f'<polygon points="{_points(inside)}" fill="#f4f6f9" stroke="{INK}"/>'
+        f'<polygon points="{_points(inside)}" fill="{INSIDE}" stroke="{INK}"/>'
         f'<path d="M{_points(centres)}" stroke="{MUTED}"/>{sphere}</g></g>',
         _arrow((side + 34, 76), np.array([0.0, -fall]), 40.0, INK, "in the world"),
         _text(side + 34, 22, "gravity", "middle"),
@@ -341,7 +342,7 @@ def _n(value: float) -> str:
 
 def _svg(width: float, height: float, name: str, description: str, body: Sequence[str]) -> str:
     described = f"<desc>{description}</desc>" if description else ""
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{name}" viewBox="0 0 {_n(width)} {_n(height)}" '
-        f'font-size="11" fill="{INK}">{described}{"".join(body)}</svg>'
+    return themed(
+        f'<svg class="sphere" xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{name}" '
+        f'viewBox="0 0 {_n(width)} {_n(height)}" font-size="13" fill="{INK}">{described}{"".join(body)}</svg>'
     )

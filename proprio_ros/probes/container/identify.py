@@ -22,11 +22,11 @@ from proprio_ros.identification.estimate import Estimate, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
-    misfit_over,
     misfit_reason,
     other_suspects,
     rivals,
     solve_load,
+    source_label,
     summary,
     unknown_rows,
 )
@@ -478,7 +478,8 @@ def _conclude(
             yield not_identifiable(
                 "interval_too_wide",
                 "the interval is too wide to state a mass",
-                f"the sphere's mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of {budget[0][0]}: "
+                f"the sphere's mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of "
+                f"{source_label(budget[0][0])}: "
                 + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
             )
         if others := rivals(fit, "sphere_mass", mass, std, DISTINCT):
@@ -508,7 +509,6 @@ def _conclude(
         )
     shown = {"payload_mass": "container_mass"}
     shell_mass, shell_std = float(fit.values[shell]), float(np.sqrt(assessed.covariance[shell, shell]))
-    grid = np.unique(np.concatenate([np.geomspace(1e-3, 0.1, 30), max(mass, 1e-3) * np.linspace(0.5, 1.5, 21)]))
     best = float(nominal.physical("sphere_mass")[nominal.solution.best])
     return judge(
         robot,
@@ -525,8 +525,8 @@ def _conclude(
             nominal, "sphere_mass", options.starts_kg, max(1e-4, DISTINCT * abs(best), std),
             nominal.solution.iterations + fit.solution.iterations,
             SearchOptions(integrator=options.integrator, step_s=problem.contact_step_s),
+            final=fit,
         ),
-        scan=misfit_over(fit, "sphere_mass", grid),
         budget=[(shown.get(name, name), share) for name, share in budget],
         assumptions=_assumptions(robot, facts, options, fit, not all(data.rolling)),
         apart=apart,

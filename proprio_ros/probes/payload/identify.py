@@ -23,11 +23,11 @@ from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
     known_exactly,
-    misfit_over,
     misfit_reason,
     other_suspects,
     rivals,
     solve_load,
+    source_label,
     summary,
 )
 from proprio_ros.identification.gates import (
@@ -253,7 +253,8 @@ def _conclude(
                 "interval_too_wide",
                 "the interval is too wide to state a mass",
                 f"the mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of "
-                f"{budget[0][0] if budget else 'encoder noise'}: calibrate the robot on empty-hand runs, or probe with more travel",
+                f"{source_label(budget[0][0]) if budget else 'encoder noise'}: calibrate the robot on empty-hand runs, or probe "
+                "with more travel",
             )
         if others := rivals(fit, "payload_mass", mass, std, 0.02):
             yield not_identifiable(
@@ -275,9 +276,8 @@ def _conclude(
         # starts agree when they explain the recording alike, at masses that the interval cannot separate
         solver=summary(
             searched, "payload_mass", options.starts_kg, max(1e-4, 0.01 * abs(best), 0.1 * std),
-            searched.solution.iterations, options, margin=0.5,
+            searched.solution.iterations, options, margin=0.5, final=fit,
         ),
-        scan=misfit_over(fit, "payload_mass", scan_masses(mass)),
         budget=budget,
         assumptions=_assumptions(robot, facts, options, fit is nominal),
         apart=apart,

@@ -10,7 +10,7 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
 from proprio_ros.quantity import shown_unit
-from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, svg
+from proprio_ros.report.figures import ACCENT, INK, MUTED, SIMULATED, drawn, plain, svg
 from proprio_ros.report.html import framed
 
 VIEW = np.array([-0.3, 1.0, -0.3])
@@ -22,12 +22,12 @@ def sections(estimate: Estimate) -> list[str]:
     detail = estimate.detail
     if not isinstance(detail, SoftnessDetail) or not detail.curves:
         return []
-    parts = ["<h2>The block</h2>", framed(squeeze_figure(detail.curves))]
+    parts = ["<h2>The block</h2>", framed(squeeze_figure(detail.curves), size="small-one")]
     if detail.joint is not None:
         caption = (
             "" if detail.joint.determined else "Poisson's ratio is the prior's here, and so is how long the region is."
         )
-        parts += ["<h3>Both Lamé parameters together</h3>", framed(joint_figure(detail.joint), caption)]
+        parts += ["<h3>Both Lamé parameters together</h3>", framed(joint_figure(detail.joint), caption, "small-one")]
     return parts
 
 
@@ -59,15 +59,15 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
         ([flat(corners + aside)], MUTED, MUTED, 0.45),
     ):
         axes.add_collection(PolyCollection(polygons, facecolors=colors, edgecolors=edges, linewidths=0.3, alpha=alpha))
-    words = f"{shape.time_s:.2f} s, {100.0 * max(shape.squeeze, 0.0):.0f} %"
-    axes.text(left, floor, words, ha="center", va="top", fontsize=8)
+    words = f"{shape.time_s:.2f} s\n{100.0 * max(shape.squeeze, 0.0):.0f} %"
+    axes.text(left, floor, words, ha="center", va="top")
 
 
 def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
     """The block at a few instants of the first closing, as finite elements deform it, and force over squeeze of all closings."""
     shapes = curves[0].shapes
     rows = [1.0, 2.0] if shapes else [0.01, 2.0]
-    with drawn(7.4, 1.6 * sum(rows), nrows=2, height_ratios=rows) as (figure, (above, below)):
+    with drawn(5.2, 1.6 * sum(rows), nrows=2, height_ratios=rows) as (figure, (above, below)):
         floor = -1.7 * max((float(np.abs(shape.points[:, 1:]).max()) for shape in shapes), default=0.0)
         for place, shape in enumerate(shapes):
             _draw_block(above, shape, 2.1 * place, floor)
@@ -77,7 +77,12 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
         for curve in curves:
             order = np.argsort(curve.squeeze)
             below.plot(
-                100.0 * curve.squeeze[order], curve.force_N[order], "-o", markersize=3, linewidth=1.2, label=curve.run
+                100.0 * curve.squeeze[order],
+                curve.force_N[order],
+                "-o",
+                markersize=3,
+                linewidth=1.2,
+                label=plain(curve.run),
             )
         below.set_xlabel("squeeze (% of the block's length)")
         percent_mm = 10.0 * curves[0].length
@@ -85,7 +90,7 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
         travel.set_xlabel("travel of the fingers after the touch (mm)")
         below.set_ylabel("force on a finger (N)")
         if len(curves) > 1:
-            below.legend(fontsize=7.5)
+            below.legend()
         return svg(figure, "The block between the fingers, and force over squeeze by the fitted law")
 
 
@@ -93,7 +98,7 @@ def joint_figure(joint: JointInterval) -> str:
     """Where both Lame parameters lie together, among the lines of equal Poisson's ratio."""
     factor, unit = shown_unit(joint.unit)
     mu, lam = factor * joint.outline.T
-    with drawn(6.0, 4.2) as (figure, axes):
+    with drawn(5.2, 3.9) as (figure, axes):
         axes.fill(mu, lam, color=ACCENT, alpha=0.25, linewidth=0)
         axes.plot(mu, lam, color=ACCENT, linewidth=1.2, label="holds both with 95 %")
         axes.plot(*(factor * joint.value), "o", color=SIMULATED, markersize=5, label="estimate")
@@ -102,10 +107,10 @@ def joint_figure(joint: JointInterval) -> str:
             slope = 2.0 * ratio / (1.0 - 2.0 * ratio)  # lambda over mu
             end = min(right, top / slope)
             axes.plot([0.0, end], [0.0, slope * end], color=MUTED, linewidth=0.7, linestyle=":")
-            axes.annotate(f"{ratio:g}", (end, slope * end), color=MUTED, fontsize=8)
+            axes.annotate(f"{ratio:g}", (end, slope * end), color=MUTED)
         axes.set_xlim(0.0, right)
         axes.set_ylim(0.0, top)
         axes.set_xlabel(f"mu ({unit})")
         axes.set_ylabel(f"lambda ({unit}); dotted: equal Poisson's ratio")
-        axes.legend(loc="best", fontsize=8)
+        axes.legend(loc="best")
         return svg(figure, "Both Lame parameters together: the region that holds them with 95 %")

@@ -20,8 +20,8 @@ from proprio_ros.identification.estimate import Estimate, Value, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
-    misfit_over,
     other_suspects,
+    source_label,
     summary,
 )
 from proprio_ros.identification.gates import (
@@ -233,7 +233,7 @@ def _conclude(
                 "interval_too_wide",
                 "the interval is too wide to state a modulus",
                 f"Young's modulus can only be determined to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of "
-                f"{budget[0][0]}: "
+                f"{source_label(budget[0][0])}: "
                 + (
                     "squeeze with other currents, too"
                     if known
@@ -262,8 +262,8 @@ def _conclude(
             nominal, "youngs_modulus", options.starts_Pa, max(0.02 * best, 0.1 * std),
             nominal.solution.iterations + fit.solution.iterations,
             SearchOptions(integrator=options.integrator, step_s=options.step_s),
+            final=fit,
         ),
-        scan=misfit_over(fit, "youngs_modulus", modulus * np.geomspace(0.1, 10.0, 61)),
         budget=budget,
         assumptions=_assumptions(robot, data.runs[0].drive, facts, options, largest),
         apart=apart,

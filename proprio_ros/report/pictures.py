@@ -1,0 +1,174 @@
+"""The pictures of a result's page: each run with its current and the arm, the search, the misfit, and sources of uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from proprio_ros.identification.estimate import Estimate, RecordedRun, RunFit, StartPath
+from proprio_ros.identification.fit import source_label
+from proprio_ros.quantity import shown, shown_unit
+from proprio_ros.report.chart import Axis, Panel, Series, chart
+from proprio_ros.report.html import bars
+
+TIME = "time after the current came on (s)"
+SHOWN_SOURCES = 8
+HIGHEST_CHI2 = 15.0
+"""Of a profile that is shown: the 95 % interval ends at 3.8."""
+
+
+def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) -> str:
+    """Position, current, and where there is a fit its residual, below each other over time."""
+    unit = "rad" if recorded is None or fit is not None else recorded.unit
+    traces: list[Series] = []
+    panels: list[Panel] = []
+    if fit is None:
+        assert recorded is not None
+        traces.append(Series("recorded", recorded.times_s, recorded.position, "measured", "dots"))
+    else:
+        times, places = fit.left_out_times_s, fit.left_out
+        if recorded is not None and recorded.unit == unit:
+            early = recorded.times_s < 0.0
+            times, places = np.append(recorded.times_s[early], times), np.append(recorded.position[early], places)
+        traces += [
+            Series("not fitted", times, places, "left-out", "dots", bool(len(times))),
+            Series("measured", fit.times_s, fit.measured, "measured", "dots"),
+            Series("simulated", fit.times_s, fit.simulated, "simulated"),
+        ]
+    panels.append(Panel(f"position ({unit})", unit, traces, 170.0))
+    if recorded is not None:
+        panels.append(Panel("input current (A)", "A", [_current(recorded)], 70.0, rules=[0.0]))
+    if fit is not None:
+        residual, sigma = 1e3 * (fit.simulated - fit.measured), 2e3 * fit.sigma
+        off = Series("simulated less measured", fit.times_s, residual, "simulated", listed=False)
+        title = "residual (mrad); band: two standard deviations"
+        panels.append(Panel(title, "mrad", [off], 90.0, (fit.times_s, -sigma, sigma), rules=[0.0]))
+    words = (
+        "measured and simulated position, input current and residual" if fit else "recorded position and input current"
+    )
+    return chart(panels, Axis(TIME, "s"), f"Run {number}: {words} over time")
+
+
+def _current(run: RecordedRun) -> Series:
+    """From before it came on until after it went off."""
+    inside = run.input_times_s < run.duration_s
+    times = [min(float(run.times_s.min(initial=0.0)), 0.0), *run.input_times_s[inside], run.duration_s]
+    return Series(
+        "current", np.array(times), np.array([0.0, *run.input_current_A[inside], 0.0]), "current", "steps", False
+    )
+
+
+def arm_figure(run: RecordedRun, number: int) -> str:
+    """The arm from the side at the start (dotted) and at the end of a run."""
+    points = run.arm.reshape(-1, 2)
+    low, high = np.minimum(points.min(axis=0), 0.0), np.maximum(points.max(axis=0), 0.0)
+    width, margin, below = 300.0, 18.0, 44.0
+    scale = (width - 2.0 * margin) / max(float((high - low).max()), 1e-3)
+    height = scale * float((high - low)[1]) + 2.0 * margin + below
+    left = margin + 0.5 * (width - 2.0 * margin - scale * float((high - low)[0]))
+
+    def place(point: np.ndarray) -> str:
+        return f"{left + scale * (point[0] - low[0]):.1f},{margin + scale * (high[1] - point[1]):.1f}"
+
+    floor = margin + scale * high[1]
+    body = [f'<path class="ground" d="M{margin / 2:.1f},{floor:.1f}H{width - margin / 2:.1f}"/>']
+    for links, joint, style in zip(run.arm, run.driven, ("start", "end"), strict=True):
+        lines = dict.fromkeys(f"M{a}L{b}" for a, b in ((place(link[0]), place(link[1])) for link in links) if a != b)
+        x, y = place(joint).split(",")
+        body.append(f'<path class="{style}" d="{"".join(lines)}"/><circle class="{style}" cx="{x}" cy="{y}" r="5"/>')
+    length = next(bar for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0) if scale * bar < 0.35 * width)
+    bottom = height - 12.0
+    body.append(
+        f'<path class="ground" style="stroke:var(--ink)" d="M{margin:.1f},{bottom:.1f}h{scale * length:.1f}"/>'
+        f'<text x="{margin + scale * length + 8.0:.1f}" y="{bottom + 4.0:.1f}">{100.0 * length:g} cm</text>'
+    )
+    return (
+        f'<svg class="arm" role="img" aria-label="Run {number}: the arm from the side at the start and at the end" '
+        f'viewBox="0 0 {width:g} {height:.0f}">{"".join(body)}</svg>'
+    )
+
+
+def convergence_figure(estimate: Estimate) -> str:
+    """What every start came to over the iterations; where another fit gave the answer, that one, too."""
+    factor, unit = shown_unit(estimate.values[0].unit)
+    solver = estimate.solver
+    assert solver is not None
+
+    def curve(path: StartPath, begin: int, name: str, color: str, listed: bool) -> Series:
+        values = factor * np.maximum(path.values, 1e-6)
+        return Series(name, begin + np.arange(len(values)), values, color, listed=listed)
+
+    first = [path.agrees for path in solver.paths].index(True) if solver.starts_agreeing else -1
+    series = [
+        curve(path, 0, f"start at {factor * path.start:.3g} {unit}", "agreeing" if path.agrees else "apart", False)
+        for path in solver.paths
+    ]
+    if first >= 0 and solver.refined:
+        one = series[first]
+        series[first] = Series("robot as stated", one.x, one.y, one.color)
+    begin = max(len(path.values) for path in solver.paths) - 1
+    series += [curve(path, begin, "all open", "answer", n == 0) for n, path in enumerate(solver.refined)]
+    verticals = [begin] if solver.refined else []
+    stops = [path.scheduled for path in solver.paths if path.scheduled is not None]
+    if stops:
+        at, values = np.full(len(stops), solver.iterations), factor * np.array(stops)
+        series.append(Series("where the schedule stops", at, values, "answer", "dots"))
+        verticals = [solver.iterations]
+    answer = estimate.values[0].value
+    rules = [factor * answer] if isinstance(answer, float) and answer > 0.0 else []
+    panel = Panel(
+        f"{searched_in_words(estimate)} ({unit})", unit, series, 210.0, rules=rules, verticals=verticals, log=True
+    )
+    return chart([panel], Axis("iteration", "iterations"), f"Iterations of the search: {searched_in_words(estimate)}")
+
+
+def scan_figure(estimate: Estimate) -> str:
+    """The cost over what was searched for, with the value and its interval."""
+    factor, unit = shown_unit(estimate.values[0].unit)
+    scan, value = estimate.scan, estimate.values[0]
+    assert scan is not None
+    x = factor * scan.values
+    log = scan.level is None  # the paper's loss spans orders of magnitude
+    spans, verticals = [], []
+    if isinstance(value.value, float):
+        verticals = [factor * value.value]
+        if value.ci95 is not None:
+            spans = [(factor * max(value.ci95[0], scan.values[0]), factor * min(value.ci95[1], scan.values[-1]))]
+    name = searched_in_words(estimate)
+    cost = np.maximum(scan.cost, 1e-4) if log else scan.cost
+    series = [Series(scan.measure, x, cost, "measured", listed=False)]
+    rules = [] if scan.level is None else [scan.level]
+    panel = Panel(
+        scan.measure, "", series, 190.0, spans=spans, rules=rules, verticals=verticals, log=log,
+        highest=np.inf if log else HIGHEST_CHI2,
+    )  # fmt: skip
+    axis = Axis(f"{name} ({unit})", unit, log=log)
+    return chart([panel], axis, f"Misfit of the simulation over the {name}")
+
+
+def budget_figure(estimate: Estimate) -> str:
+    """Where the uncertainty of the answer comes from, as bars."""
+    unit = estimate.values[0].unit
+    sources = [(source_label(source), std) for source, std in estimate.budget[:SHOWN_SOURCES]]
+    if rest := estimate.budget[SHOWN_SOURCES:]:
+        sources.append((f"{len(rest)} others", float(np.sqrt(sum(std**2 for _, std in rest)))))
+    return bars([(label, std, shown(unit, std)) for label, std in sources])
+
+
+def searched_in_words(estimate: Estimate) -> str:
+    """What was searched for: "payload mass", "sphere mass", "Young's modulus"."""
+    return estimate.values[0].label
+
+
+def paired(estimate: Estimate) -> Sequence[tuple[RunFit | None, RecordedRun | None]]:
+    """Every recorded run with its fit, None where no fit could use it; fits come in the order of their runs."""
+    fits, pairs = list(estimate.run_fits), []
+    for run in estimate.recorded:
+        used = bool(fits) and (fits[0].name, fits[0].joint) == (run.name, run.joint)
+        # bags in folders of one name are of one name
+        used = used and np.array_equal(
+            run.times_s[run.times_s >= 0.0], np.append(fits[0].times_s, fits[0].left_out_times_s)
+        )
+        pairs.append((fits.pop(0) if used else None, run))
+    return [*pairs, *((fit, None) for fit in fits)]
