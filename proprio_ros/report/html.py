@@ -7,6 +7,7 @@ from html import escape
 from typing import Any
 
 from proprio_ros import __version__
+from proprio_ros.quantity import spec_for
 
 STYLE = """
 :root { color-scheme: light; }
@@ -18,6 +19,7 @@ h2 { font-size: 1.15rem; margin: 2.6rem 0 .6rem; padding-top: .9rem; border-top:
 h3 { font-size: 1rem; margin: 1.4rem 0 .3rem; }
 .verdict { display: inline-block; padding: .1rem .7rem; border-radius: 1rem; font-weight: 600; color: #fff; }
 .accepted { background: #2b7a4b; } .rejected { background: #b23a48; } .not_identifiable { background: #a06a12; }
+.too_wide { background: #a06a12; }
 .value { font-size: 2.6rem; font-weight: 650; line-height: 1.15; margin: .7rem 0 .1rem; }
 .interval { color: #5a6675; margin: 0 0 1rem; }
 ul { padding-left: 1.2rem; } li { margin: .25rem 0; }
@@ -92,10 +94,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], numbers: Iterabl
     return f"<div class=wide><table>{head}<tbody>{body}</tbody></table></div>"
 
 
-def number(value: Any) -> str:
-    """Six digits; a dash where there is none."""
+def number(value: Any, std: Any = None) -> str:
+    """A number with as many digits as its standard deviation leaves, six where there is none; a dash where there is no number."""
     if value is None or value != value:
         return "-"
     if isinstance(value, list):
-        return "[" + ", ".join(number(v) for v in value) + "]"
-    return f"{value:.6g}"
+        stds = std if isinstance(std, list) else [std] * len(value)
+        return "[" + ", ".join(number(v, s) for v, s in zip(value, stds, strict=True)) + "]"
+    return f"{value:{spec_for('', std, kept=True)}}"

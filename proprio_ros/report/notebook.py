@@ -9,6 +9,7 @@ from proprio_ros.identification.estimate import Value, Verdict
 from proprio_ros.report.page import WORDS, in_words, interval_in_words
 
 COLORS = {Verdict.ACCEPTED: "#2b7a4b", Verdict.REJECTED: "#b23a48", Verdict.NOT_IDENTIFIABLE: "#a06a12"}
+COLORS[Verdict.TOO_WIDE] = COLORS[Verdict.NOT_IDENTIFIABLE]
 """As on the page."""
 
 
@@ -17,8 +18,10 @@ def card(title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequenc
     badge = f"background:{COLORS[verdict]};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600"
     lines = [f'<div style="{badge};display:inline-block">{escape(WORDS[verdict])}</div> {escape(title)}']
     for value in values:
-        lines.append(f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value))}</div>')
-        lines.append(f"<div>{escape(interval_in_words(value))}</div>")
+        lines.append(
+            f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value, verdict))}</div>'
+        )
+        lines.append(f"<div>{escape(interval_in_words(value, verdict))}</div>")
     if reasons:
         lines.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in reasons) + "</ul>")
     return "<div>" + "".join(lines) + "</div>"
