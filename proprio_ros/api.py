@@ -154,7 +154,13 @@ class Weighing:
 
     def _repr_html_(self) -> str:
         estimate = self.estimate
-        return card(f"{estimate.probe}, {estimate.robot}", estimate.verdict, estimate.values, estimate.reasons)
+        return card(
+            f"{estimate.probe}, {estimate.robot}",
+            estimate.verdict,
+            estimate.values,
+            estimate.reasons,
+            estimate.interval_first,
+        )
 
     def __repr__(self) -> str:
         if self._main.value is None:

@@ -460,7 +460,7 @@ def _as_text(estimate: Any) -> str:
         f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {estimate.runs} run{'s' * (estimate.runs != 1)})"
     ]
     for value in estimate.values:
-        lines.append("  " + _value_text(value, estimate.verdict.value == "too_wide"))
+        lines.append("  " + _value_text(value, estimate.interval_first))
     for reason in estimate.reasons:
         lines.append(f"  - {reason}")
     if estimate.fit is not None:

@@ -103,6 +103,7 @@ ROOMS: dict[str, set[str]] = {
     # for scripts and notebooks
     "api": {
         "errors",
+        "quantity",
         "schema",
         "resources",
         "robot",

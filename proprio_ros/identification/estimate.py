@@ -215,6 +215,11 @@ class Estimate:
                 return value
         raise KeyError(f"no {name} among {[v.name for v in self.values]}")
 
+    @property
+    def interval_first(self) -> bool:
+        """Whether a reader should see the interval before the number."""
+        return not {"too_wide", "depends_on_file"}.isdisjoint(reason_codes(self.reasons))
+
     def as_json(self) -> dict[str, Any]:
         """The contract's object; numbers are plain floats, what is not a number is null."""
         fit = None

@@ -260,8 +260,10 @@ def judge(
         value, std = assessed.value, assessed.std
         name, unit = assessed.name, fit.problem.unknowns[assessed.row].unit
         if useful is not None and useful.exceeded_by(value, std):
-            verdict = Verdict.TOO_WIDE
-            found.reasons.insert(0, _too_wide(unit, value, std, useful, budget))
+            # where the file's own numbers explain the recording, they give the value: right as far as they are, and said so
+            depends = assessed.fit is not assessed.opened
+            verdict = Verdict.ACCEPTED if depends else Verdict.TOO_WIDE
+            found.reasons.insert(0, _too_wide(unit, value, std, useful, budget, depends))
         if guesses:
             found.reasons.append(_guessed(guesses, value))
         if apart is not None and apart.sentence:
@@ -304,14 +306,23 @@ def judge(
     )
 
 
-def _too_wide(unit: str, value: float, std: float, useful: Useful, budget: Sequence[tuple[str, float]]) -> Reason:
-    low, high = max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0)
+def _too_wide(
+    unit: str, value: float, std: float, useful: Useful, budget: Sequence[tuple[str, float]], depends: bool
+) -> Reason:
+    spec = spec_for(unit, std)
+    interval = shown(unit, max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0), spec=spec)
+    if depends:
+        return Reason(
+            "depends_on_file",
+            f"{shown(unit, max(value, 0.0))} holds if the robot file's own numbers, which explain the recording, are those of this "
+            f"robot; with what the file leaves open of them, anything from {interval} does: calibrate the robot on empty-hand runs",
+        )
     limit = f"+-{100.0 * useful.share:.0f} % of the value"
     if useful.floor:
         limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
     return Reason(
         "too_wide",
-        f"anything from {shown(unit, low, high, spec=spec_for(unit, std))} explains the recording, wider than {limit}"
+        f"anything from {interval} explains the recording, wider than {limit}"
         + (f", mostly because of {budget[0][0]}" if budget else "")
         + ": calibrate the robot on empty-hand runs, or record more runs",
     )

@@ -21,6 +21,7 @@ CODES = {
     "lighter_than_empty": "the hand seems lighter than it was empty",
     "interval_too_wide": "the interval is too wide to be of use, and no value is given",
     "too_wide": "the interval is wider than a stated share of the value; both are given",
+    "depends_on_file": "the value holds only if the robot file's own numbers do; the interval is what holds without",
     "far_from_prior": "an unknown ended further from its prior than a right model takes it",
     "starts_disagree": "some starts of the search ended elsewhere",
     "guessed_facts": "facts that decide the answer were not stated; the interval carries a guess of how far off they are",

@@ -71,15 +71,15 @@ def _headline(estimate: Estimate) -> list[str]:
         f'<span class="verdict {estimate.verdict.value}">{escape(WORDS[estimate.verdict])}</span>',
     ]
     for value in estimate.values:
-        parts.append(f"<p class=value>{escape(in_words(value, estimate.verdict))}</p>")
-        parts.append(f"<p class=interval>{escape(interval_in_words(value, estimate.verdict))}</p>")
+        parts.append(f"<p class=value>{escape(in_words(value, estimate.interval_first))}</p>")
+        parts.append(f"<p class=interval>{escape(interval_in_words(value, estimate.interval_first))}</p>")
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
     return parts
 
 
-def in_words(value: Value, verdict: Verdict = Verdict.ACCEPTED) -> str:
-    """The number with its unit, as a headline; the interval where that is too wide for a number."""
+def in_words(value: Value, interval_first: bool = False) -> str:
+    """The number with its unit, as a headline, or the interval."""
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
@@ -88,16 +88,16 @@ def in_words(value: Value, verdict: Verdict = Verdict.ACCEPTED) -> str:
         return f"{value.label} [{numbers}] {unit}"
     std = value.std if isinstance(value.std, float) else None
     spec = spec_for(value.unit, std)
-    if verdict is Verdict.TOO_WIDE and isinstance(value.ci95, list):
+    if interval_first and isinstance(value.ci95, list):
         return shown(value.unit, *value.ci95, spec=spec, between=" to ")
     return shown(value.unit, value.value, spec=spec)
 
 
-def interval_in_words(value: Value, verdict: Verdict = Verdict.ACCEPTED) -> str:
+def interval_in_words(value: Value, interval_first: bool = False) -> str:
     """Its name and interval, or why there is none; the number where the interval leads."""
     if isinstance(value.ci95, list) and isinstance(value.value, float) and isinstance(value.std, float):
         spec = spec_for(value.unit, value.std)
-        if verdict is Verdict.TOO_WIDE:
+        if interval_first:
             return f"{value.label}, 95 % interval; best guess {shown(value.unit, value.value, spec=spec)}"
         words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, spec=spec, between=' to ')}"
         if shown_unit(value.unit)[0] == 1.0:
