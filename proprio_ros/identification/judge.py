@@ -68,7 +68,7 @@ def contradicted(apart: Contradiction | None) -> Iterable[Refusal]:
 
 @dataclass(frozen=True)
 class Useful:
-    """From when on an interval is too wide for an accepted answer: both must be exceeded by its half width.
+    """From when on an interval is too wide for an accepted answer: both must be exceeded by its half width, cut off at nothing.
 
     Attributes:
         share: of the value.
@@ -79,8 +79,9 @@ class Useful:
     floor: float = 0.0
 
     def exceeded_by(self, value: float, std: float) -> bool:
-        """Whether a 95 % interval is too wide."""
-        return Z95 * std > max(self.share * max(value, 0.0), self.floor)
+        """Whether the 95 % interval of a quantity that is not negative is too wide."""
+        low, high = max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0)
+        return 0.5 * (high - low) > max(self.share * max(value, 0.0), self.floor)
 
 
 @dataclass(frozen=True)
