@@ -76,7 +76,8 @@ def command_line() -> str:
     parts = [
         NOTE,
         "# Command line",
-        "Results go to stdout, everything else to stderr. Exit codes: 0 accepted, 2 bad input, 3 rejected or not identifiable, "
+        "Results go to stdout, everything else to stderr. Exit codes: 0 accepted, 2 bad input, "
+        "3 rejected, not identifiable or too wide, "
         "130 interrupted. `proprio --version` prints the version; every command explains itself with `--help`.",
         _table(
             ("command", "does"), [(f"[`proprio {name}`](#proprio-{name})", helps[name]) for name in commands.choices]

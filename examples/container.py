@@ -13,12 +13,14 @@ def bag(name: str) -> str:
 calibration = calibrate([bag(f"empty_{number}_joint4") for number in (12, 13, 14, 15)])
 print(calibration)
 
-# %% The same run with the empty container separates the sphere from the container
+# %% The same run with the empty container separates the sphere from the container; sizes and place are facts that you state
 sphere = weigh(
     bag("container_sphere_random_joint4_030mA"),
     probe="container",
     baseline=bag("container_no_sphere_joint4_030mA"),
     calibration=calibration,
+    container={"inner_size": [0.06, 0.04, 0.04], "centre": [0.035, 0.0, 0.0]},
+    settings={"sphere.radius": 0.01},
 )
 print(sphere)
 for reason in sphere.reasons:

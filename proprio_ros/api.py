@@ -20,6 +20,7 @@ from proprio_ros.checking import as_json as checks_as_json
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
 from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.quantity import spec_for
 from proprio_ros.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import card, runs_figure, write_calibration_report
 from proprio_ros.resources import paths_of
@@ -51,7 +52,7 @@ class Weighing:
 
     @property
     def verdict(self) -> str:
-        """``accepted``, ``rejected`` (the model does not explain the recording) or ``not_identifiable`` (it cannot decide)."""
+        """``accepted``, ``too_wide`` (for a number), ``rejected`` (by the model) or ``not_identifiable`` (by this recording)."""
         return self.estimate.verdict.value
 
     @property
@@ -153,13 +154,20 @@ class Weighing:
 
     def _repr_html_(self) -> str:
         estimate = self.estimate
-        return card(f"{estimate.probe}, {estimate.robot}", estimate.verdict, estimate.values, estimate.reasons)
+        return card(
+            f"{estimate.probe}, {estimate.robot}",
+            estimate.verdict,
+            estimate.values,
+            estimate.reasons,
+            estimate.interval_first,
+        )
 
     def __repr__(self) -> str:
         if self._main.value is None:
             return f"<{self._main.name}: not determined ({self.verdict})>"
-        interval = "" if self.ci95 is None else f", 95 % interval {self.ci95[0]:.4g} .. {self.ci95[1]:.4g}"
-        return f"<{self._main.name} {self.value():.4g} {self.unit}{interval} ({self.verdict})>"
+        spec = spec_for(self.unit, self.std, kept=True)
+        interval = "" if self.ci95 is None else f", 95 % interval {self.ci95[0]:{spec}} .. {self.ci95[1]:{spec}}"
+        return f"<{self._main.name} {self.value():{spec}} {self.unit}{interval} ({self.verdict})>"
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from proprio_ros import __version__, schema
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.probes import all_probes, probe_named
-from proprio_ros.quantity import shown
+from proprio_ros.quantity import shown, spec_for
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
@@ -38,7 +38,7 @@ def run() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse and obey; returns the exit code: 0 accepted, 2 bad input, 3 rejected or not identifiable, 130 interrupted."""
+    """Parse and obey; returns the exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         options = _parser().parse_args(given)
@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
         "replay",
         help="identify from recorded bags",
         description="Identify what the hand holds from recorded bags (sqlite3 or MCAP). Several bags give one pooled estimate.",
-        epilog="Exit code: 0 accepted, 2 bad input, 3 rejected or not identifiable.",
+        epilog="Exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide.",
     )
     replay.add_argument(
         "bags", nargs="+", metavar="BAG", help="bag folder or file, or a folder with trajectory.csv, setting.json"
@@ -138,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
         help="learn the robot from empty-hand runs",
         description="Learn torque constants, friction, armature and the arm's weight from runs with nothing in the hand, and "
         "optionally with a weighed reference. Lift, lower and drive each joint; `proprio plan` and the result say which runs help.",
-        epilog="Exit code: 0 accepted, 2 bad input, 3 rejected or not identifiable.",
+        epilog="Exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide.",
     )
     calibrate.add_argument("bags", nargs="*", metavar="BAG", help="runs with nothing in the hand")
     calibrate.add_argument(
@@ -202,7 +202,7 @@ def _parser() -> argparse.ArgumentParser:
         help="a virtual robot weighs itself and an object, live",
         description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object or a sphere, or "
         "squeeze a block.",
-        epilog="Exit code: 0 accepted, 2 could not run, 3 rejected or not identifiable. Ctrl-C ends everything.",
+        epilog="Exit code: 0 accepted, 2 could not run, 3 rejected, not identifiable or too wide. Ctrl-C ends everything.",
     )
     examples = {probe.name: probe.example for probe in probes if probe.example is not None}
     takes = "; ".join(f"{name}: {example.takes}" for name, example in examples.items())
@@ -493,7 +493,7 @@ def _as_text(estimate: Any) -> str:
         f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {estimate.runs} run{'s' * (estimate.runs != 1)})"
     ]
     for value in estimate.values:
-        lines.append("  " + _value_text(value))
+        lines.append("  " + _value_text(value, estimate.interval_first))
     for reason in estimate.reasons:
         lines.append(f"  - {reason}")
     if estimate.fit is not None:
@@ -551,17 +551,21 @@ def _plan_as_text(plan: Any) -> str:
     )
 
 
-def _value_text(value: Any) -> str:
+def _value_text(value: Any, interval_first: bool = False) -> str:
     if value.value is None:
         return f"{value.name}: not determined ({value.reason})"
     if isinstance(value.value, list):
         numbers = ", ".join("?" if v is None else f"{v:.4f}" for v in value.value)
         return f"{value.name}: [{numbers}] {value.unit}" + (f" ({value.reason})" if value.reason else "")
     # masses in g and moduli in kPa, as on the report's page; --json gives them in kg and Pa
-    number = f"{value.name}: {shown(value.unit, value.value)}"
+    spec = spec_for(value.unit, value.std)
+    number = shown(value.unit, value.value, spec=spec)
     if value.ci95 is None:
-        return f"{number} ({value.reason})" if value.reason else number
-    return f"{number}   95 % interval {shown(value.unit, *value.ci95)}"
+        return f"{value.name}: {number} ({value.reason})" if value.reason else f"{value.name}: {number}"
+    interval = shown(value.unit, *value.ci95, spec=spec)
+    if interval_first:
+        return f"{value.name}: {interval} (95 % interval), best guess {number}"
+    return f"{value.name}: {number}   95 % interval {interval}"
 
 
 if __name__ == "__main__":

@@ -43,6 +43,22 @@ def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> s
     return f"{between.join(f'{factor * value:{spec or usual}}' for value in values)} {name}".rstrip()
 
 
+def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
+    """How to format a value so that its 95 % half width has two digits: what follows them is noise.
+
+    Args:
+        unit: SI unit of the value.
+        std: its standard deviation, in that unit; without one the unit's own digits are taken.
+        kept: whether the value is shown in its SI unit.
+    """
+    factor, _, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
+    factor, usual = (1.0, ".6g") if kept else (factor, usual)
+    half = 0.0 if std is None else Z95 * std * factor
+    if not 0.0 < half < math.inf:
+        return usual
+    return f".{min(max(1 - math.floor(math.log10(half)), 0), 12 if kept else 4)}f"
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A number and how well it is known.

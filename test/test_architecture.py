@@ -108,6 +108,7 @@ ROOMS: dict[str, set[str]] = {
     # for scripts and notebooks
     "api": {
         "errors",
+        "quantity",
         "schema",
         "resources",
         "robot",

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import Tag, label_of
 from proprio_ros.schema import header, reason_codes
 
@@ -17,6 +18,7 @@ class Verdict(str, Enum):
     """What the number is worth."""
 
     ACCEPTED = "accepted"
+    TOO_WIDE = "too_wide"  # the interval is too wide for its share of the value; both are given
     REJECTED = "rejected"  # the model does not explain the recording
     NOT_IDENTIFIABLE = "not_identifiable"  # the recording does not determine it
 
@@ -176,6 +178,25 @@ class UnknownRow(Tag):
     value: float
     std: float
 
+    @property
+    def pull(self) -> float | None:
+        """How many of the prior's standard deviations the value lies from it; None: no prior, or not fitted."""
+        if self.role != Role.FREE.value or not 0.0 < self.prior_std < np.inf:
+            return None
+        return (self.value - self.prior) / self.prior_std
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "role": self.role,
+            "prior": self.prior,
+            "prior_std": self.prior_std,
+            "value": self.value,
+            "std": self.std,
+            "pull": self.pull,
+        }
+
 
 @dataclass(frozen=True)
 class Scan:
@@ -231,6 +252,11 @@ class Estimate:
                 return value
         raise KeyError(f"no {name} among {[v.name for v in self.values]}")
 
+    @property
+    def interval_first(self) -> bool:
+        """Whether a reader should see the interval before the number."""
+        return self.verdict is Verdict.TOO_WIDE
+
     def as_json(self) -> dict[str, Any]:
         """The contract's object; numbers are plain floats, what is not a number is null."""
         fit = None
@@ -259,6 +285,7 @@ class Estimate:
                 **({} if self.detail is None else self.detail.as_json()),
                 "fit": fit,
                 "solver": None if self.solver is None else self.solver.as_json(),
+                "unknowns": [row.as_json() for row in self.unknowns],
                 "uncertainty_budget": [{"source": s, "std": v, "unit": self.values[0].unit} for s, v in self.budget],
                 "assumptions": list(self.assumptions),
                 "notes": list(self.notes),

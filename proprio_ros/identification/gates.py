@@ -18,6 +18,8 @@ STUCK_TRAVEL = 0.1
 """Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
 LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
+MOVING_START = 0.1
+"""rad/s: a probe that starts faster has not started from rest."""
 HELD_SPAN = 0.03
 """rad: what a held joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
 MISFIT_SIGMAS = 3.0902
@@ -79,8 +81,13 @@ def chi2_limit(dof: int) -> float:
     Wilson & Hilferty 1931: the cube root of chi-square over its degrees of freedom is nearly normal; good to 1.5 % from four
     degrees of freedom on, and it saves the half second that importing ``scipy.stats`` takes.
     """
+    return chance_limit(dof, MISFIT_SIGMAS)
+
+
+def chance_limit(dof: float, sigmas: float) -> float:
+    """Chi-square that chance exceeds as rarely as a normal exceeds ``sigmas`` standard deviations on one side."""
     spread = 2.0 / (9.0 * dof)
-    return float(dof * (1.0 - spread + MISFIT_SIGMAS * np.sqrt(spread)) ** 3)
+    return float(dof * (1.0 - spread + sigmas * np.sqrt(spread)) ** 3)
 
 
 def unusable(run: PreparedRun) -> str:

@@ -25,15 +25,21 @@ from proprio_ros.identification.fit import (
     FitResult,
     error_budget,
     misfit_profile,
+    other_suspects,
     unknown_rows,
     warn_if_uncalibrated,
 )
-from proprio_ros.identification.gates import Contradiction, Findings
+from proprio_ros.identification.gates import MOVING_START, Contradiction, Findings, chance_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import PreparedRun
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.quantity import Z95
+from proprio_ros.kinds import label_of
+from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.robot import Robot
+
+FAR = 5.0
+"""Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say (DESIGN)."""
+NAMED_AT_MOST = 3
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,41 @@ def contradicted(apart: Contradiction | None) -> Iterable[Refusal]:
     """A refusal where runs say different values."""
     if apart is not None and apart.half is None:
         yield rejected("runs_contradict", "the runs contradict each other", apart.sentence)
+
+
+@dataclass(frozen=True)
+class Useful:
+    """From when on an interval is too wide for an accepted answer: both must be exceeded by its half width, cut off at nothing.
+
+    Attributes:
+        share: of the value.
+        floor: in its unit; what is nearly nothing has no share to speak of.
+    """
+
+    share: float
+    floor: float = 0.0
+
+    def exceeded_by(self, value: float, std: float) -> bool:
+        """Whether the 95 % interval of a quantity that is not negative is too wide."""
+        low, high = max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0)
+        return 0.5 * (high - low) > max(self.share * max(value, 0.0), self.floor)
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A fact that the user did not state and that decides the answer.
+
+    Attributes:
+        key: that states it, such as ``block.size``.
+        taken: the value it was taken to have, in words.
+        spread: how far off that may be, in words.
+        std: what that puts on the answer, in its unit.
+    """
+
+    key: str
+    taken: str
+    spread: str
+    std: float
 
 
 class Assessment:
@@ -110,6 +151,48 @@ class Assessment:
         """Count another uncertainty, independent of the others, as a standard deviation in the unknown's unit."""
         self.covariance[self.row, self.row] += by**2
 
+    def far_from_priors(self, robot: Robot) -> list[str]:
+        """Which unknowns ended further from their priors than a right model takes them, the furthest first.
+
+        A run's start velocity has a prior worth the name only from a calibration; without one it is far where the joint clearly
+        moved. What a calibration left correlated is looked at together, too.
+        """
+        far: dict[str, tuple[float, str]] = {}
+        for fit in (self.opened, self.fit):
+            for row in unknown_rows(fit, self.covariance):
+                pull = row.pull
+                guessed = row.kind == "v0" and robot.calibration is None and abs(row.value) < MOVING_START
+                if pull is None or abs(pull) <= FAR or guessed:
+                    continue
+                known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
+                far[row.name] = (
+                    abs(pull),
+                    f"{row.name} came out as {shown(row.unit, row.value)}, {abs(pull):.1f} standard deviations from what was known "
+                    f"({known})",
+                )
+        sentences = [sentence for _, sentence in sorted(far.values(), reverse=True)[:NAMED_AT_MOST]]
+        return sentences or self._far_together()
+
+    def _far_together(self) -> list[str]:
+        problem = self.opened.problem
+        calibration = problem.robot.calibration
+        if calibration is None:
+            return []
+        keys = set(calibration.keys)
+        own = [column for column, row in enumerate(problem.free) if problem.unknowns[row].key in keys]
+        block = np.ix_(own, own)
+        precision = problem.coordinates.prior_precision[block]
+        off = self.opened.values[problem.free[own]] - problem.coordinates.prior_mean[own]
+        # with a right model, the distance squared is on average the number of directions that the recording has determined
+        learnt = max(len(own) - float(np.sum(precision * self.posterior.covariance[block])), 1.0)
+        distance2 = float(off @ precision @ off)
+        if distance2 <= chance_limit(learnt, FAR):
+            return []
+        return [
+            f"what the calibration knows ended {np.sqrt(distance2):.1f} standard deviations from it in {learnt:.0f} "
+            f"direction{'s' * (round(learnt) != 1)} together"
+        ]
+
     def budget(self) -> list[tuple[str, float]]:
         """Which source puts how much standard deviation on the unknown, as it stands now."""
         return error_budget(self.opened, self.covariance, self.name)
@@ -136,6 +219,8 @@ def judge(
     open_drive_train: Sequence[tuple[str, float]] = (),
     unknowns: tuple[UnknownRow, ...] | None = None,
     detail: Callable[[str], Detail] | None = None,
+    useful: Useful | None = None,
+    guesses: Sequence[Guess] = (),
 ) -> Estimate:
     """The answer.
 
@@ -155,14 +240,40 @@ def judge(
         open_drive_train: what an uncalibrated robot puts on the value [kg], for a sentence.
         unknowns: default all of the fit.
         detail: made as ``values`` are.
+        useful: how wide an accepted answer's interval may be; default any.
+        guesses: facts that were not stated; what they put on the answer is in ``assessed`` already.
     """
     fit = assessed.fit
     withheld = ""
+    verdict = Verdict.ACCEPTED
     refusal = next(iter(refusals), None)
+    far = assessed.far_from_priors(robot) if np.isfinite(fit.chi2) else []
+    if far and (refusal is None or refusal.verdict is Verdict.NOT_IDENTIFIABLE):
+        suspects = other_suspects(robot)
+        refusal = rejected(
+            "far_from_prior",
+            "the model only explains the recording far from what is known",
+            f"the simulation only follows the recording where {'; '.join(far)}: the model is wrong, or the file is",
+            *suspects,
+        )
+    elif far and refusal is not None:
+        refusal = Refusal(
+            refusal.verdict,
+            refusal.withheld,
+            (*refusal.reasons, Reason("far_from_prior", f"moreover, {'; '.join(far)}")),
+        )
     if refusal is not None:
+        verdict = refusal.verdict
         withheld = refusal.withheld
         found.reasons[:0] = refusal.reasons
     else:
+        value, std = assessed.value, assessed.std
+        name, unit = assessed.name, fit.problem.unknowns[assessed.row].unit
+        if useful is not None and useful.exceeded_by(value, std):
+            verdict = Verdict.TOO_WIDE
+            found.reasons.insert(0, _too_wide(unit, value, std, useful, budget))
+        if guesses:
+            found.reasons.append(_guessed(guesses, value))
         if apart is not None and apart.sentence:
             found.reasons.append(apart.sentence)
         if assessed.inflation > 1.0 and not fit.explains:
@@ -174,11 +285,20 @@ def judge(
                 )
             )
         found.reasons += remarks()
+        elsewhere = len(solver.paths) - solver.starts_agreeing
+        if elsewhere:
+            found.reasons.append(
+                Reason(
+                    "starts_disagree",
+                    f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(name)} or in a worse fit; "
+                    "the best was taken",
+                )
+            )
         warn_if_uncalibrated(robot, assessed.runs, open_drive_train, found)
     return Estimate(
         probe=probe,
         robot=robot.name,
-        verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
+        verdict=verdict,
         reasons=tuple(found.reasons),
         values=values(withheld),
         fit=Fit(assessed.rms, assessed.expected, fit.reduced_chi2, condition=assessed.posterior.condition),
@@ -189,8 +309,34 @@ def judge(
         budget=tuple(budget),
         scan=assessed.profile(),
         detail=None if detail is None else detail(withheld),
-        assumptions=assumptions,
+        assumptions=(*assumptions, *(f"guessed, not stated: {guess.key} {guess.taken}" for guess in guesses)),
         notes=tuple(found.notes),
+    )
+
+
+def _too_wide(unit: str, value: float, std: float, useful: Useful, budget: Sequence[tuple[str, float]]) -> Reason:
+    spec = spec_for(unit, std)
+    interval = shown(unit, max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0), spec=spec)
+    limit = f"+-{100.0 * useful.share:.0f} % of the value"
+    if useful.floor:
+        limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
+    return Reason(
+        "too_wide",
+        f"anything from {interval} explains the recording, wider than {limit}"
+        + (f", mostly because of {budget[0][0]}" if budget else "")
+        + ": calibrate the robot on empty-hand runs, or record more runs",
+    )
+
+
+def _guessed(guesses: Sequence[Guess], value: float) -> Reason:
+    off = float(np.sqrt(sum(guess.std**2 for guess in guesses)))
+    listed = ", ".join(f"{guess.key} ({guess.taken}, counted as +- {guess.spread})" for guess in guesses)
+    first = guesses[0].key
+    share = f" ({100.0 * off / value:.0f} % standard deviation)" if value > 0.0 else ""
+    return Reason(
+        "guessed_facts",
+        f"guessed, since not stated: {listed}; the interval carries that{share}: state what is true of your object with "
+        f"--set {first}=..",
     )
 
 

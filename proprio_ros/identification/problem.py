@@ -300,8 +300,11 @@ def prepare_run(
     counted = np.ones_like(followed) if past_fast else followed
     used, reason, hit_limit = _usable_window(run, velocity, counted, drive, lower, upper)
     reading = robot.residual_scale * float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
-    # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none
-    jitter = min(robot.stamp_jitter_s, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
+    jitter = robot.stamp_jitter_s
+    if robot.calibration is None:
+        # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none. What a calibration
+        # learnt from residuals holds as it is: whatever makes them grow with speed is in it, and not in the intervals.
+        jitter = min(jitter, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
     sigma = np.hypot(reading, velocity[:used] * jitter)
     resting = _at_rest(run, drive)
     if len(resting):

@@ -39,7 +39,7 @@ from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
-from proprio_ros.quantity import Z95, shown
+from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import write_calibration_report
 from proprio_ros.session import (
@@ -609,7 +609,7 @@ class IdentifierNode(ManagedNode):
                     "probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit,
                     f"{name}.std": std, f"{name}.ci95": [value - Z95 * std, value + Z95 * std],
                 }  # fmt: skip
-                words = shown(unit, value, Z95 * std, spec=".1f", between=" +- ")
+                words = shown(unit, value, Z95 * std, spec=spec_for(unit, std), between=" +- ")
                 self._publish_estimate("ok", estimate.probe, f"live, {samples} samples: {words}", entries)
             time.sleep(period_s)
 
@@ -625,26 +625,27 @@ class IdentifierNode(ManagedNode):
         self._publish_estimate("ok" if accepted else "warning", name, words, entries)
 
     def _publish(self, setting: Setting, estimate: Estimate) -> None:
-        """The answer, and where it is accepted its numbers, the load it stands for and how it looks."""
+        """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""
         self._publish_final(estimate, estimate.probe)
         value = estimate.values[0]
         if (
-            estimate.verdict is not Verdict.ACCEPTED
+            estimate.verdict not in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
             or not isinstance(value.value, float)
             or not isinstance(value.std, float)
         ):
             return
         probe, robot, facts = setting.probe, setting.robot, setting.facts
         now, frame = self.get_clock().now().nanoseconds, robot.payload_frame
-        for entry in estimate.values:
+        accepted = estimate.verdict is Verdict.ACCEPTED
+        for entry in estimate.values if accepted else ():
             if entry.name in probe.numbers and isinstance(entry.value, float):
                 self._numbers[probe.numbers[entry.name]].publish(messages.number(entry.value))
-        carried = probe.carried(robot, facts, estimate)
+        carried = probe.carried(robot, facts, estimate) if accepted else None
         if carried is not None:
             self._payload.publish(messages.inertia(now, frame, carried))
         shapes = probe.shapes(robot, facts, estimate)
         if shapes is not None:
-            self._markers.publish(messages.markers(now, frame, shapes, value.value, value.std, value.unit))
+            self._markers.publish(messages.markers(now, frame, shapes, value.value, value.std, value.unit, accepted))
 
     def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
         entries: dict[str, Any] = {
@@ -682,8 +683,8 @@ def _interval_of(estimate: Estimate) -> str:
     value = estimate.values[0]
     if estimate.verdict is not Verdict.ACCEPTED or not isinstance(value.value, float) or value.ci95 is None:
         return ""
-    number, interval = shown(value.unit, value.value, spec=".1f"), shown(value.unit, *value.ci95, spec=".1f")
-    return f"{number}, 95 % interval {interval}"
+    spec = spec_for(value.unit, value.std if isinstance(value.std, float) else None)
+    return f"{shown(value.unit, value.value, spec=spec)}, 95 % interval {shown(value.unit, *value.ci95, spec=spec)}"
 
 
 def _refusal_of(estimate: Estimate) -> str:

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from proprio_ros.probes.base import Carried, Shapes
-from proprio_ros.quantity import Z95, shown
+from proprio_ros.quantity import Z95, shown, spec_for
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
@@ -130,10 +130,13 @@ def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
     return message
 
 
+BLUE, AMBER = (0.1, 0.5, 0.9), (1.0, 0.65, 0.0)
 KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 
 
-def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str) -> MarkerArray:
+def markers(
+    stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str, accepted: bool = True
+) -> MarkerArray:
     """Bodies at one place with the value in words above; whatever was shown before goes.
 
     Args:
@@ -143,7 +146,9 @@ def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float,
         value: in the SI unit ``unit``.
         std: likewise.
         unit: SI.
+        accepted: blue bodies; otherwise the interval is too wide, and they are amber.
     """
+    colour = BLUE if accepted else AMBER
     bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
     array = [Marker(action=Marker.DELETEALL)]
     written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
@@ -155,10 +160,13 @@ def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float,
         position.x, position.y, position.z = (float(value_) for value_ in shapes.place_m)
         turn.x, turn.y, turn.z, turn.w = quaternion(rotation)
         scale.x, scale.y, scale.z = (float(value_) for value_ in size)
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.1, 0.5, 0.9, opacity
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = *colour, opacity
         if kind == Marker.TEXT_VIEW_FACING:
             position.z += 0.06
-            marker.text = f"{shown(unit, value, spec='.1f')} +- {shown(unit, Z95 * std, spec='.1f')}"
+            marker.text = shown(unit, value, Z95 * std, spec=spec_for(unit, std), between=" +- ")
+            if not accepted:
+                spec = spec_for(unit, std)
+                marker.text = shown(unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to ")
         array.append(marker)
     return MarkerArray(markers=array)
 

@@ -17,6 +17,7 @@ from proprio_ros.resources import write_in_one_step
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
+    Verdict.TOO_WIDE: "too wide",
     Verdict.REJECTED: "rejected: the model does not explain the runs",
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the runs do not determine it",
 }

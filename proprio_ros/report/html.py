@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros import __version__
+from proprio_ros.quantity import spec_for
 
 SCRIPT = Path(__file__).with_name("chart.js").read_text(encoding="utf-8")
 """Of ``chart.py``; the only script of a page."""
@@ -90,10 +91,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], numbers: Iterabl
     return f"<div class=wide><table>{head}<tbody>{body}</tbody></table></div>"
 
 
-def number(value: Any) -> str:
-    """Six digits; a dash where there is none."""
+def number(value: Any, std: Any = None) -> str:
+    """A number with as many digits as its standard deviation leaves, six where there is none; a dash where there is no number."""
     if value is None or value != value:
         return "-"
     if isinstance(value, list):
-        return "[" + ", ".join(number(v) for v in value) + "]"
-    return f"{value:.6g}"
+        stds = std if isinstance(std, list) else [std] * len(value)
+        return "[" + ", ".join(number(v, s) for v, s in zip(value, stds, strict=True)) + "]"
+    return f"{value:{spec_for('', std, kept=True)}}"

@@ -13,13 +13,17 @@ UNKNOWN = "#5a6675"
 """As on the page."""
 
 
-def card(title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str]) -> str:
+def card(
+    title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str], interval_first: bool = False
+) -> str:
     """The verdict in its colour, each value with its interval, and the reasons."""
     badge = f"background:{COLORS.get(verdict.value, UNKNOWN)};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600"
     lines = [f'<div style="{badge};display:inline-block">{escape(verdict_in_words(verdict))}</div> {escape(title)}']
     for value in values:
-        lines.append(f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value))}</div>')
-        lines.append(f"<div>{escape(interval_in_words(value))}</div>")
+        lines.append(
+            f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value, interval_first))}</div>'
+        )
+        lines.append(f"<div>{escape(interval_in_words(value, interval_first))}</div>")
     if reasons:
         lines.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in reasons) + "</ul>")
     return "<div>" + "".join(lines) + "</div>"

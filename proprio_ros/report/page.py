@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.quantity import shown, shown_unit
+from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.report import pictures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
 from proprio_ros.resources import write_in_one_step
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
+    Verdict.TOO_WIDE: "too wide: the interval says more than the number",
     Verdict.REJECTED: "rejected: the model does not explain the recording",
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording does not determine it",
 }
@@ -108,8 +109,8 @@ def _headline(estimate: Estimate) -> list[str]:
         f'<span class="verdict {escape(estimate.verdict.value)}">{escape(verdict_in_words(estimate.verdict))}</span>',
     ]
     for value in estimate.values:
-        parts.append(f"<p class=value>{escape(in_words(value))}</p>")
-        parts.append(f"<p class=interval>{escape(interval_in_words(value))}</p>")
+        parts.append(f"<p class=value>{escape(in_words(value, estimate.interval_first))}</p>")
+        parts.append(f"<p class=interval>{escape(interval_in_words(value, estimate.interval_first))}</p>")
     if estimate.reasons:
         parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
     return parts
@@ -120,24 +121,32 @@ def verdict_in_words(verdict: Verdict) -> str:
     return _WORDS.get(verdict, verdict.value.replace("_", " "))
 
 
-def in_words(value: Value) -> str:
-    """The number with its unit, as a headline."""
+def in_words(value: Value, interval_first: bool = False) -> str:
+    """The number with its unit, as a headline, or the interval."""
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
         factor, unit = shown_unit(value.unit)
         numbers = ", ".join("?" if v is None else f"{factor * v:.1f}" for v in value.value)
         return f"{value.label} [{numbers}] {unit}"
-    return shown(value.unit, value.value)
+    std = value.std if isinstance(value.std, float) else None
+    spec = spec_for(value.unit, std)
+    if interval_first and isinstance(value.ci95, list):
+        return shown(value.unit, *value.ci95, spec=spec, between=" to ")
+    return shown(value.unit, value.value, spec=spec)
 
 
-def interval_in_words(value: Value) -> str:
-    """Its name and interval, or why there is none."""
-    if isinstance(value.ci95, list) and not isinstance(value.value, list):
-        words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, between=' to ')}"
+def interval_in_words(value: Value, interval_first: bool = False) -> str:
+    """Its name and interval, or why there is none; the number where the interval leads."""
+    if isinstance(value.ci95, list) and isinstance(value.value, float) and isinstance(value.std, float):
+        spec = spec_for(value.unit, value.std)
+        if interval_first:
+            return f"{value.label}, 95 % interval; best guess {shown(value.unit, value.value, spec=spec)}"
+        words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, spec=spec, between=' to ')}"
         if shown_unit(value.unit)[0] == 1.0:
             return words
-        return f"{words} ({value.value:.6g} {value.unit}, standard deviation {value.std:.6g})"
+        in_si = spec_for(value.unit, value.std, kept=True)
+        return f"{words} ({value.value:{in_si}} {value.unit}, standard deviation {value.std:.2g})"
     return f"{value.label}: {value.reason}" if value.reason else value.label
 
 
@@ -186,7 +195,14 @@ def _convergence(estimate: Estimate) -> list[str]:
 def _values(estimate: Estimate) -> list[str]:
     parts = ["<h2>Values and intervals</h2>"]
     rows = [
-        [value.label, number(value.value), number(value.std), _interval(value.ci95), value.unit, value.reason]
+        [
+            value.label,
+            number(value.value, value.std),
+            number(value.std, value.std),
+            _interval(value.ci95, value.std),
+            value.unit,
+            value.reason,
+        ]
         for value in estimate.values
     ]
     parts.append(table(["estimate", "value", "std", "95 % interval", "unit", ""], rows, numbers=(1, 2, 3)))
@@ -196,13 +212,17 @@ def _values(estimate: Estimate) -> list[str]:
             [
                 row.label,
                 _ROLES.get(row.role, row.role),
-                "none" if row.prior_std == float("inf") else f"{row.prior:.6g} ± {row.prior_std:.3g}",
-                f"{row.value:.6g} ± {row.std:.3g}",
+                "none"
+                if row.prior_std == float("inf")
+                else f"{number(row.prior, row.prior_std)} ± {row.prior_std:.2g}",
+                f"{number(row.value, row.std)} ± {row.std:.2g}",
+                "-" if row.pull is None else f"{row.pull:+.1f}",
                 row.unit,
             ]
             for row in estimate.unknowns
         ]
-        parts.append(table(["unknown", "role", "prior", "open fit", "unit"], rows, numbers=(2, 3)))
+        header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
+        parts.append(table(header, rows, numbers=(2, 3, 4)))
     if estimate.fit is not None:
         fit = estimate.fit
         rows = [
@@ -215,9 +235,9 @@ def _values(estimate: Estimate) -> list[str]:
     return parts
 
 
-def _interval(value: Any) -> str:
+def _interval(value: Any, std: Any) -> str:
     if value is None:
         return "-"
-    if value and isinstance(value[0], list):
-        return "; ".join(_interval(v) for v in value)
-    return " to ".join(number(v) for v in value)
+    if isinstance(std, list):
+        return "; ".join(_interval(v, s) for v, s in zip(value, std, strict=True))
+    return " to ".join(number(v, std) for v in value)

@@ -14,6 +14,9 @@ from proprio_ros.robot import rotation_from_rpy
 from proprio_ros.settings import Settings, not_negative, number, vector, yes_or_no
 from proprio_ros.sim.sphere import LAWS, Enclosure
 
+DECIDING = ("container.inner_size", "container.centre", "sphere.radius")
+"""Facts without a safe default: those of the probe file are the sample recordings'."""
+
 
 def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContainerFacts:
     """Size and place of the container and the sphere, the user's words before the probe file's.
@@ -68,8 +71,8 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
         raise ConfigurationError(
             f"contact.frequency={frequency:g} rad/s and contact.traction={traction:g} 1/s must lie between 50 and 5000, 10 and 5000"
         )
-    constants = [not_negative(f"contact.{key}", take(f"contact.{key}")) for key in ("k_e", "k_d", "k_f")]
-    if constants[0] == 0.0:
+    k_e, k_d, k_f = (not_negative(f"contact.{key}", take(f"contact.{key}")) for key in ("k_e", "k_d", "k_f"))
+    if k_e == 0.0:
         raise ConfigurationError("contact.k_e must be above 0 N/m")
     law = take("contact.law")
     if law not in LAWS:
@@ -98,5 +101,8 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
         Quantity(spread["friction"], spread["friction_std"]),
         traction,
         law,
-        *constants,
+        k_e,
+        k_d,
+        k_f,
+        tuple(key for key in DECIDING if key not in settings.taken),
     )

@@ -43,7 +43,9 @@ from proprio_ros.identification.gates import (
 )
 from proprio_ros.identification.judge import (
     Assessment,
+    Guess,
     Refusal,
+    Useful,
     contradicted,
     judge,
     not_identifiable,
@@ -86,6 +88,8 @@ ALIKE_KG, ALIKE_SHARE = 1e-3, 0.1
 what the law of contact says, which is worth so much in a single run. Half of the difference then counts as uncertainty."""
 SAME_KG = 5e-4
 """A difference that is not worth a sentence."""
+GUESSED_SHARE, GUESSED_PLACE_M = 0.1, 5e-3
+"""How far off a size and a place may be that were not stated: standard deviations."""
 STIFFER = 2.0
 """The contact's frequency is not known: the fit is repeated with so many times as much."""
 
@@ -98,6 +102,7 @@ class ContainerOptions:
         integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
         starts_kg: first guesses of the sphere's mass.
         widest_interval_kg: half width of the 95 % interval beyond which no number is given.
+        wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
         signals: what runs that a camera saw are fitted to: ``"both"``, ``"joint"`` or ``"camera"``.
     """
 
@@ -105,6 +110,8 @@ class ContainerOptions:
     step_s: float = 1.0 / 240.0
     starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
     widest_interval_kg: float = 0.02
+    wide_share: float = 0.5
+    wide_floor_kg: float = 0.005
     signals: str = "both"
 
     def __post_init__(self) -> None:
@@ -388,7 +395,69 @@ def _stiffness_shift(
     """By how much the mass would follow if a touch were ``STIFFER`` times as quick [kg]."""
     harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e)
     other, _ = _problem(robot, data, harder, options, Role.FREE)
-    values = fit.values.copy()
+    return _shift(data, other, fit.values.copy(), fit, posterior)
+
+
+def _guesses(
+    robot: Robot,
+    data: _Recorded,
+    facts: ContainerFacts,
+    options: ContainerOptions,
+    fit: FitResult,
+    posterior: Posterior,
+) -> list[Guess]:
+    """The facts that were not stated, and what being off by their spread would do to the mass."""
+    if not facts.guessed or not np.isfinite(fit.chi2):
+        return []
+    enclosure = facts.enclosure
+    listed: dict[str, tuple[str, str, list[ContainerFacts]]] = {
+        "container.inner_size": (
+            " x ".join(f"{1e3 * edge:g}" for edge in enclosure.inner_size) + " mm",
+            f"{100.0 * GUESSED_SHARE:g} % per side",
+            [
+                replace(
+                    facts, enclosure=replace(enclosure, inner_size=enclosure.inner_size * (1.0 + GUESSED_SHARE * axis))
+                )
+                for axis in _sides(enclosure.shape)
+            ],
+        ),
+        "container.centre": (
+            f"[{', '.join(f'{1e3 * place:g}' for place in facts.centre)}] mm",
+            f"{1e3 * GUESSED_PLACE_M:g} mm per axis",
+            [replace(facts, centre=facts.centre + GUESSED_PLACE_M * axis) for axis in np.eye(3)],
+        ),
+        "sphere.radius": (
+            f"{1e3 * enclosure.radius:g} mm",
+            f"{100.0 * GUESSED_SHARE:g} %",
+            # the smaller one: a larger one may not fit
+            [replace(facts, enclosure=replace(enclosure, radius=enclosure.radius * (1.0 - GUESSED_SHARE)))],
+        ),
+    }
+    own = fit.problem.unknowns
+    guesses = []
+    for key in facts.guessed:
+        taken, spread, others = listed[key]
+        shifts = []
+        for changed in others:
+            other, _ = _problem(robot, data, changed, options, Role.FREE)
+            values = other.base.copy()
+            values[fit.problem.free] = fit.values[fit.problem.free]
+            for row in np.flatnonzero(data.rolling).tolist():  # where it lay moves with the walls
+                for at in (other.index[f"sphere_{axis}", row] for axis in "xyz"):
+                    values[at] = fit.values[at] + other.unknowns[at].value - own[at].value
+            shifts.append(_shift(data, other, values, fit, posterior))
+        guesses.append(Guess(key, taken, spread, float(np.linalg.norm(shifts))))
+    return guesses
+
+
+def _sides(shape: str) -> np.ndarray:
+    """Which edges of a container's inside change together, shape (S, 3)."""
+    sides = {"sphere": [[1, 1, 1]], "cylinder": [[1, 1, 0], [0, 0, 1]]}
+    return np.array(sides.get(shape, np.eye(3)), dtype=float)
+
+
+def _shift(data: _Recorded, other: ContainerProblem, values: np.ndarray, fit: FitResult, posterior: Posterior) -> float:
+    """By how much the mass would follow another problem that gets these values of all unknowns, to first order [kg]."""
     for row in np.flatnonzero(data.rolling).tolist():  # rest is less deep in a harder wall
         for axis in "xyz":
             unknown = other.unknowns[other.index[f"sphere_{axis}", row]]
@@ -445,13 +514,17 @@ def _conclude(
     budget = assessed.budget()
     shift = _stiffness_shift(robot, data, facts, options, fit, assessed.posterior)
     assessed.widen(shift)
+    guesses = _guesses(robot, data, facts, options, fit, assessed.posterior)
+    for guess in guesses:
+        assessed.widen(guess.std)
     # two more fits, which a fit that is refused for a worse reason is spared
     judged = len(runs) > 1 and not fit.explains and np.isfinite(fit.chi2) and not not_empty
     outlier = contradicting(Posterior(problem, fit.values)) if judged else None
     apart = None if outlier is None else _apart(robot, data, facts, options, outlier, mass)
     if apart is not None and apart.half is not None:
         assessed.widen(apart.half)
-    budget = sorted([*budget, ("contact stiffness", abs(shift))], key=lambda entry: -entry[1])
+    budget += [("contact stiffness", abs(shift)), *((f"{guess.key}, guessed", guess.std) for guess in guesses)]
+    budget = sorted(budget, key=lambda entry: -entry[1])
     std = assessed.std
     paths = _paths(robot, fit, assessed.covariance)
 
@@ -532,6 +605,8 @@ def _conclude(
         apart=apart,
         remarks=lambda: tuple(remarks()),
         open_drive_train=budget,
+        useful=Useful(options.wide_share, options.wide_floor_kg),
+        guesses=guesses,
         unknowns=tuple(
             replace(u, kind=shown.get(u.kind, u.kind)) for u in unknown_rows(fit, assessed.covariance)
         ),

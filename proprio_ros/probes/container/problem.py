@@ -54,6 +54,7 @@ class ContainerFacts:
         traction: how fast slip is lost while the sphere rolls [1/s].
         law: of contact, see ``sim/sphere.py``.
         k_e, k_d, k_f: of the law ``paper`` [N/m, N s/m, N s/m], instead of frequency, damping ratio and traction.
+        guessed: keys of sizes and places that the user did not state.
     """
 
     enclosure: Enclosure
@@ -72,6 +73,7 @@ class ContainerFacts:
     k_e: float = 1000.0
     k_d: float = 1.0
     k_f: float = 1.0
+    guessed: tuple[str, ...] = ()
 
     @property
     def shell(self) -> PayloadFacts:

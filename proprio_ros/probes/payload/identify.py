@@ -33,6 +33,7 @@ from proprio_ros.identification.fit import (
 from proprio_ros.identification.gates import (
     LITTLE_TRAVEL,
     MISFIT_LIMIT,
+    MOVING_START,
     Contradiction,
     Findings,
     contradicting,
@@ -44,6 +45,7 @@ from proprio_ros.identification.gates import (
 from proprio_ros.identification.judge import (
     Assessment,
     Refusal,
+    Useful,
     contradicted,
     judge,
     not_identifiable,
@@ -59,8 +61,6 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-MOVING_START = 0.1
-"""rad/s: a probe that starts faster has not started from rest."""
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
 the mass, by 1 to 2 % in each run. Half of the difference then counts as uncertainty."""
@@ -74,9 +74,12 @@ class WeighingOptions(SearchOptions):
 
     Attributes:
         widest_interval_kg: half width of the 95 % interval beyond which no number is given.
+        wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
     """
 
     widest_interval_kg: float = 0.1
+    wide_share: float = 0.5
+    wide_floor_kg: float = 0.005
 
 
 def weigh(
@@ -282,8 +285,9 @@ def _conclude(
         assumptions=_assumptions(robot, facts, options, fit is nominal),
         apart=apart,
         open_drive_train=budget,
+        useful=Useful(options.wide_share, options.wide_floor_kg),
     )  # fmt: skip
-    if estimate.verdict is Verdict.ACCEPTED and not known and not known_exactly(robot, runs):
+    if estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE) and not known and not known_exactly(robot, runs):
         return replace(estimate, reasons=(*estimate.reasons, *never_reversed(runs)))
     return estimate
 

@@ -69,6 +69,7 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
         ratio,
         Quantity(not_negative("block.relaxation_s", take("relaxation_s")), _std(take, "relaxation_std_s")),
         mesh,
+        guessed=("block.size",) if mesh is None and "block.size" not in settings.taken else (),
     )
 
 

@@ -35,7 +35,9 @@ from proprio_ros.identification.gates import (
 )
 from proprio_ros.identification.judge import (
     Assessment,
+    Guess,
     Refusal,
+    Useful,
     contradicted,
     judge,
     not_identifiable,
@@ -70,6 +72,8 @@ CHI2_95_OF_TWO = 5.991464547107979
 RATIO_SPREAD = 1.3
 """Poisson's ratio shows in a curve only, and a linear interval of it held in 80 to 92 % of simulated squeezes: where it is
 stated, its interval is so much wider."""
+GUESSED_SHARE = 0.1
+"""How far off each side of a block may be that was not stated: standard deviation."""
 PRIOR_DOMINATED = 0.7
 """Posterior over prior standard deviation above which a value is the prior's."""
 
@@ -82,12 +86,14 @@ class SqueezeOptions:
         integrator, step_s: see ``SqueezeSimulator``.
         starts_Pa: first guesses of Young's modulus, two orders of magnitude apart or more.
         widest_relative: half width of the 95 % interval of Young's modulus over its value beyond which none is given.
+        wide_share: an answer whose half width exceeds this share of the value is ``too_wide``.
     """
 
     integrator: str = "rk4"
     step_s: float = 1.0 / 480.0
     starts_Pa: tuple[float, ...] = (3e3, 1e4, 4e4, 1.6e5, 6e5)
     widest_relative: float = 1.0
+    wide_share: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -207,8 +213,12 @@ def _conclude(
     apart = None if outlier is None else _apart(robot, data, facts, options, outlier, assessed.std)
     if apart is not None and apart.half is not None:
         assessed.widen(apart.half)
+    measured_std, budget = assessed.std, assessed.budget()
+    guesses = _guesses(facts, assessed.value)
+    for guess in guesses:
+        assessed.widen(guess.std)
+        budget = sorted([*budget, (f"{guess.key}, guessed", guess.std)], key=lambda entry: -entry[1])
     modulus, std, covariance = assessed.value, assessed.std, assessed.covariance
-    budget = assessed.budget()
     curves = _curves(problem, fit.values, facts)
     largest = max(float(curve.squeeze.max()) for curve in curves)
     unknown = problem.unknowns[assessed.row]
@@ -247,7 +257,7 @@ def _conclude(
         return [*([crushed] * (largest > CRUSHED)), *_beyond_measured(pressed)]
 
     def values(withheld: str) -> tuple[Value, ...]:
-        return _values(fit, covariance, facts, withheld, curves)
+        return _values(fit, covariance, facts, withheld, curves, measured_std)
 
     best = float(nominal.physical("youngs_modulus")[nominal.solution.best])
     return judge(
@@ -268,12 +278,27 @@ def _conclude(
         assumptions=_assumptions(robot, data.runs[0].drive, facts, options, largest),
         apart=apart,
         remarks=remarks,
+        useful=Useful(options.wide_share),
+        guesses=guesses,
         detail=lambda withheld: SoftnessDetail(curves, None if withheld else _joint(fit, covariance, facts)),
     )  # fmt: skip
 
 
+def _guesses(facts: BlockFacts, modulus: float) -> list[Guess]:
+    """The size where it was not stated: of a given stiffness E A / L, the modulus goes with the length over both other sides."""
+    if "block.size" not in facts.guessed:
+        return []
+    taken = " x ".join(f"{1e3 * edge:g}" for edge in facts.size) + " mm"
+    return [Guess("block.size", taken, f"{100.0 * GUESSED_SHARE:g} % per side", np.sqrt(3.0) * GUESSED_SHARE * modulus)]
+
+
 def _values(
-    fit: FitResult, covariance: np.ndarray, facts: BlockFacts, withheld: str, curves: Sequence[SqueezeCurve]
+    fit: FitResult,
+    covariance: np.ndarray,
+    facts: BlockFacts,
+    withheld: str,
+    curves: Sequence[SqueezeCurve],
+    measured_std: float,
 ) -> tuple[Value, ...]:
     names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
     if withheld:
@@ -295,7 +320,8 @@ def _values(
         Value("lame_lambda", "Pa", None, reason=undetermined)
         if undetermined
         else positive("lame_lambda", "Pa", float(lam), std_lambda),
-        positive("secant_stiffness", "N/m", secant, secant * std_e / modulus),
+        # force over travel: whatever the block's size is
+        positive("secant_stiffness", "N/m", secant, secant * measured_std / modulus),
         Value("largest_squeeze", "1", float(strain)),
     )
 

@@ -45,6 +45,7 @@ class BlockFacts:
         poissons_ratio: prior.
         relaxation_s: viscosity over Young's modulus, prior [s].
         mesh: of a block that is no box.
+        guessed: keys of sizes that the user did not state.
     """
 
     size: np.ndarray
@@ -55,6 +56,7 @@ class BlockFacts:
     poissons_ratio: Quantity = field(default_factory=lambda: Quantity(0.3, 0.12))
     relaxation_s: Quantity = field(default_factory=lambda: Quantity(0.0, 0.01))
     mesh: TetMesh | None = None
+    guessed: tuple[str, ...] = ()
 
     @property
     def length(self) -> float:
