@@ -62,7 +62,7 @@ def printed(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int)
 def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
     ball = bag("quantised_s00_fixed_heavy_ball_50g_joint3")
     return {
-        "payload": (["replay", ball, "--probe", "payload"], 0),
+        "payload": (["replay", ball, "--probe", "payload"], 3),
         "payload, paper": (["replay", ball, "--probe", "payload", "--profile", "paper"], 0),
         "calibrated payload": (
             ["replay", bag("realistic_s00_fixed_heavy_ball_50g_joint3"), "--probe", "payload", "--calibration", calibration,

@@ -95,7 +95,7 @@ def test_ideal_recordings_to_a_tenth_of_a_gram(recordings: Path, settings: str |
     for folder in fixed(recordings, "ideal_s00"):
         truth = truth_of(folder)
         estimate = weighed(folder, known_drive_train(truth) if settings else None)
-        assert estimate.verdict is Verdict.ACCEPTED, (folder.name, estimate.reasons)
+        assert estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), (folder.name, estimate.reasons)
         error, hit = error_and_hit(estimate, truth)
         assert abs(error) <= max(1e-4, 2e-3 * truth["payload"]["mass"]), (folder.name, error)
         hits.append(hit)
@@ -112,7 +112,7 @@ def test_quantised_recordings_to_half_a_gram(recordings: Path, settings: str | N
     for folder in fixed(recordings, "quantised_s00"):
         truth = truth_of(folder)
         estimate = weighed(folder, known_drive_train(truth) if settings else None)
-        assert estimate.verdict is Verdict.ACCEPTED, (folder.name, estimate.reasons)
+        assert estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE), (folder.name, estimate.reasons)
         error, hit = error_and_hit(estimate, truth)
         errors.append(error)
         hits.append(hit)
@@ -148,7 +148,8 @@ def test_without_calibration_the_interval_is_as_wide_as_the_truth_demands(record
     hits = []
     for folder in fixed(recordings, level):
         estimate = weighed(folder)
-        if estimate.verdict is Verdict.ACCEPTED:
+        assert estimate.verdict is not Verdict.ACCEPTED, folder.name
+        if estimate.verdict is Verdict.TOO_WIDE:
             hits.append(error_and_hit(estimate, truth_of(folder))[1])
             assert any("not been calibrated" in reason for reason in estimate.reasons)
     assert np.mean(hits) >= 0.9
@@ -206,7 +207,8 @@ def test_own_bags(bags: Path, name: str, tolerance: float) -> None:
     truth = truth_of(bags / name)
     estimate = weighed(bags / name)
     error, hit = error_and_hit(estimate, truth)
-    assert estimate.verdict is Verdict.ACCEPTED and abs(error) <= tolerance and hit
+    # what the file leaves open makes the interval wide; with the file's own numbers the value is exact
+    assert estimate.verdict is Verdict.TOO_WIDE and abs(error) <= tolerance and hit
     assert estimate.solver.starts_agreeing == 5
 
 
