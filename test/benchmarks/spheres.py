@@ -1,6 +1,6 @@
 """Do the intervals of spheres hold? Random robots, boxes and spheres in MuJoCo, calibrated and weighed as a user would.
 
-    python test/benchmarks/spheres.py                          # 60 robots, each with one sphere; 10 min
+    python test/benchmarks/spheres.py                          # 60 robots, each with one sphere
     python test/benchmarks/spheres.py --without run_torque     # robots whose torque is the same in every run
 
 Every robot makes empty-hand runs and learns itself from them; then it makes the same three runs with an empty box in its hand and
