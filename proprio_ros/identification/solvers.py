@@ -92,6 +92,7 @@ def levenberg_marquardt(
     window_iterations: int = 3,
     iterations: int = 30,
     tolerance: float = 1e-4,
+    persistent: bool = False,
 ) -> Solution:
     """Batched Levenberg-Marquardt on growing windows (Marquardt 1963, damping scaled by the diagonal).
 
@@ -105,6 +106,7 @@ def levenberg_marquardt(
         window_iterations: iterations on each window but the last.
         iterations: at most so many on the last.
         tolerance: of a start's step over its standard deviation.
+        persistent: whether a start that overshot three times goes on with shorter steps, until the damping ends it.
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
@@ -126,7 +128,8 @@ def levenberg_marquardt(
             moved = trial - u
             curvature = np.einsum("si,sij,sj->s", moved, matrix, moved)
             size = np.sqrt(np.maximum(curvature, 0.0))
-            promised = -np.einsum("si,si->s", gradient, moved) - 0.5 * curvature
+            downhill = -np.einsum("si,si->s", gradient, moved)
+            promised = downhill - 0.5 * curvature
             finite = better & np.isfinite(cost)  # the first guess that can be simulated gains without measure
             gained = np.where(finite, np.where(finite, cost, 0.0) - np.where(finite, trial_cost, 0.0), 0.0)
             # Nielsen 1999: the damping follows how much of the promised decrease came true
@@ -134,7 +137,8 @@ def levenberg_marquardt(
             damping = damping * np.where(better, np.maximum(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), growth)
             damping = np.clip(damping, 1e-8, 1e10)
             growth = np.where(better, 2.0, 2.0 * growth)
-            idle = np.where(gained < IDLE_GAIN, idle + 1, 0)
+            overshot = persistent & ~better & (downhill > IDLE_GAIN)  # a shorter step gains
+            idle = np.where((gained < IDLE_GAIN) & ~overshot, idle + 1, 0)
             u = np.where(better[:, None], trial, u)
             cost = np.where(better, trial_cost, cost)
             gradient = np.where(better[:, None], trial_gradient, gradient)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -237,6 +237,18 @@ class Load:
     mass: float
     offset: tuple[float, float, float]
     inertia: tuple[float, float, float, float, float, float]
+    step_s: ClassVar[float] = STEP_S
+    """What it is simulated with."""
+
+    def add_to(self, spec: Any) -> Any:
+        """The body, fixed to the hand of an ``MjSpec``."""
+        body = spec.body("end_effector_link").add_body(name="load", explicitinertial=True)
+        body.mass, body.ipos, body.fullinertia = self.mass, self.offset, self.inertia
+        return body
+
+    def settle(self, model: Any, data: Any) -> FloatArray:
+        """Let come to rest what moves in it while the arm stands; the torque that holds its weight, shape (4,) [N m]."""
+        return np.zeros(4)
 
 
 def ball(mass: float, diameter: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Load:
@@ -292,8 +304,7 @@ def _model(robot: HiddenRobot, driven: int, opening: float, load: Load | None, s
         body.ipos = np.array(body.ipos) + shift
         body.fullinertia = np.array(body.fullinertia) * scale * inertia
     if load is not None:
-        body = spec.body("end_effector_link").add_body(name="load", explicitinertial=True)
-        body.mass, body.ipos, body.fullinertia = load.mass, load.offset, load.inertia
+        load.add_to(spec)
     for index, name in enumerate(JOINTS):
         joint = spec.joint(name)
         joint.armature = robot.armature[index] if robot.compliance or index == driven else RIGID
@@ -334,11 +345,12 @@ def simulate(
     data = mujoco.MjData(model)
     # the controller brings the readings to the start, and has found the torques that keep them there
     reading = np.array([start.get(name, 0.0) for name in JOINTS])
-    data.qpos[:] = reading
+    data.qpos[:4] = reading
     for _ in range(3):
-        data.qpos[:] = reading - robot.reading_error(data.qpos)
+        data.qpos[:4] = reading - robot.reading_error(data.qpos[:4])
     mujoco.mj_forward(model, data)
-    data.ctrl[:] = data.qpos + data.qfrc_bias / model.actuator_gainprm[:, 0]
+    held = data.qfrc_bias[:4] + (np.zeros(4) if load is None else load.settle(model, data))
+    data.ctrl[:] = data.qpos[:4] + held / model.actuator_gainprm[:, 0]
 
     model.actuator_gainprm[driven, 0] = 1.0
     model.actuator_biasprm[driven] = 0.0
@@ -357,8 +369,8 @@ def simulate(
     steps = driven_steps + math.ceil(BRAKED_S / step_s)
     positions, currents = np.empty((steps + 1, 4)), np.zeros(steps + 1)
     # views, looked up once: the loop is all that takes time
-    step, qpos, qvel, ctrl = mujoco.mj_step, data.qpos, data.qvel, data.ctrl
-    friction, torque, before = model.dof_frictionloss, data.actuator_force, np.zeros(4)
+    step, qpos, qvel, ctrl = mujoco.mj_step, data.qpos[:4], data.qvel[:4], data.ctrl
+    friction, torque, before = model.dof_frictionloss[:4], data.actuator_force, np.zeros(4)
     for k in range(steps):
         positions[k] = qpos
         if k < driven_steps:
@@ -381,7 +393,7 @@ def simulate(
         step(model, data)
     positions[steps] = qpos
     probed = positions[: driven_steps + 1]
-    low, high = model.jnt_range.T
+    low, high = model.jnt_range[:4].T
     touched = ((probed < low) | (probed > high)).any(axis=0)
     hit = tuple(name for name, touches in zip(JOINTS, touched, strict=True) if touches)
     return Motion(step_s * np.arange(steps + 1, dtype=np.float64), positions, currents, hit)
@@ -413,7 +425,8 @@ def record(
         current_A = COUNT_A * round(current_A / COUNT_A)
     extra = robot.run_torque * float(rng.standard_normal())
     late_s = robot.onset_s * float(rng.standard_normal())
-    motion = simulate(robot, joint, start, current_A, duration_s, load, extra_torque=extra)
+    step_s = STEP_S if load is None else load.step_s
+    motion = simulate(robot, joint, start, current_A, duration_s, load, step_s, extra)
     period_s = 1.0 / RATE_HZ
     first, last = -round(BEFORE_S / period_s), round((duration_s + BRAKED_S) / period_s)
     cycles_s = period_s * np.arange(first, last + 1, dtype=np.float64)

@@ -51,6 +51,25 @@ def test_levenberg_marquardt_slides_along_a_bound() -> None:
     np.testing.assert_allclose(found.internal, np.tile([0.5, 0.25], (3, 1)), atol=1e-6)
 
 
+class Saturated:
+    """r = arctan x: from x = 20 every step of Gauss and Newton lands farther away, until it is 15 times shorter."""
+
+    coordinates = Coordinates([Unknown("sphere_x", 0.0, np.inf, -1e4, 1e4)])
+
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        residual, slope = np.arctan(internal), 1.0 / (1.0 + internal**2)
+        return 0.5 * (residual**2).sum(1), residual * slope, (slope**2)[..., None]
+
+
+def test_levenberg_marquardt_that_overshoots_goes_on_where_it_shall() -> None:
+    given_up = solvers.levenberg_marquardt(Saturated(), np.array([[20.0]]), None)
+    assert given_up.internal == 20.0
+    found = solvers.levenberg_marquardt(Saturated(), np.array([[20.0]]), None, persistent=True)
+    np.testing.assert_allclose(found.internal, 0.0, atol=1e-6)
+
+
 def test_adam_follows_its_published_first_steps() -> None:
     """Kingma & Ba: the first step is the learning rate times the sign of the gradient, whatever its size."""
 

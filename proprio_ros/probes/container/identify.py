@@ -267,7 +267,7 @@ def _solve(
         ends = start.problem.all_values(start.problem.coordinates.physical(start.solution.internal))
         starts = ends[_distinct(start)][:, free]
         solution = solvers.levenberg_marquardt(
-            problem, problem.coordinates.internal(starts), None, iterations=30, tolerance=1e-3
+            problem, problem.coordinates.internal(starts), None, iterations=30, tolerance=1e-3, persistent=True
         )
         return FitResult.of(problem, solution)
     # every guess of the place goes with every guess of the mass; runs take their n-th guess together
