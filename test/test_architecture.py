@@ -14,6 +14,8 @@ ROOMS: dict[str, set[str]] = {
     "errors": set(),
     "schema": set(),
     "threads": set(),
+    # what takes long says so to whoever listens
+    "progress": set(),
     "records": {"errors"},
     "resources": {"errors"},
     "quantity": {"errors"},
@@ -25,7 +27,7 @@ ROOMS: dict[str, set[str]] = {
     "realtime": set(),
     "bags": {"errors", "records"},
     "runs": {"errors", "records"},
-    "sim": {"errors", "records", "robot"},
+    "sim": {"errors", "progress", "records", "robot"},
     "identification": {"errors", "schema", "records", "quantity", "kinds", "robot", "calibration", "sim"},
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
@@ -115,6 +117,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "cli": {
         "errors",
+        "progress",
         "quantity",
         "schema",
         "settings",
@@ -133,6 +136,7 @@ ROOMS: dict[str, set[str]] = {
     "excitation": {"errors", "records", "resources", "robot"},
     "nodes": {
         "errors",
+        "progress",
         "quantity",
         "records",
         "resources",

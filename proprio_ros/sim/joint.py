@@ -29,6 +29,7 @@ import numpy as np
 import warp as wp
 
 from proprio_ros.errors import SimulationError
+from proprio_ros.sim import runtime
 from proprio_ros.sim.joint_kernels import (
     DELAY,
     PARAMETERS,
@@ -123,6 +124,7 @@ class JointSimulator:
         device: Warp device name.
 
     Raises:
+        ConfigurationError: Warp cannot keep compiled kernels.
         SimulationError: unknown integrator, no runs, or a run without samples.
     """
 
@@ -131,6 +133,7 @@ class JointSimulator:
     tangent_sizes: tuple[int, ...] = _TANGENT_SIZES
 
     def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4", device: str = "cpu") -> None:
+        runtime.check()
         if integrator not in INTEGRATORS:
             raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
         if not runs or any(len(run.sample_times_s) == 0 for run in runs):
@@ -239,7 +242,7 @@ class JointSimulator:
 
     def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
         plan = Schedule.empty(len(p), capacity, self._width, self.device)
-        wp.launch(
+        runtime.launch(
             schedule(*self._plain_law(), self.integrator),
             dim=len(p),
             inputs=[*self._run_data(self._full_counts), runs, p, capacity],
@@ -251,7 +254,7 @@ class JointSimulator:
     def _roll(self, runs: wp.array, p: wp.array, delay_at: wp.array, plan: Schedule, capacity: int) -> wp.array:
         """Launch the taped rollout; every position, shape (W, N + 1)."""
         q, v = (wp.zeros((len(p), capacity + 1), dtype=FLOAT, device=self.device, requires_grad=True) for _ in range(2))
-        wp.launch(
+        runtime.launch(
             taped(*self._plain_law(), self.integrator),
             dim=len(p),
             inputs=[self._data(), runs, p, delay_at, *plan.inputs()],
@@ -270,14 +273,21 @@ class JointSimulator:
         return TapedRollout(self, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
 
 
-def compile_kernels(integrator: str = "rk4") -> None:
-    """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing."""
-    simulator = JointSimulator([JointRun(np.array([0.01]), np.zeros(1), np.zeros(1))], integrator)
-    for size in (size for size in _TANGENT_SIZES if size <= _USUAL_SIZE):
-        for stribeck in (0.0, 1.0):
-            p = JointSimulator.harmless[None].copy()
-            p[:, INDEX["stribeck"]] = stribeck
-            simulator.jacobian(np.zeros(1, dtype=np.int32), p, np.zeros((1, len(PARAMETERS), size)))
+def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
+    """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing.
+
+    Args:
+        integrator: as for ``JointSimulator``.
+        rises: whether friction may rise towards standstill; kernels for that are as many again.
+    """
+    sizes = [size for size in _TANGENT_SIZES if size <= _USUAL_SIZE]
+    laws = [joint_law(size, stribeck) for stribeck in with_and_without(rises) for size in sizes]
+    runtime.load([rollout(law, integrator) for law in laws], "cpu")
+
+
+def with_and_without(rises: bool) -> tuple[bool, ...]:
+    """Which kernels there may be need of: a joint whose friction does not rise needs the shorter one on every robot."""
+    return (False, True) if rises else (False,)
 
 
 class _Launch:
@@ -296,7 +306,7 @@ class _Launch:
         out = out_type()
         for name, array in zip(out_type.vars, self._outputs, strict=True):
             setattr(out, name, array)
-        self._command = wp.launch(
+        self._command = runtime.launch(
             kernel,
             dim=worlds,
             inputs=[*owner._run_data(self._counts), self._world_run, self._p, self._dp],
@@ -369,7 +379,7 @@ class TapedRollout:
         self._tape = wp.Tape()
         with self._tape:
             q = owner._roll(runs, self._p, delay_at, plan, capacity)
-            wp.launch(
+            runtime.launch(
                 observe,
                 dim=(worlds, owner._width),
                 inputs=[owner._samples, runs, self._p, plan.sample_step, q],
