@@ -47,7 +47,6 @@ from proprio_ros.sim.runtime import FLOAT
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 14, 16, 18, 24, 32)
-_USUAL_SIZE = 16  # there are no more parameters to differentiate by; more directions come from callers of their own
 MAX_STEPS = 200_000
 
 
@@ -278,16 +277,30 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
 
     Args:
         integrator: as for ``JointSimulator``.
-        rises: whether friction may rise towards standstill; kernels for that are as many again.
+        rises: whether the robot's friction may rise towards standstill; kernels for that are nearly as many again.
     """
-    sizes = [size for size in _TANGENT_SIZES if size <= _USUAL_SIZE]
-    laws = [joint_law(size, stribeck) for stribeck in with_and_without(rises) for size in sizes]
-    runtime.load([rollout(law, integrator) for law in laws], "cpu")
+    # more directions than parameters come only from callers of their own
+    sizes = [size for size in _TANGENT_SIZES if size <= len(PARAMETERS)]
+    runtime.load([rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)], "cpu")
 
 
-def with_and_without(rises: bool) -> tuple[bool, ...]:
-    """Which kernels there may be need of: a joint whose friction does not rise needs the shorter one on every robot."""
-    return (False, True) if rises else (False,)
+def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]:
+    """Size, and whether friction rises towards standstill, of each kernel that a robot's fits may need.
+
+    Args:
+        sizes: numbers of directions, the last that of all parameters.
+        rises: whether the robot's friction may rise.
+    """
+    # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
+    return [
+        (size, stribeck) for size in sizes for stribeck in (False, True) if rises or not stribeck or size == sizes[-1]
+    ]
+
+
+def plain_kernel(directions: int, integrator: str) -> Any:
+    """The joint's own kernel for runs with an empty hand among those of another law, which has more parameters."""
+    size = next(size for size in _TANGENT_SIZES if size >= directions)
+    return rollout(joint_law(size, True), integrator)
 
 
 class _Launch:

@@ -36,7 +36,7 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint import JointRun, JointSimulator, Schedule, harmless, with_and_without
+from proprio_ros.sim.joint import JointRun, JointSimulator, Schedule, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.sphere_kernels import (
@@ -320,11 +320,7 @@ def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "
         integrator: the same.
         rises: whether friction may rise towards standstill; kernels for that are as many again.
     """
-    runtime.load(
-        [
-            tangent_kernel(size, integrator, stribeck, shape, law)[0]
-            for stribeck in with_and_without(rises)
-            for size in _SIZES
-        ],
-        "cpu",
-    )
+    kernels = [
+        tangent_kernel(size, integrator, stribeck, shape, law)[0] for size, stribeck in kinds_of_kernel(_SIZES, rises)
+    ]
+    runtime.load([*kernels, plain_kernel(len(SPHERE_PARAMETERS), integrator)], "cpu")

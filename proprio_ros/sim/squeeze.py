@@ -27,7 +27,7 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, with_and_without
+from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.response import Response
 from proprio_ros.sim.response_kernels import VEC4
 from proprio_ros.sim.rollout import rollout
@@ -134,5 +134,5 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
         integrator: as for ``SqueezeSimulator``.
         rises: whether friction may rise towards standstill; kernels for that are as many again.
     """
-    laws = [squeeze_law(size, stribeck) for stribeck in with_and_without(rises) for size in _SIZES]
-    runtime.load([rollout(law, integrator) for law in laws], "cpu")
+    kernels = [rollout(squeeze_law(*kind), integrator) for kind in kinds_of_kernel(_SIZES, rises)]
+    runtime.load([*kernels, plain_kernel(len(SQUEEZE_PARAMETERS), integrator)], "cpu")
