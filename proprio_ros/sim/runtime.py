@@ -51,7 +51,7 @@ def _unwritable(error: OSError) -> str:
 
 
 def load(kernels: Sequence[Any], device: Any) -> None:
-    """Compile and load those kernels that this computer has not kept from before, and say how far that is.
+    """Compile and load kernels, and say how far that is for those that this computer has not kept from before.
 
     Args:
         kernels: each in a module of its own.
@@ -60,20 +60,14 @@ def load(kernels: Sequence[Any], device: Any) -> None:
     Raises:
         ConfigurationError: a compiled kernel cannot be kept.
     """
-    global _alone
     check()
-    device = wp.get_device(device)
-    missing = [kernel.module for kernel in kernels if not _is_kept(kernel.module, device)]
-    for number, module in enumerate(missing, start=1):
-        if len(kernels) > 1:
-            progress.say(f"compiling {number} of {len(missing)}, once on this computer")
-        else:
-            _alone += 1
-            progress.say(f"compiling kernel {_alone}, once on this computer")
-        try:
-            wp.load_module(module, device=device)
-        except OSError as error:
-            raise ConfigurationError(_unwritable(error)) from error
+    kept = [_is_kept(kernel.module, device) for kernel in kernels]
+    number = 0
+    for kernel, was_kept in zip(kernels, kept, strict=True):
+        if not was_kept:
+            number += 1
+            progress.say(f"compiling {number} of {kept.count(False)}, once on this computer")
+        _load(kernel.module, device)
 
 
 def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
@@ -82,13 +76,24 @@ def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
     Raises:
         ConfigurationError: a compiled kernel cannot be kept.
     """
-    load([kernel], device)
+    global _alone
+    if not _is_kept(kernel.module, device):
+        _alone += 1
+        progress.say(f"compiling kernel {_alone}, once on this computer")
+        _load(kernel.module, device)
     return wp.launch(kernel, device=device, **given)
+
+
+def _load(module: Any, device: Any) -> None:
+    try:
+        wp.load_module(module, device=device)
+    except OSError as error:
+        raise ConfigurationError(_unwritable(error)) from error
 
 
 def _is_kept(module: Any, device: Any) -> bool:
     # Warp names the folder of a module by its content, and renames it into place once everything is in it
-    name = module.get_module_identifier(1 if device.is_cpu else None)
+    name = module.get_module_identifier(1 if wp.get_device(device).is_cpu else None)
     return os.path.isdir(os.path.join(wp.config.kernel_cache_dir, name))
 
 

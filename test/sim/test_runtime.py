@@ -92,15 +92,20 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
 def kernels_loaded(monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], really: bool = True) -> set[str]:
     """Names of the modules of kernels that something loads."""
     names: set[str] = set()
-    load = runtime.load
+    load, launch = runtime.load, runtime.launch
 
-    def spied(kernels: list[Any], device: Any) -> None:
+    def loaded(kernels: list[Any], device: Any) -> None:
         names.update(kernel.module.name for kernel in kernels)
         if really:
             load(kernels, device)
 
+    def launched(kernel: Any, **given: Any) -> Any:
+        names.add(kernel.module.name)
+        return launch(kernel, **given)
+
     with monkeypatch.context() as patch:
-        patch.setattr(runtime, "load", spied)
+        patch.setattr(runtime, "load", loaded)
+        patch.setattr(runtime, "launch", launched)
         do()
     return names
 
