@@ -53,8 +53,8 @@ setup(
             'ros-jazzy-rclpy[fastrtps]; platform_machine == "x86_64"',
             'ros-jazzy-common-interfaces; platform_machine == "x86_64"',
         ],
-        # MuJoCo 4 is split over several packages; what is used here is in all of 3.2 to 4.0
-        "sim": ["mujoco>=3.2,<5"],
+        # MuJoCo 4 is split over several packages; what the virtual arm asks of it is the same from 3.7 to 4.0
+        "sim": ["mujoco>=3.7,<5"],
         # blocks that are no boxes come from mesh files
         "mesh": ["meshio>=5.3"],
         "test": [
