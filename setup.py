@@ -33,15 +33,16 @@ setup(
     ],
     zip_safe=False,
     python_requires=">=3.10",
-    # dynamixel-sdk is what the driver talks to the bus with; ROS 2 Jazzy ships the same module
+    # dynamixel-sdk is what the driver talks to the bus with; ROS 2 Jazzy ships the same module. Lower bounds are what Ubuntu 24.04
+    # has where it has it (.ci/lowest tests them all); upper bounds are there where a new major version has broken code before
     install_requires=[
-        "numpy>=1.26",
-        "warp-lang>=1.19",
-        "rosbags>=0.11",
+        "numpy>=1.26,<3",
+        "warp-lang>=1.19,<2",
+        "rosbags>=0.11.6,<0.12",
         "ruamel.yaml",
         "scipy>=1.11",
         "matplotlib>=3.6",
-        "cma>=3.3",
+        "cma>=3.3,<5",
         "dynamixel-sdk",
         "pyserial",
         "threadpoolctl>=3.1",
@@ -52,7 +53,8 @@ setup(
             'ros-jazzy-rclpy[fastrtps]; platform_machine == "x86_64"',
             'ros-jazzy-common-interfaces; platform_machine == "x86_64"',
         ],
-        "sim": ["mujoco>=3.2"],
+        # MuJoCo 4 is split over several packages; what the virtual arm asks of it is the same from 3.7 to 4.0
+        "sim": ["mujoco>=3.7,<5"],
         # blocks that are no boxes come from mesh files
         "mesh": ["meshio>=5.3"],
         "test": [

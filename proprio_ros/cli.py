@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-from proprio_ros import __version__, schema
+from proprio_ros import __version__, progress, schema
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.quantity import shown, spec_for
@@ -42,7 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         options = _parser().parse_args(given)
-        return int(options.command(options, given))
+        with progress.listening(_say):
+            return int(options.command(options, given))
     except _UsageError as error:
         _json_error(given, error.sentence, EXIT_BAD_INPUT)
         raise
@@ -196,6 +197,19 @@ def _parser() -> argparse.ArgumentParser:
     _add_set(table)
     table.add_argument("--json", action="store_true", help="print one JSON object")
     table.set_defaults(command=_table)
+
+    warmup = commands.add_parser(
+        "warmup",
+        help="compile now what the first call would wait for",
+        description="Simulations run in kernels that are compiled where they run, once on each computer. The first call waits for "
+        "that, and so does the identifier when it starts; this does it now, for instance after an installation.",
+    )
+    warmup.add_argument(
+        "--probe", choices=[probe.name for probe in probes], help="only what this one needs (default all)"
+    )
+    _add_robot(warmup)
+    _add_set(warmup)
+    warmup.set_defaults(command=_warmup)
 
     demo = commands.add_parser(
         "demo",
@@ -429,6 +443,16 @@ def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
     return EXIT_OK
 
 
+def _warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
+    settings = parse_settings(options.set)
+    from proprio_ros.replay import ReplayOptions, compile_for
+
+    for name in [options.probe] if options.probe else [probe.name for probe in all_probes()]:
+        compile_for(ReplayOptions(probe=name, robot=options.robot, settings=settings))
+        print(f"{name}: ready")
+    return EXIT_OK
+
+
 def _demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     examples = [probe.example for probe in all_probes() if probe.example is not None]
     probe = probe_named(options.probe)
@@ -481,6 +505,12 @@ def _masses(text: str) -> list[float]:
     if not 1 <= len(ends) <= 2 or min(ends) <= 0.0 or ends[0] > ends[-1]:
         raise ConfigurationError(f"--mass {text}: write one mass in kg, or lightest..heaviest, e.g. 0.01..0.2")
     return ends if len(ends) == 1 else [ends[0], (ends[0] * ends[1]) ** 0.5, ends[1]]
+
+
+def _say(message: str) -> None:
+    """What takes long the first time, to whoever waits, and into every log."""
+    if sys.stderr is not None:
+        print(f"proprio: {message}", file=sys.stderr, flush=True)
 
 
 def _progress(message: str) -> None:

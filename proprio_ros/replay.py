@@ -127,6 +127,20 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     return replace(estimate, timing_s=timing, origin=origin, recorded=tuple(recorded))
 
 
+def compile_for(options: ReplayOptions) -> None:
+    """Compile ahead what an identification with these options needs on this computer; again it costs nothing.
+
+    Raises:
+        ConfigurationError, RobotError: a setting is wrong, or compiled kernels cannot be kept.
+    """
+    probe = probe_asked_for(options)
+    settings = Settings(options.settings)
+    robot = configured_robot(options.robot, options.calibration, settings)
+    facts = probe.facts(settings, options.solver, options.profile)
+    settings.refuse_rest()
+    probe.compile(robot, facts)
+
+
 def probe_asked_for(options: ReplayOptions) -> Probe[Any]:
     """The probe that the options name, with a solver and a profile that it has.
 

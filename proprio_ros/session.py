@@ -24,7 +24,7 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, configured_robot, held_positions, probe_asked_for
+from proprio_ros.replay import ReplayOptions, configured_robot, held_positions, probe_asked_for, robot_of
 from proprio_ros.resources import write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
@@ -90,9 +90,13 @@ def _elsewhere() -> list[Path]:
     return [Path(tempfile.gettempdir()) / "proprio_recordings", Path("/dev/shm/proprio_recordings")]
 
 
-def prepare_identification() -> None:
-    """Compile and load all kernels that a weighing or a calibration may need, so that none is compiled in a probe."""
-    compile_kernels()
+def prepare_identification(options: ReplayOptions) -> None:
+    """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled in a probe.
+
+    Raises:
+        ConfigurationError, RobotError: the robot cannot be read, or compiled kernels cannot be kept.
+    """
+    compile_kernels(rises=robot_of(options.robot, options.calibration).friction_rises)
 
 
 def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,8 @@ ROOMS: dict[str, set[str]] = {
     "errors": set(),
     "schema": set(),
     "threads": set(),
+    # what takes long says so to whoever listens
+    "progress": set(),
     "records": {"errors"},
     "resources": {"errors"},
     "quantity": {"errors"},
@@ -27,7 +29,7 @@ ROOMS: dict[str, set[str]] = {
     "runs": {"errors", "records"},
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
-    "sim": {"errors", "records", "robot"},
+    "sim": {"errors", "progress", "records", "robot"},
     "identification": {"errors", "schema", "records", "motions", "quantity", "kinds", "robot", "calibration", "sim"},
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
@@ -121,6 +123,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "cli": {
         "errors",
+        "progress",
         "quantity",
         "schema",
         "settings",
@@ -139,6 +142,7 @@ ROOMS: dict[str, set[str]] = {
     "excitation": {"errors", "records", "resources", "robot"},
     "nodes": {
         "errors",
+        "progress",
         "quantity",
         "records",
         "resources",

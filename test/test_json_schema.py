@@ -63,7 +63,7 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
     ball = bag("quantised_s00_fixed_heavy_ball_50g_joint3")
     return {
         "payload": (["replay", ball, "--probe", "payload"], 3),
-        "payload, paper": (["replay", ball, "--probe", "payload", "--profile", "paper"], 0),
+        "payload, paper": (["replay", ball, "--probe", "payload", "--profile", "paper"], 3),
         "calibrated payload": (
             ["replay", bag("realistic_s00_fixed_heavy_ball_50g_joint3"), "--probe", "payload", "--calibration", calibration,
              "--baseline", bag("realistic_s00_empty_00_joint3")], 0,

@@ -15,6 +15,9 @@ from typing import Any
 
 import pytest
 import setuptools
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
 
 import proprio_ros
 
@@ -72,6 +75,41 @@ def test_dependencies_are_declared_once(arguments: dict[str, Any]) -> None:
     assert arguments["python_requires"] == ">=3.10"
     assert not any("ros-jazzy" in requirement for requirement in arguments["install_requires"])
     assert all("ros-jazzy" in requirement for requirement in arguments["extras_require"]["ros"])
+
+
+def pins(name: str) -> dict[str, Version]:
+    """Versions of a file of `.ci`, where every line is a name and a version: no address, no path, no option."""
+    lines = [line for line in (REPOSITORY / ".ci" / name).read_text().splitlines() if not line.startswith("#")]
+    assert lines and all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][A-Za-z0-9.]*", line) for line in lines)
+    return {canonicalize_name(line.split("==")[0]): Version(line.split("==")[1]) for line in lines}
+
+
+def test_the_gate_pins_every_dependency_within_its_bounds(arguments: dict[str, Any]) -> None:
+    pinned = pins("constraints.txt")
+    extras = [line for lines in arguments["extras_require"].values() for line in lines]
+    for line in [*arguments["install_requires"], *extras]:
+        requirement = Requirement(line)
+        assert pinned[canonicalize_name(requirement.name)] in requirement.specifier, line
+    for path in (".ci/run", ".ci/lowest"):
+        installs = [line for line in (REPOSITORY / path).read_text().splitlines() if "pip install" in line]
+        assert installs and all(" -c .ci/" in line for line in installs), path
+
+
+def test_the_lowest_versions_are_those_of_the_lower_bounds(arguments: dict[str, Any]) -> None:
+    lowest = pins("lowest.txt")
+    lines = [*arguments["install_requires"], *arguments["extras_require"]["sim"]]
+    allowed = {requirement.name: requirement.specifier for requirement in map(Requirement, lines)}
+    bounds = {name: Version(s.version) for name, those in allowed.items() for s in those if s.operator == ">="}
+    assert lowest == bounds
+    # a new major version of these has broken code before
+    for name, next_major in (
+        ("numpy", "3.0"),
+        ("mujoco", "5.0"),
+        ("warp-lang", "2.0"),
+        ("cma", "5.0"),
+        ("rosbags", "0.12"),
+    ):
+        assert next_major not in allowed[name], name
 
 
 @pytest.mark.parametrize("command", [["ruff", "check", "."], ["mypy"]], ids=lambda command: command[0])

@@ -260,7 +260,7 @@ def test_the_command_of_a_container_names_its_baseline_and_gives_the_result_agai
 
 def prepare(options: ReplayOptions) -> None:
     setting = setting_of(options)
-    setting.probe.prepare(setting.facts)
+    setting.probe.prepare(setting.robot, setting.facts)
 
 
 def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:

@@ -25,13 +25,15 @@ from std_srvs.srv import Trigger
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.graph import Graph
+from proprio_ros.nodes.graph import Graph, Patience
 from proprio_ros.nodes.runtime import LATCHED
 from proprio_ros.probes.base import Probe
 
-READY_S = 300.0
-"""On a new machine the identifier compiles its kernels first; a node that has ended is noticed at once."""
-ROBOT_S, OBJECT_S = 900.0, 900.0
+SILENCE_S = 600.0
+"""Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang;
+one that has ended is noticed at once."""
+NOT_READY_S = 60.0
+"""Between nodes that are all up: a node that the others do not see yet."""
 REFERENCE_KG = 0.1
 _interrupted = threading.Event()
 
@@ -111,21 +113,22 @@ def demo(
         tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
         with _Client(graph, tell) as client:
             _obey_interrupt()
-            client.wait_until_ready(READY_S)
+            client.wait_until_ready()
             weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if reference else ""
             tell(f"the robot {'weighs' if weight else 'learns'} itself: with nothing in its hand{weight}")
-            accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
-            while sentence.startswith("not ready") and time.monotonic() - started < READY_S:  # a slow computer
-                accepted, sentence = client.call("/identifier/calibrate_robot", ROBOT_S)
+            asked = time.monotonic()
+            accepted, sentence = client.call("/identifier/calibrate_robot")
+            while sentence.startswith("not ready") and time.monotonic() - asked < NOT_READY_S:  # a slow computer
+                accepted, sentence = client.call("/identifier/calibrate_robot")
             tell(sentence)
             if accepted and probe.baseline is not None:
                 tell(f"now an {probe.baseline.noun} is in its hand")
-                accepted, sentence = client.call(f"/identifier/record_{probe.name}_baseline", OBJECT_S)
+                accepted, sentence = client.call(f"/identifier/record_{probe.name}_baseline")
                 tell(sentence)
             if accepted:
                 tell(example.now)
-                accepted, sentence = client.call(f"/identifier/calibrate_{probe.name}", OBJECT_S)
-            final = client.final_estimate(probe.name, 3.0) if accepted else {}
+                accepted, sentence = client.call(f"/identifier/calibrate_{probe.name}")
+            final = client.final_estimate(probe.name) if accepted else {}
             elapsed = time.monotonic() - started
             tell("done; the nodes are ending")
     name, _ = probe.answer
@@ -160,6 +163,7 @@ class _Client:
         self._graph = graph
         self._tell = tell
         self._last_words = ""
+        self._words = 0
         self._final: dict[str, dict[str, str]] = {}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("proprio_demo")
@@ -179,6 +183,7 @@ class _Client:
     def _on_status(self, message: DiagnosticStatus) -> None:
         values = messages.values_of(message)
         words = f"{values.get('doing', '')}: {message.message}"
+        self._words += 1
         if words != self._last_words and values.get("doing") not in (None, "idle"):
             self._last_words = words
             self._tell(words)
@@ -186,47 +191,56 @@ class _Client:
     def _on_estimate(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = messages.values_of(status)
+            self._words += 1
             if values.get("final") == "true":
                 self._final[status.name] = values
             elif values.get("final") == "false":
                 self._tell(status.message)
 
-    def _spin_until(self, ready: Callable[[], bool], seconds: float) -> bool:
-        deadline = time.monotonic() + seconds
+    def _spin_until(self, ready: Callable[[], bool], silence_s: float = SILENCE_S) -> bool:
+        """Whether it became so, before nobody said anything for so long."""
+        patience = Patience(silence_s)
         while not ready():
             _obey_interrupt()
             self._graph.check()
-            if time.monotonic() > deadline:
+            if patience.is_over((self._words, self._graph.said())):
                 return False
             self._executor.spin_once(timeout_sec=0.05)
         return True
 
-    def wait_until_ready(self, seconds: float) -> None:
+    def wait_until_ready(self) -> None:
         """Wait until a calibration would be accepted: services there, joint states coming."""
         states = threading.Event()
         subscription = self._node.create_subscription(JointState, "/joint_states", lambda _: states.set(), 1)
-        services = [
-            self._node.create_client(Trigger, name) for name in ("/identifier/calibrate_robot", "/excitation/run")
-        ]
-        ready = self._spin_until(
-            lambda: states.is_set() and all(service.service_is_ready() for service in services), seconds
-        )
+        names = ("/identifier/calibrate_robot", "/excitation/run")
+        services = {name: self._node.create_client(Trigger, name) for name in names}
+
+        def missing() -> list[str]:
+            absent = [name for name, service in services.items() if not service.service_is_ready()]
+            return absent if states.is_set() else ["/joint_states", *absent]
+
+        ready = self._spin_until(lambda: not missing())
         self._node.destroy_subscription(subscription)
         if not ready:
-            raise ConfigurationError(f"the nodes did not come up within {seconds:g} s; see {self._graph.logs}")
+            raise ConfigurationError(
+                f"the nodes did not come up: no {', no '.join(missing())}, and not a word for {SILENCE_S:g} s; "
+                f"see {self._graph.logs}"
+            )
 
-    def call(self, name: str, seconds: float) -> tuple[bool, str]:
+    def call(self, name: str) -> tuple[bool, str]:
         """Call a service and wait for its word."""
         client = self._node.create_client(Trigger, name)
-        if not self._spin_until(client.service_is_ready, 5.0):
+        if not self._spin_until(client.service_is_ready, 30.0):
             raise ConfigurationError(f"{name} is not there; see {self._graph.logs}")
         future = client.call_async(Trigger.Request())
-        if not self._spin_until(future.done, seconds):
-            raise ConfigurationError(f"{name} gave no answer within {seconds:g} s; see {self._graph.logs}")
+        if not self._spin_until(future.done):
+            raise ConfigurationError(
+                f"{name} gave no answer, and not a word for {SILENCE_S:g} s; see {self._graph.logs}"
+            )
         answer = future.result()
         return bool(answer.success), str(answer.message)
 
-    def final_estimate(self, probe: str, seconds: float) -> dict[str, str]:
-        """The last word of the identifier on its topic."""
-        self._spin_until(lambda: probe in self._final, seconds)
+    def final_estimate(self, probe: str) -> dict[str, str]:
+        """The last word of the identifier on its topic, which may come a moment after the service's answer."""
+        self._spin_until(lambda: probe in self._final, 10.0)
         return self._final.get(probe, {})

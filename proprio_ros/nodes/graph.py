@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,6 +19,31 @@ from proprio_ros.nodes.messages import text_of
 END_S = 4.0
 """A node releases the arm and ends within a second; one that does not is killed."""
 _PR_SET_PDEATHSIG = 1
+
+
+class Patience:
+    """How long to wait for those who say how far they are: until they have been silent for some time.
+
+    Args:
+        silence_s: Nothing said for so long is the end.
+        now: A clock [s].
+    """
+
+    def __init__(self, silence_s: float, now: Callable[[], float] = time.monotonic) -> None:
+        self._silence_s = silence_s
+        self._now = now
+        self._heard: object = None
+        self._since_s = now()
+
+    def is_over(self, heard: object) -> bool:
+        """Whether nothing new was heard for too long.
+
+        Args:
+            heard: Anything that differs once there is something new.
+        """
+        if heard != self._heard:
+            self._heard, self._since_s = heard, self._now()
+        return self._now() - self._since_s > self._silence_s
 
 
 def _end_with_parent() -> None:
@@ -74,6 +99,10 @@ class Graph:
     def log(self, node: str) -> str:
         """What a node has printed so far."""
         return (self.logs / f"{node}.log").read_text(encoding="utf-8", errors="replace")
+
+    def said(self) -> int:
+        """How much all nodes have printed so far [bytes]: more of it is progress."""
+        return sum(log.stat().st_size for log in self.logs.glob("*.log"))
 
     def check(self) -> None:
         """Raises: ConfigurationError: a node has ended, with the last line it printed."""

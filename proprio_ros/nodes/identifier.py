@@ -29,6 +29,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from proprio_ros import progress
 from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
@@ -159,13 +160,14 @@ class IdentifierNode(ManagedNode):
     def configure(self) -> None:
         self._data = Path(self.values["data_directory"]).expanduser()
         self._calibration = self._find_calibration()
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         started = time.monotonic()
-        prepare_identification()  # kernels are compiled here, and never inside a probe
+        with progress.listening(partial(self._tell_and_log, "starting")):
+            prepare_identification(self._options())  # kernels are compiled here, and never inside a probe
         for given in ("settings", "reference_settings"):
             check_settings(replace(self._options(), settings=parse_settings(value_of(self, given))))
         self.say("info", f"ready after {time.monotonic() - started:.1f} s; calibration: {self._calibration or 'none'}")
 
-        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = self.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
         self._payload = self.create_publisher(InertiaStamped, "~/payload", LATCHED)
         self._markers = self.create_publisher(MarkerArray, "~/markers", LATCHED)
@@ -395,7 +397,8 @@ class IdentifierNode(ManagedNode):
         self._live = LiveEstimate(setting) if probe.live and self.values["live_period"] > 0.0 else None
         if probe.prepares:
             self._tell(job.kind, f"preparing the simulation of {probe.prepares}")
-        probe.prepare(setting.facts)
+        with progress.listening(partial(self._tell_and_log, job.kind)):
+            probe.prepare(setting.robot, setting.facts)
         if job.cancelled.is_set():
             raise JobError("cancelled")
         if probe.hand:
@@ -665,6 +668,10 @@ class IdentifierNode(ManagedNode):
     def _tell(self, doing: str, message: str, entries: dict[str, Any] | None = None, level: str = "ok") -> None:
         values = {"doing": doing, "calibration": str(self._calibration or "none"), **(entries or {})}
         self._status.publish(messages.status(level, "identifier", message, values))
+
+    def _tell_and_log(self, doing: str, message: str) -> None:
+        self.say("info", message)
+        self._tell(doing, message)
 
     def _save_again(self) -> None:
         """Recordings that could be written nowhere are tried again until they are on disk."""

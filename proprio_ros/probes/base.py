@@ -229,13 +229,24 @@ class Probe(ABC, Generic[Facts]):
         """What is stated about the hand without the object, as settings of the probe ``baseline.probe``."""
         return {}
 
-    def prepare(self, facts: Facts) -> None:
+    def compile(self, robot: Robot, facts: Facts) -> None:
+        """Compile the kernels that an identification needs on this computer; again it costs nothing.
+
+        Raises:
+            ConfigurationError: compiled kernels cannot be kept.
+        """
+        from proprio_ros.sim.joint import compile_kernels
+
+        compile_kernels(rises=robot.friction_rises)
+
+    def prepare(self, robot: Robot, facts: Facts) -> None:
         """Compile and tabulate what an identification needs, so that none of it is done in a probe.
 
         Raises:
+            ConfigurationError: compiled kernels cannot be kept.
             SimulationError: the object cannot be simulated.
         """
-        return
+        self.compile(robot, facts)
 
     # --- identification from recordings ------------------------------------------------------------------------------
 

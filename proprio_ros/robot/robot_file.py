@@ -85,6 +85,11 @@ class Robot:
             return self.calibration is not None or bool(self.settings.get("calibrated"))
         return self.calibration is not None and set(joints) <= set(self.calibration.joints)
 
+    @property
+    def friction_rises(self) -> bool:
+        """Whether dry friction of any joint is, or may turn out to be, greater at rest."""
+        return any(drive.stribeck.value > 0.0 or drive.stribeck.std > 0.0 for drive in self.drive_trains.values())
+
     def with_overrides(self, overrides: Mapping[str, Any]) -> Robot:
         """The same robot with some settings replaced.
 

@@ -29,6 +29,7 @@ import numpy as np
 import warp as wp
 
 from proprio_ros.errors import SimulationError
+from proprio_ros.sim import runtime
 from proprio_ros.sim.joint_kernels import (
     DELAY,
     PARAMETERS,
@@ -46,7 +47,6 @@ from proprio_ros.sim.runtime import FLOAT
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
 INTEGRATORS = ("rk4", "semi_implicit")
 _TANGENT_SIZES = (1, 3, 4, 6, 8, 12, 14, 16, 18, 24, 32)
-_USUAL_SIZE = 16  # there are no more parameters to differentiate by; more directions come from callers of their own
 MAX_STEPS = 200_000
 
 
@@ -123,6 +123,7 @@ class JointSimulator:
         device: Warp device name.
 
     Raises:
+        ConfigurationError: Warp cannot keep compiled kernels.
         SimulationError: unknown integrator, no runs, or a run without samples.
     """
 
@@ -131,6 +132,7 @@ class JointSimulator:
     tangent_sizes: tuple[int, ...] = _TANGENT_SIZES
 
     def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4", device: str = "cpu") -> None:
+        runtime.check()
         if integrator not in INTEGRATORS:
             raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
         if not runs or any(len(run.sample_times_s) == 0 for run in runs):
@@ -239,7 +241,7 @@ class JointSimulator:
 
     def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
         plan = Schedule.empty(len(p), capacity, self._width, self.device)
-        wp.launch(
+        runtime.launch(
             schedule(*self._plain_law(), self.integrator),
             dim=len(p),
             inputs=[*self._run_data(self._full_counts), runs, p, capacity],
@@ -251,7 +253,7 @@ class JointSimulator:
     def _roll(self, runs: wp.array, p: wp.array, delay_at: wp.array, plan: Schedule, capacity: int) -> wp.array:
         """Launch the taped rollout; every position, shape (W, N + 1)."""
         q, v = (wp.zeros((len(p), capacity + 1), dtype=FLOAT, device=self.device, requires_grad=True) for _ in range(2))
-        wp.launch(
+        runtime.launch(
             taped(*self._plain_law(), self.integrator),
             dim=len(p),
             inputs=[self._data(), runs, p, delay_at, *plan.inputs()],
@@ -270,14 +272,35 @@ class JointSimulator:
         return TapedRollout(self, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
 
 
-def compile_kernels(integrator: str = "rk4") -> None:
-    """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing."""
-    simulator = JointSimulator([JointRun(np.array([0.01]), np.zeros(1), np.zeros(1))], integrator)
-    for size in (size for size in _TANGENT_SIZES if size <= _USUAL_SIZE):
-        for stribeck in (0.0, 1.0):
-            p = JointSimulator.harmless[None].copy()
-            p[:, INDEX["stribeck"]] = stribeck
-            simulator.jacobian(np.zeros(1, dtype=np.int32), p, np.zeros((1, len(PARAMETERS), size)))
+def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
+    """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing.
+
+    Args:
+        integrator: as for ``JointSimulator``.
+        rises: whether the robot's friction may rise towards standstill; kernels for that are nearly as many again.
+    """
+    # more directions than parameters come only from callers of their own
+    sizes = [size for size in _TANGENT_SIZES if size <= len(PARAMETERS)]
+    runtime.load([rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)], "cpu")
+
+
+def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]:
+    """Size, and whether friction rises towards standstill, of each kernel that a robot's fits may need.
+
+    Args:
+        sizes: numbers of directions, the last that of all parameters.
+        rises: whether the robot's friction may rise.
+    """
+    # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
+    return [
+        (size, stribeck) for size in sizes for stribeck in (False, True) if rises or not stribeck or size == sizes[-1]
+    ]
+
+
+def plain_kernel(directions: int, integrator: str) -> Any:
+    """The joint's own kernel for runs with an empty hand among those of another law, which has more parameters."""
+    size = next(size for size in _TANGENT_SIZES if size >= directions)
+    return rollout(joint_law(size, True), integrator)
 
 
 class _Launch:
@@ -296,7 +319,7 @@ class _Launch:
         out = out_type()
         for name, array in zip(out_type.vars, self._outputs, strict=True):
             setattr(out, name, array)
-        self._command = wp.launch(
+        self._command = runtime.launch(
             kernel,
             dim=worlds,
             inputs=[*owner._run_data(self._counts), self._world_run, self._p, self._dp],
@@ -369,7 +392,7 @@ class TapedRollout:
         self._tape = wp.Tape()
         with self._tape:
             q = owner._roll(runs, self._p, delay_at, plan, capacity)
-            wp.launch(
+            runtime.launch(
                 observe,
                 dim=(worlds, owner._width),
                 inputs=[owner._samples, runs, self._p, plan.sample_step, q],

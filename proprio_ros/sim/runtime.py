@@ -1,24 +1,100 @@
-"""One quiet start of Warp, shared by every kernel."""
+"""One quiet start of Warp, shared by every kernel, and kernels that say so when they have to be compiled."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from typing import Any
 
 import warp as wp
+
+from proprio_ros import progress
+from proprio_ros.errors import ConfigurationError
 
 FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
 
 
+_refusal = ""
+_alone = 0
+"""How many kernels were compiled in this process for the first who asked, and not ahead."""
+
+
 def start() -> None:
-    """Initialise Warp without its banner; safe to call again."""
+    """Initialise Warp without its banner; safe to call again.
+
+    What is wrong with its folder of compiled kernels is said by ``check``: an import that fails could not say it in one line.
+    """
+    global _refusal
     wp.config.log_level = wp.LOG_WARNING
     with nullcontext() if _has_cuda_driver() else _native_stderr_closed():
-        wp.init()
+        try:
+            wp.init()
+        except OSError as error:
+            _refusal = _unwritable(error)
+
+
+def check() -> None:
+    """Raises: ConfigurationError: Warp could not make its folder of compiled kernels."""
+    if _refusal:
+        raise ConfigurationError(_refusal)
+
+
+def _unwritable(error: OSError) -> str:
+    return (
+        f"compiled kernels cannot be kept in {wp.config.kernel_cache_dir} ({error.strerror}): "
+        "set WARP_CACHE_PATH to a folder that can be written"
+    )
+
+
+def load(kernels: Sequence[Any], device: Any) -> None:
+    """Compile and load kernels, and say how far that is for those that this computer has not kept from before.
+
+    Args:
+        kernels: each in a module of its own.
+        device: a Warp device, or its name.
+
+    Raises:
+        ConfigurationError: a compiled kernel cannot be kept.
+    """
+    check()
+    kept = [_is_kept(kernel.module, device) for kernel in kernels]
+    number = 0
+    for kernel, was_kept in zip(kernels, kept, strict=True):
+        if not was_kept:
+            number += 1
+            progress.say(f"compiling {number} of {kept.count(False)}, once on this computer")
+        _load(kernel.module, device)
+
+
+def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
+    """``wp.launch``, which first says so where the kernel has to be compiled.
+
+    Raises:
+        ConfigurationError: a compiled kernel cannot be kept.
+    """
+    global _alone
+    if not _is_kept(kernel.module, device):
+        _alone += 1
+        progress.say(f"compiling kernel {_alone}, once on this computer")
+        _load(kernel.module, device)
+    return wp.launch(kernel, device=device, **given)
+
+
+def _load(module: Any, device: Any) -> None:
+    try:
+        wp.load_module(module, device=device)
+    except OSError as error:
+        raise ConfigurationError(_unwritable(error)) from error
+
+
+def _is_kept(module: Any, device: Any) -> bool:
+    # Warp names the folder of a module by its content, and renames it into place once everything is in it
+    name = module.get_module_identifier(1 if wp.get_device(device).is_cpu else None)
+    return os.path.isdir(os.path.join(wp.config.kernel_cache_dir, name))
 
 
 def _has_cuda_driver() -> bool:

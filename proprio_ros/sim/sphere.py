@@ -35,7 +35,8 @@ import numpy as np
 import warp as wp
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.sim.joint import JointRun, JointSimulator, Schedule, harmless
+from proprio_ros.sim import runtime
+from proprio_ros.sim.joint import JointRun, JointSimulator, Schedule, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.sphere_kernels import (
@@ -280,7 +281,7 @@ class SphereSimulator(JointSimulator):
         capacity: int,
         record_cmd: bool = False,
     ) -> Any:
-        return wp.launch(
+        return runtime.launch(
             forward_kernel(self.integrator, self.enclosure.shape, self.law),
             dim=len(p),
             inputs=[*self._run_data(self._full_counts), runs, p, capacity],
@@ -300,7 +301,7 @@ class SphereSimulator(JointSimulator):
             wp.zeros(rows, dtype=kind, device=self.device, requires_grad=True)
             for kind in (FLOAT, FLOAT, VEC3, VEC3, VEC3)
         ]
-        wp.launch(
+        runtime.launch(
             taped_kernel(self.integrator, self.enclosure.shape, self.law),
             dim=len(p),
             inputs=[self._data(), runs, p, delay_at, *plan.inputs()],
@@ -310,13 +311,16 @@ class SphereSimulator(JointSimulator):
         return states[0]
 
 
-def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "rk4") -> None:
-    """Compile and load the kernels of one shape of container, for whoever cannot wait for them later; again it costs nothing."""
-    joint = JointRun(np.array([0.01]), np.zeros(1), np.zeros(1))
-    run = SphereRun(joint, "prismatic", np.array([1.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
-    simulator = SphereSimulator([run], Enclosure(shape, np.ones(3), 0.1), law, integrator)
-    for size in _SIZES:
-        for stribeck in (0.0, 1.0):
-            p = SphereSimulator.harmless[None].copy()
-            p[:, SPHERE_INDEX["stribeck"]] = stribeck
-            simulator.jacobian(np.zeros(1, dtype=np.int32), p, np.zeros((1, len(SPHERE_PARAMETERS), size)))
+def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "rk4", *, rises: bool = True) -> None:
+    """Compile and load the kernels of one shape of container, for whoever cannot wait for them later; again it costs nothing.
+
+    Args:
+        shape: of the container.
+        law: as for ``SphereSimulator``.
+        integrator: the same.
+        rises: whether friction may rise towards standstill; kernels for that are as many again.
+    """
+    kernels = [
+        tangent_kernel(size, integrator, stribeck, shape, law)[0] for size, stribeck in kinds_of_kernel(_SIZES, rises)
+    ]
+    runtime.load([*kernels, plain_kernel(len(SPHERE_PARAMETERS), integrator)], "cpu")

@@ -26,7 +26,8 @@ import numpy as np
 import warp as wp
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.sim.joint import JointRun, JointSimulator, harmless
+from proprio_ros.sim import runtime
+from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.response import Response
 from proprio_ros.sim.response_kernels import VEC4
 from proprio_ros.sim.rollout import rollout
@@ -126,12 +127,12 @@ class SqueezeSimulator(JointSimulator):
         return data
 
 
-def compile_kernels(response: Response, integrator: str = "rk4") -> None:
-    """Compile and load the kernels that a fit needs, for whoever cannot wait for them later; again it costs nothing."""
-    run = SqueezeRun(JointRun(np.array([0.01]), np.zeros(1), np.zeros(1)), 1.0, 1.0, 1.0, response)
-    simulator = SqueezeSimulator([run], integrator)
-    for size in _SIZES:
-        for stribeck in (0.0, 1.0):
-            p = SqueezeSimulator.harmless[None].copy()
-            p[:, SQUEEZE_INDEX["stribeck"]] = stribeck
-            simulator.jacobian(np.zeros(1, dtype=np.int32), p, np.zeros((1, len(SQUEEZE_PARAMETERS), size)))
+def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
+    """Compile and load the kernels that a fit needs, for whoever cannot wait for them later; again it costs nothing.
+
+    Args:
+        integrator: as for ``SqueezeSimulator``.
+        rises: whether friction may rise towards standstill; kernels for that are as many again.
+    """
+    kernels = [rollout(squeeze_law(*kind), integrator) for kind in kinds_of_kernel(_SIZES, rises)]
+    runtime.load([*kernels, plain_kernel(len(SQUEEZE_PARAMETERS), integrator)], "cpu")

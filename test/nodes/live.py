@@ -174,7 +174,7 @@ def running(
                 "virtual": lambda: client.motors,
                 "driver": lambda: client.states,
                 "excitation": lambda: client.excitation.get("phase") == "idle",
-                "identifier": lambda: client.statuses,
+                "identifier": lambda: client.statuses and values_of(client.statuses[-1])["doing"] != "starting",
             }
 
             def come(name: str) -> bool:

@@ -175,3 +175,14 @@ def test_a_block_between_the_fingers(tmp_path: Path) -> None:
         assert "Both Lamé parameters together" in Path(report[1]).read_text()
     finally:
         end(demo)
+
+
+def test_on_a_new_computer_it_shows_what_it_waits_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "cache"))
+    demo = start(tmp_path / "demo")
+    try:
+        assert comes(demo, lambda: "the robot weighs itself" in demo.told), demo.told
+        assert "proprio: starting: compiling 14 of 14, once on this computer" in demo.told
+        assert_interrupted(demo)
+    finally:
+        end(demo)

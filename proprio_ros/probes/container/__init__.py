@@ -105,10 +105,12 @@ class Container(Probe[ContainerJob]):
             "payload.inertia_per_mass": [float(per_mass[i, j]) for i, j in places],
         }
 
-    def prepare(self, facts: ContainerJob) -> None:
+    def compile(self, robot: Robot, facts: ContainerJob) -> None:
         from proprio_ros.sim.sphere import compile_kernels
 
-        compile_kernels(facts.container.enclosure.shape, facts.container.law, facts.solving.integrator)
+        super().compile(robot, facts)
+        shape, law = facts.container.enclosure.shape, facts.container.law
+        compile_kernels(shape, law, facts.solving.integrator, rises=robot.friction_rises)
 
     def identify(self, robot: Robot, recorded: Recorded, facts: ContainerJob) -> Estimate:
         from proprio_ros.probes.container.camera import track_of

@@ -93,11 +93,16 @@ class Softness(Probe[SoftnessJob]):
                 f"raise {LIMIT}"
             )
 
-    def prepare(self, facts: SoftnessJob) -> None:
-        """Kernels and the table of the block's response: half a minute for a shape of block whose faces stick, the first time."""
+    def compile(self, robot: Robot, facts: SoftnessJob) -> None:
         from proprio_ros.sim.squeeze import compile_kernels
 
-        compile_kernels(facts.block.table(), facts.solving.integrator)
+        super().compile(robot, facts)
+        compile_kernels(facts.solving.integrator, rises=robot.friction_rises)
+
+    def prepare(self, robot: Robot, facts: SoftnessJob) -> None:
+        """Kernels and the table of the block's response: half a minute for a shape of block whose faces stick, the first time."""
+        super().prepare(robot, facts)
+        facts.block.table()
 
     def identify(self, robot: Robot, recorded: Recorded, facts: SoftnessJob) -> Estimate:
         from proprio_ros.probes.softness.identify import find_softness

@@ -1,0 +1,140 @@
+"""Kernels are compiled ahead for those who cannot wait; whoever waits hears how far it is; a cache that fails is one line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import warp as wp
+
+from proprio_ros import progress
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.probes import all_probes
+from proprio_ros.replay import ReplayOptions, compile_for, replay
+from proprio_ros.sim import runtime
+
+runtime.start()  # it decides where kernels are kept
+COMPILING = "once on this computer"
+
+
+def kernel_of(number: float) -> Any:
+    """A kernel in a module of its own; another number is another kernel."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def write(out: wp.array(dtype=wp.float64)):  # type: ignore[valid-type]
+        out[0] = wp.float64(number)
+
+    return write
+
+
+def test_what_is_compiled_is_said_and_only_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    kernels, heard = [kernel_of(1.5), kernel_of(2.5)], []
+    with progress.listening(heard.append):
+        runtime.load(kernels, "cpu")
+        assert heard == [f"compiling {number} of 2, {COMPILING}" for number in (1, 2)]
+        runtime.load([*kernels, kernel_of(3.5)], "cpu")
+        assert heard[2:] == [f"compiling 1 of 1, {COMPILING}"]
+        out = wp.zeros(1, dtype=wp.float64, device="cpu")
+        runtime.launch(kernels[1], dim=1, inputs=[out], device="cpu")
+        assert out.numpy()[0] == 2.5 and len(heard) == 3
+        runtime.launch(kernel_of(4.5), dim=1, inputs=[out], device="cpu")
+        assert heard[-1].startswith("compiling kernel ") and out.numpy()[0] == 4.5
+    runtime.load([kernel_of(5.5)], "cpu")
+    assert len(heard) == 4, "nobody listens any more"
+
+
+def test_a_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was there when Warp started, and is not when a kernel is to be kept."""
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
+    with pytest.raises(ConfigurationError, match="set WARP_CACHE_PATH to a folder that can be written") as error:
+        runtime.load([kernel_of(6.5)], "cpu")
+    assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
+
+
+@pytest.mark.parametrize("words", [["replay", "BAG", "--probe", "payload"], ["warmup"]], ids=lambda words: words[0])
+def test_the_command_line_says_so_in_one_line(words: list[str], bags: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    bag = str(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
+    done = subprocess.run(
+        [sys.executable, "-m", "proprio_ros.cli", *(bag if word == "BAG" else word for word in words)],
+        env={**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "cache")},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 2 and not done.stdout
+    assert done.stderr.count("\n") == 1 and "set WARP_CACHE_PATH" in done.stderr
+
+
+@pytest.mark.long
+def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
+    bag = str(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
+    words = [sys.executable, "-m", "proprio_ros.cli", "replay", bag, "--probe", "payload", "--json"]
+
+    def said() -> list[str]:
+        environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=600)
+        assert done.returncode == 0, done.stderr
+        return done.stderr.splitlines()
+
+    lines = said()
+    assert (
+        lines == [f"proprio: compiling kernel {number}, {COMPILING}" for number in range(1, len(lines) + 1)] and lines
+    )
+    assert said() == []
+
+
+def kernels_loaded(monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], really: bool = True) -> set[str]:
+    """Names of the modules of kernels that something loads."""
+    names: set[str] = set()
+    load, launch = runtime.load, runtime.launch
+
+    def loaded(kernels: list[Any], device: Any) -> None:
+        names.update(kernel.module.name for kernel in kernels)
+        if really:
+            load(kernels, device)
+
+    def launched(kernel: Any, **given: Any) -> Any:
+        names.add(kernel.module.name)
+        return launch(kernel, **given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runtime, "load", loaded)
+        patch.setattr(runtime, "launch", launched)
+        do()
+    return names
+
+
+def compiled_for(monkeypatch: pytest.MonkeyPatch, probe: str, robot: str = "open_manipulator_x") -> set[str]:
+    return kernels_loaded(monkeypatch, lambda: compile_for(ReplayOptions(probe=probe, robot=robot)), really=False)
+
+
+def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels = {probe.name: compiled_for(monkeypatch, probe.name) for probe in all_probes()}
+    assert len(kernels["payload"]) == 14, "seven sizes, with friction that rises towards standstill and without"
+    assert kernels["payload"] < kernels["container"] and kernels["payload"] < kernels["softness"]
+    assert not any(name.startswith("tangent") for name in kernels["payload"] | kernels["softness"]), "the sphere's"
+    # a pendulum's friction does not rise: only where every parameter has its direction
+    for probe in kernels:
+        assert len(compiled_for(monkeypatch, probe, "pendulum")) < 0.7 * len(kernels[probe])
+
+
+@pytest.mark.parametrize(
+    ("probe", "bag", "baseline"),
+    [
+        ("payload", "realistic_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_empty_00_joint3"),
+        ("container", "realistic_s00_container_sphere_12g_joint3_100mA", "realistic_s00_container_no_sphere_joint3_100mA"),
+        ("softness", "realistic_s00_squeeze_heavy", "realistic_s00_squeeze_empty_0"),
+    ],
+)  # fmt: skip
+def test_nothing_is_left_to_compile_after_a_warmup(
+    probe: str, bag: str, baseline: str, bags: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ReplayOptions(probe=probe, baseline=(bags / baseline / "bag_mcap",))
+    needed = kernels_loaded(monkeypatch, lambda: replay(bags / bag / "bag_mcap", options))
+    assert needed and needed <= compiled_for(monkeypatch, probe)
