@@ -130,6 +130,15 @@ def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
     return message
 
 
+UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
+"""What is published where a load was published before that stands no longer."""
+
+
+def no_markers() -> MarkerArray:
+    """Whatever was shown before goes."""
+    return MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
+
+
 KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 
 
@@ -145,7 +154,7 @@ def markers(stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float,
         unit: SI.
     """
     bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
-    array = [Marker(action=Marker.DELETEALL)]
+    array = list(no_markers().markers)
     written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
     for number_, (kind, size, rotation, opacity) in enumerate((*bodies, written)):
         marker = Marker(ns="proprio", id=number_, type=kind, action=Marker.ADD)
