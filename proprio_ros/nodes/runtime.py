@@ -99,20 +99,17 @@ class ManagedNode(LifecycleNode):
             quality: Reliable.
             raw: Whether the callback takes bytes.
         """
-        timers: list[Any] = []
 
-        def renew(_event: Any) -> None:
-            if not timers:  # not here: the executor is busy with the subscription's own event
-                timers.append(self.create_timer(0.0, replace, clock=Clock(clock_type=ClockType.STEADY_TIME)))
-
-        def replace() -> None:
-            self.destroy_timer(timers[0])
-            self.destroy_subscription(subscription)
+        def relax(_event: Any) -> None:
+            if subscription.callback is not callback:
+                return  # every further publisher of the kind says so again
+            # muted, not destroyed: the executor may have it in hand just now
+            subscription.callback = lambda _message: None
             self.say("warning", f"{subscription.topic_name} is published best effort: messages may be lost")
             relaxed = QoSProfile(depth=quality.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.create_subscription(kind, topic, callback, relaxed, raw=raw)
 
-        events = SubscriptionEventCallbacks(incompatible_qos=renew)
+        events = SubscriptionEventCallbacks(incompatible_qos=relax)
         subscription = self.create_subscription(kind, topic, callback, quality, event_callbacks=events, raw=raw)
 
     # --- the lifecycle ------------------------------------------------------------------------------------------------
