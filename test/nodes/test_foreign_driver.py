@@ -41,9 +41,13 @@ class Bridge:
         self._states = node.create_publisher(JointState, "/joint_states", BEST_EFFORT)
         self._other = node.create_publisher(JointState, "/joint_states", 10)
         node.create_subscription(JointState, "/hardware/joint_states", self._on_state, 100)
+        self._node = node
+
+    def obey(self) -> None:
+        """Pass commands on to the driver."""
         for topic in ("current_command", "position_command"):
-            onward = node.create_publisher(Float64MultiArray, f"/hardware/{topic}", 10)
-            node.create_subscription(Float64MultiArray, f"/{topic}", onward.publish, 10)
+            onward = self._node.create_publisher(Float64MultiArray, f"/hardware/{topic}", 10)
+            self._node.create_subscription(Float64MultiArray, f"/{topic}", onward.publish, 10)
 
     def _on_state(self, message: JointState) -> None:
         stamp_ns = 10**9 * message.header.stamp.sec + message.header.stamp.nanosec
@@ -62,13 +66,17 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
         graph.start("identifier", parameters | {"calibration": "none", "report": False})
         client = Client()
         try:
-            Bridge(client)
+            bridge = Bridge(client)
 
             def ready() -> bool:
                 graph.check()
                 return client.excitation.get("joint_states") == "true" and bool(client.statuses)
 
             assert wait_for(ready, UP_S), {name: graph.log(name) for name in graph.processes}
+            answer = client.call("/identifier/calibrate_payload", 30.0)
+            assert not answer.success and "nothing says what drives the joints" in answer.message, answer.message
+            assert client.excitation["sequence"] == "0", "nothing was moved"
+            bridge.obey()
             answer = client.call("/identifier/calibrate_payload", 120.0)
             assert "recording: " in answer.message and "aborted" not in answer.message, answer.message
             assert "published best effort" in graph.log("identifier") and "published best effort" in graph.log(
