@@ -162,6 +162,7 @@ class IdentifierNode(ManagedNode):
         self._job_lock = threading.Lock()
         self._closing = False
         self._topics: dict[str, Any] = {}
+        self._joints: list[bytes] = []
         self._session: Session | None = None
         self._unsaved: list[Session] = []
         self._live: LiveEstimate | None = None
@@ -212,6 +213,7 @@ class IdentifierNode(ManagedNode):
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
             self.listen(kind, topic, self._listener(self.resolve_topic_name(topic), role, kind), STREAM, raw=True)
+        self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
         self._topics = self._stated_topics()
         if self._topics["command_topic"]:
             self.every(0.5, self._listen_to_command)
@@ -329,15 +331,16 @@ class IdentifierNode(ManagedNode):
     # --- what comes in ------------------------------------------------------------------------------------------------
 
     def _listener(self, full_name: str, role: str, kind: type) -> Callable[[bytes], None]:
-        msgtype = "sensor_msgs/msg/JointState" if kind is JointState else "std_msgs/msg/Float64MultiArray"
+        msgtype = _type_of(kind)
 
         def listen(data: bytes) -> None:
             now_ns = self.get_clock().now().nanoseconds
             if role == "joint_states":
                 self._state_at_s = time.monotonic()
-                self._state_stamp_ns = messages.first_stamp_ns(data)
-                self._lag_ns = now_ns - self._state_stamp_ns
-                self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
+                if any(name in data for name in self._joints):  # others on the topic may have another clock
+                    self._state_stamp_ns = messages.first_stamp_ns(data) or now_ns
+                    self._lag_ns = now_ns - self._state_stamp_ns
+                    self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
             elif role == "applied_effort":
                 self._effort_at_s = time.monotonic()
             session, heard = self._session, self._heard
@@ -371,11 +374,8 @@ class IdentifierNode(ManagedNode):
         if any(subscription.topic_name == name for subscription in self.subscriptions):
             return
         for role, kind in (("applied_effort", JointState), ("current_command", Float64MultiArray)):
-            if f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}" in dict(self.get_topic_names_and_types()).get(
-                name, []
-            ):
+            if _type_of(kind) in dict(self.get_topic_names_and_types()).get(name, []):
                 self.listen(kind, str(name), self._listener(str(name), role, kind), STREAM, raw=True)
-                return
 
     def _renew_lease(self) -> None:
         if self._asking:
@@ -457,9 +457,9 @@ class IdentifierNode(ManagedNode):
                 missing = f"there is no {self.values['excitation_node']} node; start it"
             elif self._excitation.get("joint_states") != "true":
                 missing = f"no joint states reach {self.values['excitation_node']}; are the topics named alike?"
-            elif self._missing_input():
-                missing = self._missing_input()
             else:
+                missing = self._missing_input()
+            if not missing:
                 return
             if time.monotonic() > deadline:
                 raise JobError(f"not ready: {missing}")
@@ -579,7 +579,7 @@ class IdentifierNode(ManagedNode):
         output = bag.parent / "calibration.yaml"
         options = replace(options, settings=parse_settings(value_of(self, "reference_settings")))
         estimate = calibrate_from_bags([bag], references, options, output, lambda text: self._tell(job.kind, text))
-        self._publish_calibration(estimate)
+        self._publish_calibration(estimate, output)
         sources = [str(path) for path in (bag, *references)]
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
         if estimate.verdict is not Verdict.ACCEPTED:
@@ -651,6 +651,11 @@ class IdentifierNode(ManagedNode):
             self._heard = None
         for note in notes:
             self.say("info", note)
+        if time.monotonic() - self._effort_at_s > STALE_S:
+            self.say(
+                "warning",
+                "no applied_effort: the times at which a current began are those at which its command was heard",
+            )
 
     def _catch_up(self) -> None:
         """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""
@@ -817,7 +822,7 @@ class IdentifierNode(ManagedNode):
         now = self.get_clock().now().nanoseconds
         self._payload.publish(messages.inertia(now, frame, messages.UNKNOWN_LOAD))
 
-    def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
+    def _publish_calibration(self, estimate: CalibrationEstimate, output: Path) -> None:
         entries: dict[str, Any] = {
             "probe": "robot",
             "final": True,
@@ -829,6 +834,7 @@ class IdentifierNode(ManagedNode):
                 entries |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
         entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         accepted = estimate.verdict is Verdict.ACCEPTED
+        entries["calibration"] = str(output if accepted else self._calibration or "none")
         words = "; ".join(estimate.reasons) or estimate.verdict.value
         self._concluded = True
         self._publish_estimate("ok" if accepted else "warning", "robot", words, entries)
@@ -847,6 +853,11 @@ class IdentifierNode(ManagedNode):
                 continue
             self._unsaved.remove(session)
             self.say("info", f"the recording of {session.name} is saved now: {bag}")
+
+
+def _type_of(kind: type) -> str:
+    """Such as ``sensor_msgs/msg/JointState``."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
 def _interval_of(estimate: Estimate) -> str:

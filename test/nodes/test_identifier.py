@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,7 +20,7 @@ from visualization_msgs.msg import Marker
 
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.nodes import driver, identifier
+from proprio_ros.nodes import driver, identifier, messages
 from proprio_ros.probes import probe_named
 from proprio_ros.replay import ReplayOptions
 from proprio_ros.robot import load_robot
@@ -171,3 +172,38 @@ def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     assert "nobody publishes /applied_effort or listens to /current_command" in node._missing_input()
     assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._missing_input()
+
+
+def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_the_excitation(
+    nodes: Nodes, tmp_path: Path
+) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    job = identifier.Job("payload", "calibrate_payload")
+    node._excitation = {"sequence": "1", "busy": "false", "phase": "done"}
+    asked: list[str] = []
+
+    def call(client: Any, request: Any) -> Any:
+        if client is node._set_probe:
+            return SimpleNamespace(results=[SimpleNamespace(successful=True)])
+        asked.append("run")
+        if len(asked) == 1:  # its status says so as it refuses, in whatever words
+            node._on_excitation(messages.status("ok", "excitation", "", {"joint_states": False}))
+            node._excitation = {"sequence": "1", "busy": "false", "phase": "done"}
+            return SimpleNamespace(success=False, message="nothing to be seen")
+        return SimpleNamespace(success=True, message="sequence 1: payload, 1 runs")
+
+    node._call = call
+    node._excite(job, "payload")
+    assert len(asked) == 2
+    assert [message.data for message in node._lease] == [True, False], "asked for, and not any more"
+
+    def refuse(client: Any, request: Any) -> Any:
+        if client is node._set_probe:
+            return SimpleNamespace(results=[SimpleNamespace(successful=True)])
+        asked.append("run")
+        return SimpleNamespace(success=False, message="no joint states is what this refusal is not about")
+
+    node._call = refuse
+    with pytest.raises(identifier.JobError, match="refuses"):
+        node._excite(job, "payload")
+    assert len(asked) == 3
