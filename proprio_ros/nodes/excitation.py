@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -28,6 +29,8 @@ STATUS_PERIOD_S = 0.1
 LAST_WORDS_S = 0.3
 LEASE_S = 1.5
 """Whoever says on ~/lease that it wants the sequence says so ten times a second; without a word for so long it is gone."""
+STATES = QoSProfile(depth=4, reliability=ReliabilityPolicy.RELIABLE)
+"""Of several publishers on one topic none takes another's place."""
 UNPUSHED_S = 0.1
 """From a current command to the driver's word that it flows: two cycles, and a late one."""
 
@@ -78,7 +81,7 @@ class ExcitationNode(ManagedNode):
         self._currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
         self._positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, COMMANDS)
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES)
         self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_service(Trigger, "~/run", self._on_run)

@@ -568,7 +568,6 @@ def test_a_joint_state_that_is_no_number(arm: Arm) -> None:
     assert_braked(client, begun_s, COMMAND_TIMEOUT_S)
     answer = client.answer(future)
     assert not answer.success and "aborted" in answer.message and "nan" in answer.message
-    client.node.destroy_publisher(publisher)
 
 
 # --- commands -----------------------------------------------------------------------------------------------------------
