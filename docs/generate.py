@@ -42,6 +42,7 @@ ABOUT = {
     "/current_command": "currents [A], in the order of `joints`, or of the labels in `layout.dim`",
     "/position_command": "goal positions [rad, m], labelled likewise",
     "/excitation/status": "what the sequence is doing",
+    "/excitation/lease": "true, again and again: the sequence is wanted, and ends after 1.5 s of silence; false: no more",
     "/excitation/run": "make the sequence named by the parameter `probe`",
     "/excitation/abort": "end it; the driven joint is braked and held",
     "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
@@ -49,7 +50,8 @@ ABOUT = {
     "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
     "payload also while the probe is under way",
     "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it",
-    "/identifier/mass": "kg, to plot",
+    "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
+    "/identifier/sphere_mass": "kg, to plot",
     "/identifier/youngs_modulus": "Pa, to plot",
     "/identifier/lame_mu": "Pa, to plot",
     "/identifier/lame_lambda": "Pa, to plot",
@@ -175,6 +177,7 @@ def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str,
     scope = {**vars(module), "self": SimpleNamespace(values=values)}
     # a kind of connection, and which of its arguments are type, name and quality of service
     makers = {"create_publisher": ("publishes", 0, 1, 2), "create_subscription": ("takes", 0, 1, 3),
+              "listen": ("takes", 0, 1, 3),
               "create_service": ("serves", 0, 1, None), "LongService": ("serves", None, 1, None)}  # fmt: skip
 
     def of(expression: ast.expr, local: dict[str, Any]) -> Any:

@@ -315,11 +315,18 @@ def _marked(values: FloatArray) -> FloatArray:
 
 
 def _array_columns(bag: _Bag, topic: _Topic, joint_order: Sequence[str], recorded: Sequence[str]) -> _Columns:
-    """Columns of a Float64MultiArray of currents."""
+    """Columns of a Float64MultiArray of currents.
+
+    A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
+    the push.
+    """
     messages = bag.messages(topic)
     notes: dict[str, None] = {}
-    rows = []
+    rows: list[dict[str, float]] = []
     for _, message in messages:
+        if not len(message.data):
+            rows.append({})
+            continue
         labels = _labels(bag, topic, message, {*joint_order, *recorded})
         if labels is None:
             labels = _unlabelled(bag, topic, len(message.data), joint_order, recorded)
@@ -327,7 +334,7 @@ def _array_columns(bag: _Bag, topic: _Topic, joint_order: Sequence[str], recorde
                 notes[f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."] = None
         rows.append(dict(zip(labels, _marked(np.asarray(message.data, dtype=np.float64)), strict=True)))
     names = tuple(dict.fromkeys(name for row in rows for name in row))
-    current = np.array([[row.get(name, np.nan) for name in names] for row in rows]).reshape(len(rows), len(names))
+    current = np.array([[row.get(name, 0.0) for name in names] for row in rows]).reshape(len(rows), len(names))
     times_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
     return _Columns(times_ns, np.zeros_like(times_ns), names, {"current": current}, list(notes))
 

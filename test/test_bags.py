@@ -20,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from proprio_ros.bags import is_text_recording, read_recording, read_text_recording, write_recording
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
+from proprio_ros.runs import cut_runs
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -504,10 +505,32 @@ def test_labels_that_do_not_fit(tmp_path: Path, labels: tuple[str, ...]) -> None
         read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [0.3, 0.0], labels)]))
 
 
-@pytest.mark.parametrize("length", [0, 1, 4, 6])
+@pytest.mark.parametrize("length", [1, 4, 6])
 def test_an_unlabelled_command_of_the_wrong_length(tmp_path: Path, length: int) -> None:
     with refused(f"has {length} values but the robot has 5 joints .*joint4, gripper_left_joint.*label"):
         read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [0.3] * length)]))
+
+
+@pytest.mark.parametrize("labels", [(), ("",)], ids=["unlabelled", "as the excitation node labels it"])
+def test_a_command_without_numbers_ends_the_push(tmp_path: Path, labels: tuple[str, ...]) -> None:
+    """So the excitation node ends each push; joints that a command does not name are held, as by the driver."""
+    first, second, end = ONSET_NS, ONSET_NS + 5 * CYCLE_NS, ONSET_NS + 20 * CYCLE_NS
+    messages = [
+        *states(),
+        command(first, [-0.3], ["joint3"]),
+        command(second, [0.2], ["joint4"]),
+        command(end, [], labels),
+    ]
+    inputs = read(write_bag(tmp_path / "bag", messages), command_topic="/current_command").inputs
+    assert inputs is not None and inputs.times_ns.tolist() == [first, second, end]
+    assert inputs.names == ("joint3", "joint4") and inputs.current_A.tolist() == [[-0.3, 0.0], [0.0, 0.2], [0.0, 0.0]]
+    run = cut_runs(read(write_bag(tmp_path / "run", [*states(), messages[-3], messages[-1]])), joints=JOINTS)[0]
+    assert run.duration_s == pytest.approx(1e-9 * (end - first)) and run.joint == "joint3"
+
+
+def test_commands_that_never_push(tmp_path: Path) -> None:
+    with refused("no joint was driven: /current_command is zero throughout"):
+        cut_runs(read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [])])), joints=JOINTS)
 
 
 def test_an_unlabelled_command_may_cover_just_the_recorded_joints(tmp_path: Path) -> None:

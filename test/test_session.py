@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import proprio_ros.session as session_module
-from proprio_ros.bags import read_recording
+from proprio_ros.bags import RawMessage, read_recording
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.probes import probe_named
@@ -25,10 +25,13 @@ from proprio_ros.robot import FingerTravel, load_robot
 from proprio_ros.session import (
     LiveEstimate,
     Session,
+    as_parameters,
     baseline_options,
+    check_input,
     check_settings,
     keep_result,
     live_interval,
+    recover,
     replay_command,
     setting_of,
     settings_for,
@@ -74,11 +77,13 @@ def cdr_joint_state(stamp_ns: int, names: list[str], position: list[float]) -> b
     return b"\0\1\0\0" + bytes(data)
 
 
-def filled(root: Path) -> Session:
+def filled(root: Path, journal: bool = False, joints: tuple[str, str] = ("joint2", "joint3")) -> Session:
     session = Session(root, "payload", datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc))
+    if journal:
+        session.open()
     for n in range(20):
         stamp = 1_700_000_000 * 10**9 + n * 10_000_000
-        data = cdr_joint_state(stamp, ["joint2", "joint3"], [0.1, 0.01 * n])
+        data = cdr_joint_state(stamp, list(joints), [0.1, 0.01 * n])
         session.add("/joint_states", "sensor_msgs/msg/JointState", stamp + 500_000, data)
     return session
 
@@ -114,8 +119,97 @@ def test_a_folder_that_cannot_be_written_costs_nothing(tmp_path: Path, monkeypat
 
 
 def test_nothing_came_in(tmp_path: Path) -> None:
+    session = Session(tmp_path, "payload")
+    session.open()
     with pytest.raises(RecordingError, match="is the driver running"):
-        Session(tmp_path, "payload").save()
+        session.save()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_is_on_disk_as_it_comes_and_a_bag_after_a_crash(tmp_path: Path) -> None:
+    expected = filled(tmp_path / "whole").save()[0]
+    root = tmp_path / "cut_off"
+    session = filled(root, journal=True)
+    journal = session.folder / session_module.JOURNAL
+    assert len(session_module.read_journal(journal)) == 20
+    assert recover(root) == ([], []), "somebody is writing it"
+    assert journal.exists()
+    assert session._journal is not None
+    session._journal.write(b"half a rec")  # killed in the middle of a message
+    session._journal.close()  # as the kernel does it
+    assert recover(root) == ([session.folder / "bag"], [])
+    read, whole = recording(session.folder / "bag"), recording(expected)
+    assert np.array_equal(read.joints.position, whole.joints.position)
+    assert np.array_equal(read.joints.times_ns, whole.joints.times_ns)
+    assert not journal.exists() and recover(root) == ([], [])
+
+
+def test_killed_while_the_bag_was_written(tmp_path: Path) -> None:
+    session = filled(tmp_path, journal=True)
+    (session.folder / "bag").mkdir()
+    (session.folder / "bag" / "bag.mcap").write_bytes(b"\x89MCAP0\r\n")
+    assert session._journal is not None
+    session._journal.close()
+    assert recover(tmp_path) == ([session.folder / "bag"], [])
+    assert len(recording(session.folder / "bag").joints.times_ns) == 20
+
+
+def test_nothing_is_left_beside_the_bag(tmp_path: Path) -> None:
+    session = filled(tmp_path, journal=True)
+    bag, _ = session.save()
+    assert [path.name for path in session.folder.iterdir()] == ["bag"]
+    assert len(recording(bag).joints.times_ns) == 20
+
+
+def test_an_unwritable_folder_is_named_before_anything_is_recorded(tmp_path: Path) -> None:
+    full = tmp_path / "full"
+    full.write_text("a file where a folder should be")
+    session = Session(full, "payload")
+    with pytest.raises(
+        RecordingError, match=r"full cannot be written .*name another folder with --data-directory"
+    ) as caught:
+        session.open()
+    assert "the parameter data_directory" in as_parameters(str(caught.value))
+
+
+# --- what comes in, before anything moves -------------------------------------------------------------------------------
+
+
+def heard(session: Session) -> list[RawMessage]:
+    return list(session._messages)
+
+
+def test_what_can_be_read_is_not_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "session"
+    assert check_input(folder, heard(filled(tmp_path)), ROBOT, ReplayOptions()) == ()
+    assert not list(folder.iterdir())
+    # wheels on the same topic
+    both = [*heard(filled(tmp_path)), *heard(filled(tmp_path, joints=("wheel_left", "wheel_right")))]
+    check_input(folder, both, ROBOT, ReplayOptions())
+
+
+def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) -> None:
+    def refusal(messages: list[RawMessage], options: ReplayOptions | None = None) -> str:
+        with pytest.raises(RecordingError) as caught:
+            check_input(tmp_path / "session", messages, ROBOT, options or ReplayOptions())
+        return as_parameters(str(caught.value))
+
+    told = refusal(heard(filled(tmp_path, joints=("a1", "a2"))))
+    assert "are of a1, a2" in told and "the parameter robot" in told and "the parameter state_topic" in told
+    assert "no joint states" in refusal([]) or "no messages" in refusal([])
+    stamp = 1_700_000_000 * 10**9
+    degrees = [
+        RawMessage(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            stamp + n,
+            cdr_joint_state(stamp + n, ["joint2"], [-80.0 - n]),
+        )
+        for n in range(20)
+    ]
+    assert "degrees" in refusal(degrees)
+    other = ReplayOptions(state_topic="/arm/joint_states")
+    assert "the parameter state_topic /arm/joint_states is not in the bag" in refusal(heard(filled(tmp_path)), other)
 
 
 def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> None:
@@ -150,9 +244,40 @@ def test_samples_that_are_no_use_are_passed_over() -> None:
     live.add_state(1_000, ["joint3"], [0.1])
     live.add_state(900, ["joint3"], [0.2])  # out of order
     live.add_state(2_000, ["joint3"], [float("nan")])
-    live.add_state(3_000, ["joint2"], [0.1])  # another joint
+    live.add_state(3_000, ["wheel_left"], [0.1])  # another robot's joint
     live.add_input(1_000, ["joint3"], [0.0])
     assert live.estimate() is None and len(live._states) == 1
+
+
+def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
+    """Wheels on the topic, the gripper from another publisher with another clock, no applied effort: the numbers are the same."""
+    read = recording(bags / BAG)
+    assert read.inputs is not None
+    effort = np.array([CONSTANTS[name] for name in read.inputs.names])
+
+    def fed(foreign: bool) -> tuple[float, float]:
+        live = LiveEstimate(setting_of(ReplayOptions()))
+        for stamp, current in zip(read.inputs.times_ns, read.inputs.current_A, strict=True):
+            if not foreign:
+                live.add_input(int(stamp), read.inputs.names, current * effort)
+            elif any(current):
+                live.add_command(
+                    int(stamp), {n: float(c) for n, c in zip(read.inputs.names, current, strict=True) if c}
+                )
+            else:
+                live.add_command(int(stamp), {})
+        for stamp, row in zip(read.joints.times_ns, read.joints.position, strict=True):
+            state = dict(zip(read.joints.names, row, strict=True))
+            if foreign:
+                live.add_state(int(stamp), ["wheel_left"], [100.0])
+                live.add_state(int(stamp) + 12_000_000, ["gripper_left_joint"], [state.pop("gripper_left_joint")])
+            live.add_state(int(stamp), list(state), list(state.values()))
+        estimate = live.estimate()
+        known = None if estimate is None else live_interval(estimate)
+        assert known is not None
+        return known
+
+    assert fed(foreign=True) == pytest.approx(fed(foreign=False), rel=1e-3)
 
 
 def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
@@ -175,6 +300,13 @@ def test_the_command_beside_a_result_gives_it_again(
     words = shlex.split(kept["command"])
     assert main([*words[1:], "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["estimates"] == kept["estimates"]
+
+
+def test_the_command_names_the_topics_that_were_stated() -> None:
+    options = ReplayOptions(state_topic="/a/states", command_topic="/a/drive", effort_unit="mA")
+    words = shlex.split(replay_command(Path("bag"), options))
+    for flag, value in (("--state-topic", "/a/states"), ("--command-topic", "/a/drive"), ("--effort-unit", "mA")):
+        assert words[words.index(flag) + 1] == value
 
 
 # --- a container and what rolls in it -----------------------------------------------------------------------------------

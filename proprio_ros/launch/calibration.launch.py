@@ -71,7 +71,9 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "params_file", default_value="", description="A parameter file of yours; counts over the package's, not over arguments."
     ),
-    DeclareLaunchArgument("namespace", default_value="", description="Of all nodes, for several arms on one network."),
+    DeclareLaunchArgument(
+        "namespace", default_value="", description="Of all nodes, for several arms on one network; frames begin with it, too."
+    ),
 )  # fmt: skip
 
 
@@ -103,6 +105,7 @@ def _nodes(context: LaunchContext) -> list[Any]:
             "robot": (given["robot"], str),
             "data_directory": (given["data_directory"], str),
             "reference_mass": (given["reference_mass"], float),
+            "frame_prefix": (f"{namespace}/" if namespace else "", str),
         },
     }
     if virtual:

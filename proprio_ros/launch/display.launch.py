@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "urdf", default_value="open_manipulator_x", description="URDF of the robot: one that comes with the package, or a path."
     ),
-    DeclareLaunchArgument("namespace", default_value="", description="Of the arm's nodes, as in calibration.launch.py."),
+    DeclareLaunchArgument("namespace", default_value="", description="Of the arm's nodes and frames, as in calibration.launch.py."),
     DeclareLaunchArgument(
         "rviz", default_value="true", choices=["true", "false"], description="Start RViz; false publishes the frames only."
     ),
@@ -38,6 +39,18 @@ def _installed(package: str) -> bool:
     return True
 
 
+def _rviz_config(namespace: str) -> Path:
+    """The package's; where the frames have a prefix a copy that says so, since RViz takes it from nowhere else."""
+    config = share_directory() / "config" / "proprio.rviz"
+    if not namespace:
+        return config
+    copy = Path(tempfile.mkdtemp(prefix="proprio_rviz_")) / config.name
+    copy.write_text(
+        config.read_text(encoding="utf-8").replace('TF Prefix: ""', f"TF Prefix: {namespace}"), encoding="utf-8"
+    )
+    return copy
+
+
 def _nodes(context: LaunchContext) -> list[Any]:
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     namespace = given["namespace"].strip("/")
@@ -53,24 +66,30 @@ def _nodes(context: LaunchContext) -> list[Any]:
     except ProprioError as error:
         return [LogInfo(msg=str(error)), Shutdown(reason="nothing can be shown")]
     prefix = f"/{namespace}" if namespace else ""
+    frames = f"{namespace}/" if namespace else ""
     actions: list[Any] = [
         Node(
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=namespace,
-            parameters=[{"robot_description": ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)}],
+            parameters=[
+                {
+                    "robot_description": ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str),
+                    "frame_prefix": frames,
+                }
+            ],
             output="screen",
         )
     ]
     if "rviz2" in wanted:
-        config = given["rviz_config"] or str(share_directory() / "config" / "proprio.rviz")
+        config = given["rviz_config"] or str(_rviz_config(namespace))
         topics = ("robot_description", "identifier/markers")
         actions.append(
             Node(
                 package="rviz2",
                 executable="rviz2",
                 namespace=namespace,
-                arguments=["-d", config, "-f", root],
+                arguments=["-d", config, "-f", frames + root],
                 remappings=[(f"/{topic}", f"{prefix}/{topic}") for topic in topics] if namespace else [],
                 output="screen",
                 on_exit=[Shutdown(reason="RViz was closed")],

@@ -90,6 +90,8 @@ class DriverNode(ManagedNode):
         )
         self._driver = ArmDriver(robot, bus, settings, self.say)
         self._effort_per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
+        # /diagnostics is one topic for all arms
+        self._diagnosed = f"{self.get_namespace()}/driver".lstrip("/")
         self._hardware_id = f"{robot.name} on {values['port']}"
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
         self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
@@ -215,14 +217,14 @@ class DriverNode(ManagedNode):
             "latest [ms]": 1e3 * max(late, default=0.0),
         }
         level = "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
-        statuses = [messages.status(level, "driver: servo bus", driver.reason, values, self._hardware_id)]
+        statuses = [messages.status(level, f"{self._diagnosed}: servo bus", driver.reason, values, self._hardware_id)]
         modes = driver.modes
         for name, health in list(driver.health.items()):
             hot = health.temperature_C >= self.values["max_temperature"]
             words = "; ".join(health.faults) or ("too hot to be driven" if hot else modes[name])
             level = "error" if health.faults else "warning" if hot else "ok"
             values = {"mode": modes[name], "temperature [C]": health.temperature_C, "voltage [V]": health.voltage_V}
-            statuses.append(messages.status(level, f"driver: {name}", words, values, self._hardware_id))
+            statuses.append(messages.status(level, f"{self._diagnosed}: {name}", words, values, self._hardware_id))
         return statuses
 
 

@@ -10,11 +10,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.errors import ProprioError
+from proprio_ros.excitation.joint_states import JointStates
 from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, JointSample, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
@@ -25,6 +27,10 @@ from proprio_ros.robot import load_robot
 _G = Guards()
 STATUS_PERIOD_S = 0.1
 LAST_WORDS_S = 0.3
+LEASE_S = 1.5
+"""Whoever says on ~/lease that it wants the sequence says so ten times a second; without a word for so long it is gone."""
+STATES = QoSProfile(depth=4, reliability=ReliabilityPolicy.RELIABLE)
+"""Of several publishers on one topic none takes another's place."""
 UNPUSHED_S = 0.1
 """From a current command to the driver's word that it flows: two cycles, and a late one."""
 
@@ -49,6 +55,7 @@ class ExcitationNode(ManagedNode):
         super().__init__("excitation", **kwargs)
         self._machine: ExcitationMachine | None = None
         self._sample: JointSample | None = None
+        self._leased_at_s: float | None = None
         self._driving = False
         self._unpushed_since_s: float | None = None
         self._count = 0
@@ -68,13 +75,15 @@ class ExcitationNode(ManagedNode):
                 max_jump_rad=self.values["max_jump"],
             ),
         )
+        self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])
         load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
         self._currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
         self._positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.create_subscription(JointState, "joint_states", self._on_joint_state, COMMANDS)
-        self.create_subscription(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES)
+        self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
+        self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_service(Trigger, "~/run", self._on_run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.every(0.02, self._on_timer)
@@ -108,10 +117,13 @@ class ExcitationNode(ManagedNode):
         if self._machine is None:
             return
         now = time.monotonic()
-        position = dict(zip(message.name, message.position, strict=False))
-        velocity = dict(zip(message.name, message.velocity, strict=False)) or dict.fromkeys(position, 0.0)
-        self._sample = JointSample(now, position, velocity)
-        self._tick(now)
+        sample = self._joint_states.add(now, message.name, message.position, message.velocity)
+        if sample is not None:
+            self._sample = sample
+            self._tick(now)
+
+    def _on_lease(self, message: Bool) -> None:
+        self._leased_at_s = time.monotonic() if message.data else None
 
     def _on_applied_effort(self, message: JointState) -> None:
         """The driver may refuse to push, or end a push: a limit, a hot motor, a fault. Nobody else would notice here."""
@@ -128,8 +140,14 @@ class ExcitationNode(ManagedNode):
             self.say("error", f"aborted: {machine.abort_reason}")
 
     def _on_timer(self) -> None:
-        """Joint states drive the machine; this only notices when they stop coming."""
+        """Joint states drive the machine; this only notices when they stop coming, or whoever asked for the sequence is gone."""
         now = time.monotonic()
+        machine = self._machine
+        if self._leased_at_s is not None and now - self._leased_at_s > LEASE_S:
+            self._leased_at_s = None
+            if machine is not None and machine.busy:
+                self._abort(machine, "whoever asked for the sequence has fallen silent: is the identifier node alive?")
+                self.say("error", f"aborted: {machine.abort_reason}")
         late = self._sample is None or now - self._sample.time_s > 0.5 * self.values["stale_after"]
         if late:
             self._tick(now)
@@ -170,14 +188,13 @@ class ExcitationNode(ManagedNode):
         if machine is None or not self.active:
             return response
         sample = self._sample
-        if not machine.busy and (sample is None or time.monotonic() - sample.time_s > self.values["stale_after"]):
+        if sample is None or (not machine.busy and not self._fresh):
             response.message = (
                 "no joint states are coming: start the driver, and check its bus and the topic joint_states"
             )
+            self._tell()  # `joint_states` says the same to a program
             return response
         try:
-            if sample is None:
-                raise ConfigurationError("no joint states are coming")
             sequence = load_sequence(value_of(self, "probe"), self._robot)
             machine.start(sequence, sample)
         except ProprioError as error:
@@ -210,9 +227,15 @@ class ExcitationNode(ManagedNode):
         if state != self._published or (machine.busy and now - self._published_at_s >= STATUS_PERIOD_S):
             self._tell()
 
+    @property
+    def _fresh(self) -> bool:
+        """Whether joint states are coming."""
+        sample = self._sample
+        return sample is not None and time.monotonic() - sample.time_s <= self.values["stale_after"]
+
     def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
         """What is published as soon as it changes."""
-        return machine.phase, machine.run_number, machine.attempt, self._count, self._sample is not None
+        return machine.phase, machine.run_number, machine.attempt, self._count, self._fresh
 
     def _tell(self) -> None:
         machine = self._machine
@@ -223,7 +246,7 @@ class ExcitationNode(ManagedNode):
         values = {
             "sequence": self._count,
             "phase": machine.phase.value,
-            "joint_states": self._sample is not None,
+            "joint_states": self._fresh,
             "busy": machine.busy,
             "probe": sequence.name if sequence else "",
             "hand": sequence.hand if sequence else "any",

@@ -8,6 +8,7 @@ calls. Which probes there are, the registry says.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
@@ -25,34 +26,39 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros import progress
+from proprio_ros.bags import EFFORT_UNITS, RawMessage
 from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, RobotError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import COMMANDS, LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.quantity import Z95, shown, spec_for
-from proprio_ros.replay import ReplayOptions, replay, write_report
+from proprio_ros.replay import ReplayOptions, replay, robot_of, write_report
 from proprio_ros.report import write_calibration_report
+from proprio_ros.robot import Robot
 from proprio_ros.session import (
     LiveEstimate,
     Session,
     Setting,
     as_diagnostics,
+    as_parameters,
     baseline_options,
+    check_input,
     check_settings,
     keep_result,
     live_interval,
     prepare_identification,
+    recover,
     replay_command,
     setting_of,
     settings_for,
@@ -63,6 +69,10 @@ STALE_S = 0.5
 READY_S = 4.0
 SILENT_S = 3.0
 """The excitation node publishes its state ten times a second while it is busy; without a word for so long it is gone."""
+LEASE_PERIOD_S = 0.1
+"""The excitation node ends a sequence when whoever asked for it has been silent for 1.5 s."""
+CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
+"""What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
 CALL_S = 5.0
 ABORT_S = 2.0
 TAIL_S = 0.3
@@ -126,7 +136,8 @@ class IdentifierNode(ManagedNode):
     parameters = (
         ROBOT,
         Parameter("calibration", "", "Calibration file; empty: the newest of this robot in data_directory; none: without."),
-        Parameter("data_directory", "~/.ros/proprio_ros", "Where recordings, results and calibrations are kept."),
+        Parameter("data_directory", "~/.ros/proprio_ros",
+                  "Where recordings, results and calibrations are kept; those of a namespace in a folder of its name."),
         Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
                   dynamic=True),
         Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot."),
@@ -136,6 +147,12 @@ class IdentifierNode(ManagedNode):
         Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
         Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
         Parameter("excitation_node", "excitation", "Name of the excitation node."),
+        Parameter("state_topic", "", "Topic of the joint states, as with --state-topic; empty: joint_states."),
+        Parameter("command_topic", "",
+                  "Topic of what drives the joints, as with --command-topic; empty: applied_effort, else current_command."),
+        Parameter("effort_unit", "",
+                  "What effort of the joint states means where nothing else says what drives the joints: N.m, A, mA or raw."),
+        Parameter("frame_prefix", "", "Before the frame of payload and markers, as robot_state_publisher's: arm1/."),
         Parameter("report", True, "Write the result and an HTML report beside every recording."),
         Parameter("live_period", 0.03, "Pause between estimates while a run is under way [s]; 0 turns them off.", 0.0, 10.0),
     )  # fmt: skip
@@ -145,20 +162,36 @@ class IdentifierNode(ManagedNode):
         self._job: Job | None = None
         self._job_lock = threading.Lock()
         self._closing = False
+        self._topics: dict[str, Any] = {}
+        self._joints: list[bytes] = []
         self._session: Session | None = None
         self._unsaved: list[Session] = []
         self._live: LiveEstimate | None = None
+        self._heard: list[RawMessage] | None = None
+        self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
+        self._concluded = False
+        self._asking = False
         self._driven = False
-        self._state_at_s = -1e9
+        self._state_at_s = self._effort_at_s = -1e9
         self._state_stamp_ns = 0
         self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
         self._excitation: dict[str, str] = {}
-        self._excitation_at_s = -1e9
+        self._excitation_at_s = self._unfed_at_s = -1e9
 
     # --- lifecycle ----------------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
-        self._data = Path(self.values["data_directory"]).expanduser()
+        if self.values["effort_unit"] not in ("", *EFFORT_UNITS):
+            raise ConfigurationError(
+                f"parameter effort_unit={self.values['effort_unit']!r}: choose one of {', '.join(EFFORT_UNITS)}"
+            )
+        # two arms on one network must not take each other's calibration for their own
+        self._data = Path(self.values["data_directory"]).expanduser() / self.get_namespace().strip("/")
+        recovered, problems = recover(self._data)
+        for bag in recovered:
+            self.say("warning", f"a recording that was cut off when this node was killed is kept: {bag}")
+        for problem in problems:
+            self.say("error", problem)
         self._calibration = self._find_calibration()
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         started = time.monotonic()
@@ -173,19 +206,26 @@ class IdentifierNode(ManagedNode):
         self._markers = self.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._numbers = {
             name: self.create_publisher(Float64, f"~/{name}", LATCHED)
-            for name in dict.fromkeys(topic for probe in all_probes() for topic in probe.numbers.values())
+            for name in dict.fromkeys(topic for probe in all_probes() for topic in probe.numbers)
         }
         # bytes as they came over the wire: that is what goes into the bag
-        for topic, kind in (
-            ("joint_states", JointState), ("applied_effort", JointState), ("applied_current", Float64MultiArray),
+        for role, topic, kind in (
+            ("joint_states", self.values["state_topic"] or "joint_states", JointState),
+            ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
+            ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
-            listener = self._listener(self.resolve_topic_name(topic), topic, kind)
-            self.create_subscription(kind, topic, listener, STREAM, raw=True)
+            self.listen(kind, topic, self._listener(self.resolve_topic_name(topic), role, kind), STREAM, raw=True)
+        self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
+        self._topics = self._stated_topics()
+        if self._topics["command_topic"]:
+            self.every(0.5, self._listen_to_command)
         name = self.values["excitation_node"]
         self.create_subscription(DiagnosticStatus, f"{name}/status", self._on_excitation, LATCHED)
         self._set_probe = self.create_client(SetParameters, f"{name}/set_parameters")
         self._run = self.create_client(Trigger, f"{name}/run")
         self._abort = self.create_client(Trigger, f"{name}/abort")
+        self._lease = self.create_publisher(Bool, f"{name}/lease", COMMANDS)
+        self.every(LEASE_PERIOD_S, self._renew_lease)
         self._service_of = _services()
         for kind_, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind_))
@@ -221,9 +261,18 @@ class IdentifierNode(ManagedNode):
         stated = self.values["calibration"]
         if stated == "none":
             return None
-        path = Path(stated).expanduser() if stated else self._newest_calibration()
         # the file behind the link stays what it is, so that a result can be had again
-        return path.resolve() if stated or path.exists() else None
+        path = (Path(stated).expanduser() if stated else self._newest_calibration()).resolve()
+        if not stated and not path.exists():
+            return None
+        try:
+            robot_of(self.values["robot"], path)
+        except RobotError as error:
+            if stated:
+                raise RobotError(as_parameters(str(error))) from error
+            self.say("warning", f"goes on without calibration: {as_parameters(str(error))}")
+            return None
+        return path
 
     def _newest_calibration(self) -> Path:
         return self._data / f"{Path(self.values['robot']).stem}_calibration.yaml"
@@ -264,7 +313,16 @@ class IdentifierNode(ManagedNode):
             ) from error
 
     def _options(self) -> ReplayOptions:
-        return ReplayOptions(robot=None if self._calibration else self.values["robot"], calibration=self._calibration)
+        robot = None if self._calibration else self.values["robot"]
+        return ReplayOptions(robot=robot, calibration=self._calibration, **self._topics)
+
+    def _stated_topics(self) -> dict[str, Any]:
+        """What a replay must be told to take the same topics; nothing where they have their usual names."""
+        topics: dict[str, Any] = {"effort_unit": self.values["effort_unit"] or None}
+        for option, usual in (("state_topic", "joint_states"), ("command_topic", "applied_effort")):
+            full = self.resolve_topic_name(self.values[option] or usual)
+            topics[option] = full if self.values[option] or not full.endswith(f"/{usual}") else None
+        return topics
 
     def _setting(self, probe: Probe[Any], baseline: Path | None) -> Setting:
         """What a job is about: robot, and what is stated about the object, read once."""
@@ -274,34 +332,62 @@ class IdentifierNode(ManagedNode):
 
     # --- what comes in ------------------------------------------------------------------------------------------------
 
-    def _listener(self, full_name: str, topic: str, kind: type) -> Callable[[bytes], None]:
-        msgtype = "sensor_msgs/msg/JointState" if kind is JointState else "std_msgs/msg/Float64MultiArray"
+    def _listener(self, full_name: str, role: str, kind: type) -> Callable[[bytes], None]:
+        msgtype = _type_of(kind)
 
         def listen(data: bytes) -> None:
-            if topic == "joint_states":
+            now_ns = self.get_clock().now().nanoseconds
+            if role == "joint_states":
                 self._state_at_s = time.monotonic()
-                self._state_stamp_ns = messages.first_stamp_ns(data)
-                self._lag_ns = self.get_clock().now().nanoseconds - self._state_stamp_ns
-                self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
-            session = self._session
+                if any(name in data for name in self._joints):  # others on the topic may have another clock
+                    self._state_stamp_ns = messages.first_stamp_ns(data) or now_ns
+                    self._lag_ns = now_ns - self._state_stamp_ns
+                    self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
+            elif role == "applied_effort":
+                self._effort_at_s = time.monotonic()
+            session, heard = self._session, self._heard
+            if heard is not None:
+                heard.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
             if session is None:
                 return
-            session.add(full_name, msgtype, self.get_clock().now().nanoseconds, bytes(data))
+            session.add(full_name, msgtype, now_ns, bytes(data))
             live = self._live
-            if live is not None and kind is JointState:
-                message = deserialize_message(data, JointState)
-                stamp = messages.time_ns(message.header.stamp)
-                if topic == "joint_states":
-                    live.add_state(stamp, message.name, message.position)
-                else:
-                    live.add_input(stamp, message.name, message.effort)
-                    self._driven = any(message.effort)
+            if live is not None and role != "applied_current":
+                self._add_live(live, role, now_ns, deserialize_message(data, kind))
 
         return listen
+
+    def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
+        if role == "joint_states":
+            live.add_state(messages.time_ns(message.header.stamp), message.name, message.position)
+        elif role == "applied_effort":
+            live.add_input(messages.time_ns(message.header.stamp), message.name, message.effort)
+            self._driven = any(message.effort)
+        else:
+            current_A = messages.by_joint(message, live.joints)
+            if not isinstance(current_A, str):
+                live.add_command(now_ns, current_A)
+                if time.monotonic() - self._effort_at_s > STALE_S:
+                    self._driven = any(current_A.values())
+
+    def _listen_to_command(self) -> None:
+        """The topic that the user named; its type shows when somebody publishes it."""
+        name = self._topics["command_topic"]
+        if any(subscription.topic_name == name for subscription in self.subscriptions):
+            return
+        for role, kind in (("applied_effort", JointState), ("current_command", Float64MultiArray)):
+            if _type_of(kind) in dict(self.get_topic_names_and_types()).get(name, []):
+                self.listen(kind, str(name), self._listener(str(name), role, kind), STREAM, raw=True)
+
+    def _renew_lease(self) -> None:
+        if self._asking:
+            self._lease.publish(Bool(data=True))
 
     def _on_excitation(self, message: DiagnosticStatus) -> None:
         self._excitation = messages.values_of(message)
         self._excitation_at_s = time.monotonic()
+        if self._excitation.get("joint_states") != "true":
+            self._unfed_at_s = self._excitation_at_s
         job = self._job
         if job is not None and self._excitation.get("busy") == "true":
             values = self._excitation
@@ -334,7 +420,9 @@ class IdentifierNode(ManagedNode):
 
     def _work(self, job: Job, answer: Answer) -> None:
         level = "error"
+        self._concluded = False
         try:
+            self._withdraw()
             self._await_others()
             job.success, job.message = self._make(job)
             level = "ok" if job.success else "warning"
@@ -349,6 +437,8 @@ class IdentifierNode(ManagedNode):
                 self._job = None
             self.say("info" if job.success else "warning", job.message)
             if self.active:
+                if not job.success and not self._concluded:
+                    self._publish_failure(job)
                 self._tell("idle", job.message, level=level)
             job.ended.set()
             answer(job.success, job.message)
@@ -370,10 +460,31 @@ class IdentifierNode(ManagedNode):
             elif self._excitation.get("joint_states") != "true":
                 missing = f"no joint states reach {self.values['excitation_node']}; are the topics named alike?"
             else:
+                missing = self._missing_input()
+            if not missing:
                 return
             if time.monotonic() > deadline:
                 raise JobError(f"not ready: {missing}")
             time.sleep(0.05)
+
+    def _missing_input(self) -> str:
+        """Why a recording would not say what drove the joints, or an empty string."""
+        effort, command = self.resolve_topic_name("applied_effort"), self.resolve_topic_name("current_command")
+        if time.monotonic() - self._effort_at_s <= STALE_S:
+            return ""
+        if self.count_publishers(effort):
+            return f"nothing comes on {effort}, although it has a publisher"
+        named = self._topics["command_topic"]
+        if named is not None:
+            return "" if self.count_publishers(named) else f"nobody publishes the parameter command_topic, {named}"
+        # what the excitation node commands says it as well, where somebody obeys
+        others = [info for info in self.get_subscriptions_info_by_topic(command) if info.node_name != self.get_name()]
+        if others or self.values["effort_unit"]:
+            return ""
+        return (
+            f"nothing says what drives the joints: nobody publishes {effort} or listens to {command}; start the driver, or "
+            "give the parameter command_topic or effort_unit"
+        )
 
     def _make(self, job: Job) -> tuple[bool, str]:
         """Whether a job succeeded, and what there is to say."""
@@ -403,18 +514,19 @@ class IdentifierNode(ManagedNode):
             raise JobError("cancelled")
         if probe.hand:
             self._tell(job.kind, probe.hand)
-        bag = self._record(job, job.kind, sequence)
+        bag = self._record(job, job.kind, sequence, setting.robot, setting.options)
         estimate = self._identify(job, bag, setting.options, partial(self._publish, setting))
         against = "" if baseline is None else f"; {self._about_baseline(baseline)}"
         answer = _interval_of(estimate)
         if not answer:
-            return False, f"{_refusal_of(estimate)}{against}; recording: {bag}"
+            return False, f"{_refusal_of(estimate)}{self._used}{against}; recording: {bag}"
         answer += probe.remark(estimate)
-        return True, (f"{probe.subject} {answer}, {estimate.runs} runs{self._uncalibrated}{against}; recording: {bag}")
+        return True, (f"{probe.subject} {answer}, {estimate.runs} runs{self._used}{against}; recording: {bag}")
 
     @property
-    def _uncalibrated(self) -> str:
-        return "" if self._calibration else " (robot not calibrated)"
+    def _used(self) -> str:
+        """With which calibration, as part of an answer."""
+        return f"; calibration: {self._calibration}" if self._calibration else " (robot not calibrated)"
 
     def _identify(self, job: Job, bag: Path, options: ReplayOptions, publish: Callable[[Estimate], None]) -> Estimate:
         """The estimate from a bag: published, then written beside it with a report."""
@@ -434,14 +546,14 @@ class IdentifierNode(ManagedNode):
         setting = self._setting(probe, None)
         self._live = None
         self._tell(job.kind, baseline.hand)
-        bag = self._record(job, job.kind, value_of(self, f"{probe.name}_sequence"))
+        bag = self._record(job, job.kind, value_of(self, f"{probe.name}_sequence"), setting.robot, setting.options)
         options = baseline_options(setting)
         estimate = self._identify(job, bag, options, partial(self._publish_final, name=job.kind))
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
-            return False, f"not kept: {_refusal_of(estimate)}; {baseline.question} recording: {bag}"
+            return False, f"not kept: {_refusal_of(estimate)}{self._used}; {baseline.question} recording: {bag}"
         self._keep_as_newest(self._newest_baseline(probe), bag)
         answer = _interval_of(estimate) or f"a mass that is not determined ({'; '.join(estimate.reasons)})"
-        return True, f"{baseline.noun} {answer}, {estimate.runs} runs{self._uncalibrated}; kept as the baseline: {bag}"
+        return True, f"{baseline.noun} {answer}, {estimate.runs} runs{self._used}; kept as the baseline: {bag}"
 
     def _about_baseline(self, bag: Path) -> str:
         """How old a baseline is, and whether that is a reason to record it again."""
@@ -454,7 +566,9 @@ class IdentifierNode(ManagedNode):
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         self._live = None
-        bag = self._record(job, "robot", value_of(self, "robot_sequence"))
+        options = ReplayOptions(robot=self.values["robot"], **self._topics)
+        robot = robot_of(options.robot, None)
+        bag = self._record(job, "robot", value_of(self, "robot_sequence"), robot, options)
         references: dict[str | Path, float] = {}
         mass = float(value_of(self, "reference_mass"))
         if mass > 0.0:
@@ -462,16 +576,16 @@ class IdentifierNode(ManagedNode):
             self._tell(job.kind, f"put the reference object of {mass:g} kg into the hand: going on in {wait_s:g} s")
             if job.cancelled.wait(wait_s):
                 raise JobError(f"cancelled before the reference was weighed; recording: {bag}")
-            references[self._record(job, "reference", value_of(self, "reference_sequence"))] = mass
+            reference = self._record(job, "reference", value_of(self, "reference_sequence"), robot, options)
+            references[reference] = mass
         self._tell(job.kind, "identifying the robot")
         output = bag.parent / "calibration.yaml"
-        facts = parse_settings(value_of(self, "reference_settings"))
-        options = ReplayOptions(robot=self.values["robot"], settings=facts)
+        options = replace(options, settings=parse_settings(value_of(self, "reference_settings")))
         # the folder is this session's own
         estimate = calibrate_from_bags(
             [bag], references, options, output, lambda text: self._tell(job.kind, text), force=True
         )
-        self._publish_calibration(estimate)
+        self._publish_calibration(estimate, output)
         sources = [str(path) for path in (bag, *references)]
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
         if estimate.verdict is not Verdict.ACCEPTED:
@@ -488,10 +602,16 @@ class IdentifierNode(ManagedNode):
             except ProprioError as error:
                 self.say("warning", str(error))
 
-    def _record(self, job: Job, kind: str, sequence: str) -> Path:
+    def _record(self, job: Job, kind: str, sequence: str, robot: Robot, options: ReplayOptions) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
         self._catch_up()
         session = Session(self._data, kind)
+        try:
+            session.open()
+            self._check_input(session.folder, robot, options)
+        except RecordingError as error:
+            session.discard()
+            raise JobError(f"not begun: {as_parameters(str(error))}") from error
         if self._live is not None:
             self._live.reset()
         self._session = session
@@ -514,6 +634,34 @@ class IdentifierNode(ManagedNode):
         if failure:
             raise JobError(f"{failure}; recording: {bag}")
         return bag
+
+    def _check_input(self, folder: Path, robot: Robot, options: ReplayOptions) -> None:
+        """Whether what comes in can be read, before anything moves.
+
+        Raises:
+            RecordingError: It cannot, or the folder cannot be written.
+        """
+        heard: list[RawMessage] = []
+        self._heard = heard
+        deadline = time.monotonic() + LONGEST_CHECK_S
+        try:
+            while True:
+                time.sleep(CHECK_S)
+                try:
+                    notes = check_input(folder, list(heard), robot, options)
+                    break
+                except RecordingError:
+                    if time.monotonic() > deadline:
+                        raise
+        finally:
+            self._heard = None
+        for note in notes:
+            self.say("info", note)
+        if time.monotonic() - self._effort_at_s > STALE_S:
+            self.say(
+                "warning",
+                "no applied_effort: the times at which a current began are those at which its command was heard",
+            )
 
     def _catch_up(self) -> None:
         """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""
@@ -541,16 +689,21 @@ class IdentifierNode(ManagedNode):
         results = self._call(self._set_probe, SetParameters.Request(parameters=[named])).results
         if not results or not results[0].successful:
             raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
-        begun = time.monotonic()
+        begun = asked = time.monotonic()
         answer = self._call(self._run, Trigger.Request())
-        # a pause of the bus just now is over in a second, and nothing has moved yet
-        while not answer.success and "no joint states" in answer.message and time.monotonic() - begun < READY_S:
+        while not answer.success and time.monotonic() - begun < READY_S:
             if job.cancelled.wait(0.2):
                 raise JobError("cancelled")
+            # where its status says that no joint states reached it: a pause of the bus, over in a second, and nothing has moved
+            if self._unfed_at_s < asked:
+                break
+            asked = time.monotonic()
             answer = self._call(self._run, Trigger.Request())
         if not answer.success:
             raise JobError(f"the excitation node refuses: {answer.message}")
         number = answer.message.split(":")[0].removeprefix("sequence ")
+        self._asking = True
+        self._renew_lease()
         live = threading.Thread(target=self._estimate_live, args=(job,), name="live estimate", daemon=True)
         live.start()
         try:
@@ -564,7 +717,8 @@ class IdentifierNode(ManagedNode):
                 if time.monotonic() - heard_s > SILENT_S:
                     raise JobError("the excitation node has fallen silent: the driver holds the arm; restart the node")
         finally:
-            self._driven = False
+            self._driven = self._asking = False
+            self._lease.publish(Bool(data=False))
         if values.get("phase") == "aborted":
             raise JobError(f"the probe was aborted: {values.get('reason')}")
 
@@ -611,6 +765,7 @@ class IdentifierNode(ManagedNode):
                 entries = {
                     "probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit,
                     f"{name}.std": std, f"{name}.ci95": [value - Z95 * std, value + Z95 * std],
+                    "calibration": str(self._calibration or "none"),
                 }  # fmt: skip
                 words = shown(unit, value, Z95 * std, spec=spec_for(unit, std), between=" +- ")
                 self._publish_estimate("ok", estimate.probe, f"live, {samples} samples: {words}", entries)
@@ -620,11 +775,26 @@ class IdentifierNode(ManagedNode):
         now = self.get_clock().now().nanoseconds
         self._estimate.publish(messages.diagnostics(now, [messages.status(level, name, message, entries)]))
 
+    def _withdraw(self) -> None:
+        """What was published of the hand says nothing about what is in it now; `~/estimate`, which has a stamp, stands."""
+        while self._standing:
+            _, withdraw = self._standing.popitem()
+            withdraw()
+
+    def _publish_failure(self, job: Job) -> None:
+        """That there is no estimate, and why, in the place of the last."""
+        entries: dict[str, Any] = {"probe": job.kind, "final": True, "verdict": "failed", "reason.1": job.message}
+        if job.kind in (probe.name for probe in all_probes()):
+            entries[probe_named(job.kind).answer[0]] = "not determined"
+        entries["calibration"] = str(self._calibration or "none")
+        self._publish_estimate("error", job.kind, job.message, entries)
+
     def _publish_final(self, estimate: Estimate, name: str) -> None:
         accepted = estimate.verdict is Verdict.ACCEPTED
         entries = {**as_diagnostics(estimate), "final": True, "calibration": str(self._calibration or "none")}
         entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         words = "; ".join(estimate.reasons) or estimate.verdict.value
+        self._concluded = True
         self._publish_estimate("ok" if accepted else "warning", name, words, entries)
 
     def _publish(self, setting: Setting, estimate: Estimate) -> None:
@@ -638,19 +808,28 @@ class IdentifierNode(ManagedNode):
         ):
             return
         probe, robot, facts = setting.probe, setting.robot, setting.facts
-        now, frame = self.get_clock().now().nanoseconds, robot.payload_frame
+        now, frame = self.get_clock().now().nanoseconds, self.values["frame_prefix"] + robot.payload_frame
         accepted = estimate.verdict is Verdict.ACCEPTED
-        for entry in estimate.values if accepted else ():
-            if entry.name in probe.numbers and isinstance(entry.value, float):
-                self._numbers[probe.numbers[entry.name]].publish(messages.number(entry.value))
+        values = {entry.name: entry.value for entry in estimate.values if isinstance(entry.value, float)}
+        for topic, name in probe.numbers.items() if accepted else ():
+            if name in values:
+                publisher = self._numbers[topic]
+                publisher.publish(messages.number(values[name]))
+                self._standing[topic] = partial(publisher.publish, messages.number(math.nan))
         carried = probe.carried(robot, facts, estimate) if accepted else None
         if carried is not None:
             self._payload.publish(messages.inertia(now, frame, carried))
+            self._standing["payload"] = partial(self._withdraw_payload, frame)
         shapes = probe.shapes(robot, facts, estimate)
         if shapes is not None:
             self._markers.publish(messages.markers(now, frame, shapes, value.value, value.std, value.unit, accepted))
+            self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
-    def _publish_calibration(self, estimate: CalibrationEstimate) -> None:
+    def _withdraw_payload(self, frame: str) -> None:
+        now = self.get_clock().now().nanoseconds
+        self._payload.publish(messages.inertia(now, frame, messages.UNKNOWN_LOAD))
+
+    def _publish_calibration(self, estimate: CalibrationEstimate, output: Path) -> None:
         entries: dict[str, Any] = {
             "probe": "robot",
             "final": True,
@@ -662,7 +841,9 @@ class IdentifierNode(ManagedNode):
                 entries |= {row.name: row.value, f"{row.name}.unit": row.unit, f"{row.name}.std": row.std}
         entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         accepted = estimate.verdict is Verdict.ACCEPTED
+        entries["calibration"] = str(output if accepted else self._calibration or "none")
         words = "; ".join(estimate.reasons) or estimate.verdict.value
+        self._concluded = True
         self._publish_estimate("ok" if accepted else "warning", "robot", words, entries)
 
     def _tell(self, doing: str, message: str, entries: dict[str, Any] | None = None, level: str = "ok") -> None:
@@ -683,6 +864,11 @@ class IdentifierNode(ManagedNode):
                 continue
             self._unsaved.remove(session)
             self.say("info", f"the recording of {session.name} is saved now: {bag}")
+
+
+def _type_of(kind: type) -> str:
+    """Such as ``sensor_msgs/msg/JointState``."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
 def _interval_of(estimate: Estimate) -> str:

@@ -131,6 +131,15 @@ def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
 
 
 BLUE, AMBER = (0.1, 0.5, 0.9), (1.0, 0.65, 0.0)
+UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
+"""What is published where a load was published before that stands no longer."""
+
+
+def no_markers() -> MarkerArray:
+    """Whatever was shown before goes."""
+    return MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
+
+
 KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 
 
@@ -150,7 +159,7 @@ def markers(
     """
     colour = BLUE if accepted else AMBER
     bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
-    array = [Marker(action=Marker.DELETEALL)]
+    array = list(no_markers().markers)
     written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
     for number_, (kind, size, rotation, opacity) in enumerate((*bodies, written)):
         marker = Marker(ns="proprio", id=number_, type=kind, action=Marker.ADD)

@@ -16,6 +16,7 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -83,6 +84,33 @@ class ManagedNode(LifecycleNode):
     def every(self, period_s: float, do: Callable[[], None]) -> None:
         """Call again and again, on a clock that nobody sets: a timer on the system's pauses for as long as that is set back."""
         self.create_timer(period_s, do, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def listen(
+        self, kind: type, topic: str, callback: Callable[[Any], None], quality: QoSProfile, *, raw: bool = False
+    ) -> None:
+        """Subscribe, also to best-effort publishers, which a reliable subscription does not hear.
+
+        A reliable publisher repeats what was lost, so it is asked to until one is found that does not.
+
+        Args:
+            kind: Of message.
+            topic: Its name.
+            callback: For each message.
+            quality: Reliable.
+            raw: Whether the callback takes bytes.
+        """
+
+        def relax(_event: Any) -> None:
+            if subscription.callback is not callback:
+                return  # every further publisher of the kind says so again
+            # muted, not destroyed: the executor may have it in hand just now
+            subscription.callback = lambda _message: None
+            self.say("warning", f"{subscription.topic_name} is published best effort: messages may be lost")
+            relaxed = QoSProfile(depth=quality.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self.create_subscription(kind, topic, callback, relaxed, raw=raw)
+
+        events = SubscriptionEventCallbacks(incompatible_qos=relax)
+        subscription = self.create_subscription(kind, topic, callback, quality, event_callbacks=events, raw=raw)
 
     # --- the lifecycle ------------------------------------------------------------------------------------------------
 

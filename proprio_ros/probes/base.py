@@ -160,7 +160,7 @@ class Probe(ABC, Generic[Facts]):
         name: on the command line, in file and service names.
         subject: what the answer is about, in a sentence.
         answer: name and unit of its first value.
-        numbers: which values are published as plain numbers, and on which topic of the identifier.
+        numbers: topics of the identifier that are plain numbers, and the value that is published on each.
         keys: what the settings about its object begin with.
         file_sections: of ``config/probes/NAME.yaml`` that it reads.
         hand: what the user is asked for before the runs, as a sentence; empty: nothing.

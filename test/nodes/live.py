@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
 
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import labelled, values_of
@@ -50,6 +52,8 @@ class Client:
         self.excitation_message = ""
         self.diagnostics: list[DiagnosticArray] = []
         self.masses: list[float] = []
+        self.withdrawn = 0
+        self.markers: list[MarkerArray] = []
         self.payloads: list[InertiaStamped] = []
         listen = self.node.create_subscription
         listen(JointState, "/joint_states", self.states.append, 1000)
@@ -59,7 +63,8 @@ class Client:
         listen(DiagnosticStatus, "/excitation/status", self._on_excitation, LATCHED)
         listen(DiagnosticArray, "/identifier/estimate", self._on_estimate, LATCHED)
         listen(DiagnosticArray, "/diagnostics", self.diagnostics.append, 100)
-        listen(Float64, "/identifier/mass", lambda message: self.masses.append(message.data), LATCHED)
+        listen(Float64, "/identifier/mass", self._on_mass, LATCHED)
+        listen(MarkerArray, "/identifier/markers", self.markers.append, LATCHED)
         listen(InertiaStamped, "/identifier/payload", self.payloads.append, LATCHED)
         self.currents = self.node.create_publisher(Float64MultiArray, "/current_command", 10)
         self.positions = self.node.create_publisher(Float64MultiArray, "/position_command", 10)
@@ -78,6 +83,13 @@ class Client:
 
     def _on_estimate(self, message: DiagnosticArray) -> None:
         self.estimates.append(values_of(message.status[0]))
+
+    def _on_mass(self, message: Float64) -> None:
+        """Before a job a mass that stands is withdrawn: NaN."""
+        if math.isfinite(message.data):
+            self.masses.append(message.data)
+        else:
+            self.withdrawn += 1
 
     def close(self) -> None:
         self._ended.set()

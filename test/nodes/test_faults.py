@@ -307,13 +307,27 @@ def test_the_excitation_is_killed(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("own_domain")
 def test_identifier_and_driver_are_killed(tmp_path: Path) -> None:
-    with arm_of(tmp_path) as arm:
+    pushes = {"payload_sequence": str(push_file(tmp_path, 1.2, 1.2, 1.2))}
+    with arm_of(tmp_path, identifier=pushes) as arm:
         client, graph = arm.client, arm.graph
         client.begin("/identifier/calibrate_payload")
         await_push(client)
         graph.stop("identifier", signal.SIGKILL)
-        assert_done(client)
+        assert_aborted(client, "whoever asked for the sequence has fallen silent")
         assert_held(client)
+        # what came until then is on disk, and a bag as soon as the node is back
+        (journal,) = (tmp_path / "data").glob("*_payload/messages.journal")
+        graph.start("identifier", {"data_directory": tmp_path / "data", "calibration": "none", "report": False})
+        assert wait_for(lambda: (journal.parent / "bag" / "metadata.yaml").exists() and not journal.exists(), 60.0)
+        recording = read_recording(
+            journal.parent / "bag", nominal_torque_constants=torque_constants(), joint_order=list(torque_constants())
+        )
+        assert recording.inputs is not None and recording.inputs.current_A.min() == pytest.approx(
+            PUSH_A, abs=LIKE_PUSH_A
+        )
+        # a sequence that was asked for by hand is nobody's, and goes on
+        lift(client)
+        assert client.set("/excitation", "probe", str(arm.push)).successful
 
         begin_push(client)
         killed_s = time.time()
@@ -554,7 +568,6 @@ def test_a_joint_state_that_is_no_number(arm: Arm) -> None:
     assert_braked(client, begun_s, COMMAND_TIMEOUT_S)
     answer = client.answer(future)
     assert not answer.success and "aborted" in answer.message and "nan" in answer.message
-    client.node.destroy_publisher(publisher)
 
 
 # --- commands -----------------------------------------------------------------------------------------------------------
@@ -634,7 +647,8 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     client.push({ELBOW: -0.3})
     assert not answer.success or wait_for(lambda: client.excitation["busy"] == "false", 10.0)
     assert_zero(client, begun_s, answered_s - begun_s + 0.05)
-    assert not any(client.applied[-1].effort) and driver_status(client)[0] == "stopped"
+    assert not any(client.applied[-1].effort)
+    assert wait_for(lambda: driver_status(client)[0] == "stopped", 2.0), "diagnostics come once a second"
     assert torque_is_on(client)
     assert_held(client)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
 from live import replayed_alike, running, wait_for
+from visualization_msgs.msg import Marker
 
 MASS_KG = 0.05
 
@@ -33,6 +35,15 @@ def test_an_arm_learns_itself_and_weighs_an_object(tmp_path: Path, monkeypatch: 
         final = client.estimates[-1]
         low, high = json.loads(final["payload_mass.ci95"])
         assert abs(client.masses[-1] - MASS_KG) < min(0.002, high - low), final
+        assert f"calibration: {tmp_path / 'data'}" in answer.message and "calibration.yaml" in final["calibration"]
+        # what is refused withdraws what stood: nobody knows what is in the hand now
+        assert client.set("/identifier", "payload_sequence", str(tmp_path / "missing.yaml")).successful
+        answer = client.call("/identifier/calibrate_payload", 60.0)
+        assert not answer.success
+        assert wait_for(lambda: client.withdrawn == 1 and client.estimates[-1]["verdict"] == "failed", 5.0)
+        assert client.estimates[-1]["payload_mass"] == "not determined"
+        assert wait_for(lambda: math.isnan(client.payloads[-1].inertia.m), 5.0)
+        assert [marker.action for marker in client.markers[-1].markers] == [Marker.DELETEALL]
         assert wait_for(lambda: any(client.motors[-1].effort), 5.0), "the arm is held"
         for node in ("excitation", "driver"):
             process = graph.processes[node]

@@ -39,7 +39,7 @@ class Container(Probe[ContainerJob]):
     name = "container"
     subject = "sphere"
     answer = ("sphere_mass", "kg")
-    numbers = MappingProxyType({"sphere_mass": "mass"})
+    numbers = MappingProxyType({"mass": "sphere_mass", "sphere_mass": "sphere_mass"})
     keys = ("container.", "sphere.", "contact.")
     file_sections = ("container", "sphere", "contact", "solver")
     hand = "the container has to be in the hand with its sphere"

@@ -46,7 +46,7 @@ class Payload(Probe[PayloadJob]):
     name = "payload"
     subject = "payload"
     answer = ("payload_mass", "kg")
-    numbers = MappingProxyType({"payload_mass": "mass"})
+    numbers = MappingProxyType({"mass": "payload_mass"})
     keys = ("payload.", "paper.")
     file_sections = ("payload", "solver", "paper")
     default_sequence = "payload"

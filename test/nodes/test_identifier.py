@@ -1,0 +1,209 @@
+"""The identifier node in the test's own process, with nobody beside it: what it publishes, keeps and refuses."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+sys.path.insert(0, str(Path(__file__).parent))
+
+import rclpy
+from domains import free_domain
+from visualization_msgs.msg import Marker
+
+from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.nodes import driver, identifier, messages
+from proprio_ros.probes import probe_named
+from proprio_ros.replay import ReplayOptions
+from proprio_ros.robot import load_robot
+from proprio_ros.session import setting_of
+
+BOX = {"container.inner_size": [0.06, 0.04, 0.04], "sphere.radius": 0.01}
+
+
+class Published(list[Any]):
+    """In a publisher's place."""
+
+    def publish(self, message: Any) -> None:
+        self.append(message)
+
+
+class Nodes:
+    """Makes nodes with parameters, in a namespace."""
+
+    def __init__(self) -> None:
+        self._made: list[tuple[Any, Any]] = []
+
+    def make(self, kind: type, namespace: str = "", **parameters: Any) -> Any:
+        words = ["--ros-args", *(["-r", f"__ns:=/{namespace}"] if namespace else [])]
+        words += [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+        context = rclpy.Context()
+        rclpy.init(args=words, context=context)
+        self._made.append((kind(context=context), context))
+        return self._made[-1][0]
+
+    def identifier(self, namespace: str = "", **parameters: Any) -> Any:
+        node = self.make(identifier.IdentifierNode, namespace, **parameters)
+        node.configure()
+        for name in ("_estimate", "_payload", "_markers", "_lease"):
+            setattr(node, name, Published())
+        node._numbers = {name: Published() for name in node._numbers}
+        return node
+
+    def close(self) -> None:
+        for node, context in self._made:
+            node.destroy_node()
+            context.try_shutdown()
+
+
+@pytest.fixture
+def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
+    monkeypatch.setattr(identifier, "prepare_identification", lambda: None)  # compiles kernels, and none is run here
+    made = Nodes()
+    yield made
+    made.close()
+
+
+def answer(probe: str, value: float | None, verdict: Verdict = Verdict.ACCEPTED) -> Estimate:
+    name, unit = probe_named(probe).answer
+    known = Value(name, unit, value, None if value is None else 0.001)
+    return Estimate(probe, "open_manipulator_x", verdict, (), (known,), None, None, 1)
+
+
+def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    node._withdraw()
+    assert not any(node._numbers.values()) and not node._payload, "nothing stands at the beginning"
+    node._publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    assert node._numbers["mass"][-1].data == 0.05 and node._payload[-1].inertia.m == 0.05
+    assert not node._numbers["sphere_mass"]
+    node._withdraw()
+    assert math.isnan(node._numbers["mass"][-1].data)
+    load = node._payload[-1].inertia
+    assert all(math.isnan(value) for value in (load.m, load.com.x, load.ixx, load.iyz))
+    assert [marker.action for marker in node._markers[-1].markers] == [Marker.DELETEALL]
+    node._publish(setting_of(ReplayOptions()), answer("payload", None, Verdict.REJECTED))
+    assert len(node._numbers["mass"]) == 2, "what is not accepted puts nothing in its place"
+    # a sphere's mass is told from a payload's by its topic
+    node._publish(setting_of(ReplayOptions(probe="container", settings=BOX)), answer("container", 0.012))
+    assert node._numbers["mass"][-1].data == node._numbers["sphere_mass"][-1].data == 0.012
+    node._withdraw()
+    assert all(math.isnan(node._numbers[name][-1].data) for name in ("mass", "sphere_mass"))
+
+
+def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    node.active = True
+    node._publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    node._make = lambda job: (_ for _ in ()).throw(identifier.JobError("no object"))
+    node._await_others = lambda: None
+    answers: list[Any] = []
+    node._work(identifier.Job("payload", "calibrate_payload"), lambda *given: answers.append(given))
+    assert answers == [(False, "no object")]
+    (status,) = node._estimate[-1].status
+    told = {pair.key: pair.value for pair in status.values}
+    assert told["payload_mass"] == "not determined" and told["verdict"] == "failed" and told["reason.1"] == "no object"
+    assert math.isnan(node._numbers["mass"][-1].data)
+
+
+def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(nodes: Nodes, tmp_path: Path) -> None:
+    (tmp_path / "open_manipulator_x_calibration.yaml").write_text("no calibration, and of another arm")
+    node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
+    assert node._calibration is None and node._data == tmp_path / "arm1"
+    node._publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    assert node._payload[-1].header.frame_id == "arm1/end_effector_link"
+    assert node._markers[-1].markers[-1].header.frame_id == "arm1/end_effector_link"
+    arm = nodes.make(driver.DriverNode, "arm1", port=tmp_path / "port")
+    arm.configure()
+    assert arm._diagnosed == "arm1/driver"
+
+
+def test_a_calibration_of_another_arm_is_not_used(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    newest = tmp_path / "open_manipulator_x_calibration.yaml"
+    newest.write_text("extends: pendulum\n")  # has no calibration
+    assert nodes.identifier(data_directory=tmp_path)._calibration is None
+    with pytest.raises(RobotError, match=r"the parameter calibration .* holds no calibration"):
+        nodes.identifier(data_directory=tmp_path, calibration=newest)
+
+
+def test_what_cannot_be_recorded_is_said_before_anything_moves(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked = tmp_path / "blocked"
+    blocked.write_text("a file where a folder should be")
+    node = nodes.identifier(data_directory=blocked, calibration="none")
+    asked: list[str] = []
+    node._excite = lambda job, sequence: asked.append(sequence)
+    job = identifier.Job("payload", "calibrate_payload")
+    robot, options = load_robot("open_manipulator_x"), ReplayOptions()
+    with pytest.raises(
+        identifier.JobError, match=r"not begun: .*blocked cannot be written .*the parameter data_directory"
+    ):
+        node._record(job, "payload", "payload_elbow", robot, options)
+    node._data = tmp_path / "data"
+    monkeypatch.setattr(identifier, "LONGEST_CHECK_S", 0.0)
+    with pytest.raises(identifier.JobError, match="not begun: "):
+        node._record(job, "payload", "payload_elbow", robot, options)
+    assert not asked and not list(node._data.iterdir())
+
+
+def test_topics_with_other_names_are_part_of_the_command_that_replays(nodes: Nodes, tmp_path: Path) -> None:
+    usual = nodes.identifier("arm1", data_directory=tmp_path, calibration="none")._options()
+    assert usual.state_topic is usual.command_topic is usual.effort_unit is None
+    stated = {"state_topic": "/arm/states", "command_topic": "drive", "effort_unit": "mA"}
+    options = nodes.identifier("arm1", data_directory=tmp_path, calibration="none", **stated)._options()
+    assert (options.state_topic, options.command_topic, options.effort_unit) == ("/arm/states", "/arm1/drive", "mA")
+    with pytest.raises(ConfigurationError, match=r"choose one of N\.m, A, mA, raw"):
+        nodes.identifier(data_directory=tmp_path, effort_unit="counts")
+
+
+def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    assert "nobody publishes /applied_effort or listens to /current_command" in node._missing_input()
+    assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._missing_input()
+
+
+def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_the_excitation(
+    nodes: Nodes, tmp_path: Path
+) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    job = identifier.Job("payload", "calibrate_payload")
+    node._excitation = {"sequence": "1", "busy": "false", "phase": "done"}
+    asked: list[str] = []
+
+    def call(client: Any, request: Any) -> Any:
+        if client is node._set_probe:
+            return SimpleNamespace(results=[SimpleNamespace(successful=True)])
+        asked.append("run")
+        if len(asked) == 1:  # its status says so as it refuses, in whatever words
+            node._on_excitation(messages.status("ok", "excitation", "", {"joint_states": False}))
+            node._excitation = {"sequence": "1", "busy": "false", "phase": "done"}
+            return SimpleNamespace(success=False, message="nothing to be seen")
+        return SimpleNamespace(success=True, message="sequence 1: payload, 1 runs")
+
+    node._call = call
+    node._excite(job, "payload")
+    assert len(asked) == 2
+    assert [message.data for message in node._lease] == [True, False], "asked for, and not any more"
+
+    def refuse(client: Any, request: Any) -> Any:
+        if client is node._set_probe:
+            return SimpleNamespace(results=[SimpleNamespace(successful=True)])
+        asked.append("run")
+        return SimpleNamespace(success=False, message="no joint states is what this refusal is not about")
+
+    node._call = refuse
+    with pytest.raises(identifier.JobError, match="refuses"):
+        node._excite(job, "payload")
+    assert len(asked) == 3
