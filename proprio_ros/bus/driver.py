@@ -621,7 +621,10 @@ class ArmDriver:
         ahead = {name: angle + min(max(ways.get(name, 0.0), -reach), reach) for name, angle in before.items()}
         # joints arrive one after the other: between two poses that are high enough the arm may come too low
         if self._height(ahead) < min(self.settings.min_clearance_m, self._height(before)):
-            self._log("warning", "the arm was about to come too near to the base's plane (min_clearance); it stays where it is")
+            self._log(
+                "warning",
+                "the arm was about to come too near to the base's plane (min_clearance); it stays where it is",
+            )
             for joint in held:
                 joint.target_rad = joint.goal_rad
             return

@@ -37,6 +37,9 @@ STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 """Only the newest command counts."""
 
+FROM_MANY = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+"""Commands, of whoever sends some: those of one publisher must not push out another's before they are seen."""
+
 
 class ManagedNode(LifecycleNode):
     """A lifecycle node whose transitions fail with one line instead of a traceback.
@@ -48,8 +51,6 @@ class ManagedNode(LifecycleNode):
     parameters: Sequence[Parameter] = ()
     real_time = False
     """Runs before everything else once it is active; until then it starts like any other program, beside others that do."""
-    pause_s = 0.0
-    """Between two callbacks: a flood of messages leaves the interpreter to the node's other threads."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -70,6 +71,16 @@ class ManagedNode(LifecycleNode):
 
     def cleanup(self) -> None:
         """Undo `configure`."""
+
+    @property
+    def pause_s(self) -> float:
+        """Between two callbacks [s]: a flood of messages leaves room for the node's other threads, and for other programs."""
+        return 0.0
+
+    def now_s(self) -> float:
+        """Time that never runs back; with `use_sim_time` the simulation's, whose pauses and pace count [s]."""
+        clock = self.get_clock()
+        return 1e-9 * clock.now().nanoseconds if clock.ros_time_is_active else time.monotonic()
 
     def say(self, severity: str, message: str) -> None:
         """Log; severity is ``info``, ``warning`` or ``error``. rclpy wants one place in the code for each severity."""
@@ -233,8 +244,9 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
                 ended.set()
         while not ended.is_set():
             spinner.spin_once(timeout_sec=0.1)
-            if node.pause_s > 0.0:
-                time.sleep(node.pause_s)
+            pause_s = node.pause_s
+            if pause_s > 0.0:
+                time.sleep(pause_s)
     except (ProprioError, ParameterException) as error:
         logging.getLogger("proprio_ros").error("%s", " ".join(str(error).split()))
         code = 2
