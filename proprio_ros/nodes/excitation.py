@@ -19,7 +19,7 @@ from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, J
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode, run_node
+from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, ManagedNode, run_node
 from proprio_ros.robot import load_robot
 
 _G = Guards()
@@ -27,6 +27,11 @@ STATUS_PERIOD_S = 0.1
 LAST_WORDS_S = 0.3
 UNPUSHED_S = 0.1
 """From a current command to the driver's word that it flows: two cycles, and a late one."""
+
+DRIVER_SILENT_S = 3.0
+"""The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
+LIMP = ("stopped", "released", "inactive")
+"""States of the driver in which it takes no commands until somebody has called a service."""
 
 
 class ExcitationNode(ManagedNode):
@@ -45,10 +50,16 @@ class ExcitationNode(ManagedNode):
 
     real_time = True
 
+    @property
+    def pause_s(self) -> float:
+        return 0.0 if self._machine is not None and self._machine.busy else IDLE_PAUSE_S
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("excitation", **kwargs)
         self._machine: ExcitationMachine | None = None
         self._sample: JointSample | None = None
+        self._driver_state = self._driver_words = ""
+        self._driver_at_s = -math.inf
         self._driving = False
         self._unpushed_since_s: float | None = None
         self._count = 0
@@ -75,6 +86,7 @@ class ExcitationNode(ManagedNode):
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self.create_subscription(JointState, "joint_states", self._on_joint_state, COMMANDS)
         self.create_subscription(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
+        self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)
         self.create_service(Trigger, "~/run", self._on_run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.every(0.02, self._on_timer)
@@ -107,7 +119,7 @@ class ExcitationNode(ManagedNode):
     def _on_joint_state(self, message: JointState) -> None:
         if self._machine is None:
             return
-        now = time.monotonic()
+        now = self.now_s()
         position = dict(zip(message.name, message.position, strict=False))
         velocity = dict(zip(message.name, message.velocity, strict=False)) or dict.fromkeys(position, 0.0)
         self._sample = JointSample(now, position, velocity)
@@ -119,7 +131,7 @@ class ExcitationNode(ManagedNode):
         if machine is None or machine.sequence is None or machine.phase is not Phase.PROBE or any(message.effort):
             self._unpushed_since_s = None
             return
-        now = time.monotonic()
+        now = self.now_s()
         if self._unpushed_since_s is None:
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
@@ -127,13 +139,29 @@ class ExcitationNode(ManagedNode):
             self._abort(machine, f"the driver does not push {joint}, or has ended it: its log and /diagnostics say why")
             self.say("error", f"aborted: {machine.abort_reason}")
 
+    def _on_driver(self, message: DiagnosticStatus) -> None:
+        """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
+        self._driver_state, self._driver_words = messages.values_of(message).get("state", ""), message.message
+        self._driver_at_s = time.monotonic()
+        machine = self._machine
+        if machine is not None and machine.busy and self._limp:
+            self._abort(machine, f"the driver was {self._limp}")
+            self.say("error", f"aborted: {machine.abort_reason}")
+        self._tell_when_due()
+
+    @property
+    def _limp(self) -> str:
+        """State and words of a driver that takes no commands; empty where it does, or where it does not say."""
+        known = time.monotonic() - self._driver_at_s < DRIVER_SILENT_S
+        return f"{self._driver_state}: {self._driver_words}" if known and self._driver_state in LIMP else ""
+
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming."""
-        now = time.monotonic()
+        now = self.now_s()
         late = self._sample is None or now - self._sample.time_s > 0.5 * self.values["stale_after"]
         if late:
             self._tick(now)
-        self._tell_when_due(now)
+        self._tell_when_due()
 
     def _tick(self, now: float) -> None:
         machine = self._machine
@@ -145,7 +173,7 @@ class ExcitationNode(ManagedNode):
             self.say("error", f"aborted: {machine.abort_reason}")
         elif machine.phase is Phase.DONE:
             self.say("info", machine.message)
-        self._tell_when_due(now)
+        self._tell_when_due()
 
     def _abort(self, machine: ExcitationMachine, reason: str) -> None:
         machine.abort(reason)
@@ -169,8 +197,16 @@ class ExcitationNode(ManagedNode):
         machine = self._machine
         if machine is None or not self.active:
             return response
-        sample = self._sample
-        if not machine.busy and (sample is None or time.monotonic() - sample.time_s > self.values["stale_after"]):
+        if not machine.busy and self._limp:
+            response.message = f"the driver is {self._limp}"
+            return response
+        now, sample = self.now_s(), self._sample
+        if now == 0.0:
+            response.message = (
+                "use_sim_time is set, and no time comes on /clock: start the simulation, or set it to false"
+            )
+            return response
+        if not machine.busy and (sample is None or now - sample.time_s > self.values["stale_after"]):
             response.message = (
                 "no joint states are coming: start the driver, and check its bus and the topic joint_states"
             )
@@ -202,8 +238,9 @@ class ExcitationNode(ManagedNode):
 
     # --- status -------------------------------------------------------------------------------------------------------
 
-    def _tell_when_due(self, now: float) -> None:
-        machine = self._machine
+    def _tell_when_due(self) -> None:
+        """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""
+        machine, now = self._machine, time.monotonic()
         if machine is None or not self.active:
             return
         state = self._state(machine)
@@ -212,7 +249,7 @@ class ExcitationNode(ManagedNode):
 
     def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
         """What is published as soon as it changes."""
-        return machine.phase, machine.run_number, machine.attempt, self._count, self._sample is not None
+        return machine.phase, machine.run_number, machine.attempt, self._count, self._sample is not None, self._limp
 
     def _tell(self) -> None:
         machine = self._machine
@@ -224,6 +261,7 @@ class ExcitationNode(ManagedNode):
             "sequence": self._count,
             "phase": machine.phase.value,
             "joint_states": self._sample is not None,
+            "driver": self._limp,
             "busy": machine.busy,
             "probe": sequence.name if sequence else "",
             "hand": sequence.hand if sequence else "any",

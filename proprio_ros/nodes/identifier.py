@@ -30,18 +30,19 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, STREAM, Answer, LongService, ManagedNode, newest, run_node
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import write_calibration_report
+from proprio_ros.robot import load_robot
 from proprio_ros.session import (
     LiveEstimate,
     Session,
@@ -141,6 +142,7 @@ class IdentifierNode(ManagedNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identifier", **kwargs)
+        self._sequences = {each.name: each.default for each in self.parameters if each.name.endswith("_sequence")}
         self._job: Job | None = None
         self._job_lock = threading.Lock()
         self._closing = False
@@ -154,11 +156,18 @@ class IdentifierNode(ManagedNode):
         self._excitation: dict[str, str] = {}
         self._excitation_at_s = -1e9
 
+    @property
+    def pause_s(self) -> float:
+        return 0.0 if self._job is not None else IDLE_PAUSE_S
+
     # --- lifecycle ----------------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         self._data = Path(self.values["data_directory"]).expanduser()
         self._calibration = self._find_calibration()
+        for name, default in self._sequences.items():
+            if value_of(self, name) != default:  # not every robot can make every default
+                self._check_sequence(name, value_of(self, name))
         started = time.monotonic()
         prepare_identification()  # kernels are compiled here, and never inside a probe
         for given in ("settings", "reference_settings"):
@@ -173,12 +182,13 @@ class IdentifierNode(ManagedNode):
             name: self.create_publisher(Float64, f"~/{name}", LATCHED)
             for name in dict.fromkeys(topic for probe in all_probes() for topic in probe.numbers.values())
         }
+        self._streams: dict[str, Any] = {}
         # bytes as they came over the wire: that is what goes into the bag
         for topic, kind in (
             ("joint_states", JointState), ("applied_effort", JointState), ("applied_current", Float64MultiArray),
         ):  # fmt: skip
             listener = self._listener(self.resolve_topic_name(topic), topic, kind)
-            self.create_subscription(kind, topic, listener, STREAM, raw=True)
+            self._streams[topic] = self.create_subscription(kind, topic, listener, STREAM, raw=True)
         name = self.values["excitation_node"]
         self.create_subscription(DiagnosticStatus, f"{name}/status", self._on_excitation, LATCHED)
         self._set_probe = self.create_client(SetParameters, f"{name}/set_parameters")
@@ -204,16 +214,23 @@ class IdentifierNode(ManagedNode):
         self._save_again()
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
-        """Facts that cannot be understood are refused when they are stated, with the reason."""
-        for parameter in parameters:
-            if parameter.name in ("settings", "reference_settings"):
-                try:
+        """Facts that cannot be understood, and sequences that cannot be made, are refused when they are stated, with the reason."""
+        try:
+            for parameter in parameters:
+                if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
-                    options = ReplayOptions(robot=self.values["robot"], settings=facts)
-                    check_settings(options)
-                except ProprioError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+                    check_settings(ReplayOptions(robot=self.values["robot"], settings=facts))
+                elif parameter.name in self._sequences:
+                    self._check_sequence(parameter.name, str(parameter.value))
+        except ProprioError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_sequence(self, parameter: str, name: str) -> None:
+        try:
+            load_sequence(name, load_robot(self.values["robot"]))
+        except ProprioError as error:
+            raise ConfigurationError(f"{parameter}: {error}") from error
 
     def _find_calibration(self) -> Path | None:
         stated = self.values["calibration"]
@@ -276,6 +293,8 @@ class IdentifierNode(ManagedNode):
         msgtype = "sensor_msgs/msg/JointState" if kind is JointState else "std_msgs/msg/Float64MultiArray"
 
         def listen(data: bytes) -> None:
+            if self._job is None:  # nothing is recorded
+                data = newest(self._streams[topic], data)
             if topic == "joint_states":
                 self._state_at_s = time.monotonic()
                 self._state_stamp_ns = messages.first_stamp_ns(data)
@@ -365,6 +384,8 @@ class IdentifierNode(ManagedNode):
                 missing = "no joint states are coming; start the driver and check its bus"
             elif not self._run.service_is_ready() or not self._set_probe.service_is_ready():
                 missing = f"there is no {self.values['excitation_node']} node; start it"
+            elif self._excitation.get("driver"):
+                raise JobError(f"the driver is {self._excitation['driver']}")
             elif self._excitation.get("joint_states") != "true":
                 missing = f"no joint states reach {self.values['excitation_node']}; are the topics named alike?"
             else:
