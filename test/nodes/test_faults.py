@@ -628,13 +628,15 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     assert client.call("/driver/stop").success
     answered_s = time.time()
     assert_zero(client, begun_s, answered_s - begun_s + 0.05)
-    assert_aborted(client, "")
-    # nobody's command gets through
-    answer = client.call("/excitation/run")
+    assert_aborted(client, "the driver was stopped: the current is zero; /driver/torque true")
+    assert wait_for(lambda: driver_status(client)[0] == "stopped", 2.0), driver_status(client)
+    # nobody's command gets through, and whoever asks hears what to do
     client.push({ELBOW: -0.3})
-    assert not answer.success or wait_for(lambda: client.excitation["busy"] == "false", 10.0)
+    for service in ("/excitation/run", "/identifier/calibrate_payload"):
+        answer = client.call(service, 5.0)
+        assert not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
     assert_zero(client, begun_s, answered_s - begun_s + 0.05)
-    assert not any(client.applied[-1].effort) and driver_status(client)[0] == "stopped"
+    assert not any(client.applied[-1].effort)
     assert torque_is_on(client)
     assert_held(client)
 
