@@ -634,7 +634,9 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     client.push({ELBOW: -0.3})
     for service in ("/excitation/run", "/identifier/calibrate_payload"):
         answer = client.call(service, 5.0)
-        assert not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
+        assert (
+            not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
+        )
     assert_zero(client, begun_s, answered_s - begun_s + 0.05)
     assert not any(client.applied[-1].effort)
     assert torque_is_on(client)
