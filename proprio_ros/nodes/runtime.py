@@ -209,6 +209,21 @@ class LongService:
         self._serve(answer)
 
 
+_RANGE_SET_BY = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "CYCLONEDDS_URI",
+    "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE",
+)  # fmt: skip
+
+
+def _stay_on_this_machine() -> None:
+    """Be found by programs on this computer only, unless the user has said who else may find us.
+
+    ROS 2 lets everybody on the network command every node, and these move an arm.
+    """
+    if not any(name in os.environ for name in _RANGE_SET_BY):
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
 def _leave_shared_memory() -> None:
     """Have Fast DDS send through sockets only.
 
@@ -241,6 +256,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     # cycles, and 300 messages in a second do not come through beside a thread that computes
     sys.setswitchinterval(0.0005)
     ended = threading.Event()
+    _stay_on_this_machine()
     if (
         getattr(make, "real_time", False)
         and os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp"
