@@ -234,6 +234,8 @@ def _leave_shared_memory() -> None:
     if "FASTRTPS_DEFAULT_PROFILES_FILE" in os.environ or "FASTDDS_DEFAULT_PROFILES_FILE" in os.environ:
         return
     localhost = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+    if localhost and "ROS_STATIC_PEERS" in os.environ:
+        return  # the peers count with this range only
     if localhost or os.environ.get("ROS_LOCALHOST_ONLY") == "1":  # here rmw_fastrtps insists on shared memory
         os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share_directory() / "config/dds/localhost_udp.xml")
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"

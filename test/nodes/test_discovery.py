@@ -40,3 +40,13 @@ def test_what_the_user_has_set_counts(environment: dict[str, str], monkeypatch: 
         monkeypatch.setenv(name, value)
     runtime._stay_on_this_machine()
     assert {name: os.environ[name] for name in runtime._RANGE_SET_BY if name in os.environ} == environment
+
+
+def test_peers_that_are_stated_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rmw reads them with this range only, not with the one that our own profile needs."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_STATIC_PEERS", "192.168.1.7")
+    runtime._stay_on_this_machine()
+    runtime._leave_shared_memory()
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ
