@@ -187,6 +187,19 @@ def test_the_end_of_the_process_obeys_on_shutdown(bench: Bench) -> None:
     assert {servo["torque_enable"] for servo in bench.virtual.servos.values()} == {0}
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_defect_in_mid_push_ends_the_current(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.spin(0.1, lambda: bench.owner.publish(labelled(PUSH)))
+    assert bench.modes["joint3"] == "driven"
+
+    def broken() -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(bench.node._driver, "cycle", broken)
+    bench.until(lambda: not bench.node._thread.is_alive())
+    assert {servo["torque_enable"] for servo in bench.virtual.servos.values()} == {0}
+
+
 def test_a_change_of_state_is_published_at_once(bench: Bench) -> None:
     bench.until(lambda: bench.diagnostics[-1:] != [] and bench.diagnostics[-1]["state"] == "running")
     bench.statuses.clear()

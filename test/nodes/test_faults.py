@@ -27,6 +27,8 @@ pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from live import Client, running, wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -618,6 +620,61 @@ def test_a_flood_of_commands(arm: Arm) -> None:
         return len(states) / (ended_s - begun_s)
 
     assert_soon(lambda: rate_in_flood() >= 0.95 * RATE_HZ)
+    assert_held(client)
+
+
+def test_a_stranger_in_mid_probe(arm: Arm) -> None:
+    """Another program on the network sends zeros, a push of its own and goals; the probe does not notice."""
+    client, ended = arm.client, threading.Event()
+    begin_push(client)
+    before = client.motors[-1]
+
+    def disturb() -> None:
+        while not ended.wait(0.02):
+            client.currents.publish(Float64MultiArray(data=[0.0] * 5))
+            client.push({"joint4": -0.2})
+            client.positions.publish(labelled({"joint1": 0.5}))
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    try:
+        assert_done(client)
+    finally:
+        ended.set()
+        thread.join()
+    assert client.excitation["good_runs"] == "1"
+    during = since(client.motors, stamp_s(before))
+    for joint in ("joint1", "joint4"):
+        index = list(before.name).index(joint)
+        reached = [message.position[index] for message in during if pushed(message)]
+        assert max(abs(position - before.position[index]) for position in reached) < 0.1, joint
+    assert "driven by another publisher" in arm.log("driver")
+    assert "another publisher is moving the arm" in arm.log("driver")
+
+
+def test_deactivated_in_mid_probe(arm: Arm) -> None:
+    """Anyone on the network can ask a lifecycle node for that; the arm must not fall."""
+    client = arm.client
+
+    def change(transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(client.answer(client.begin("/driver/change_state", ChangeState, request)).success)
+
+    begin_push(client)
+    begun_s = time.time()
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    try:
+        assert_aborted(client, "the driver was inactive")
+        assert wait_for(lambda: not pushed(client.motors[-1]), 1.0)
+        assert wait_for(lambda: at_rest(client) and not without_current(client.motors[-1]), 5.0), client.motors[-1]
+        index = list(client.motors[-1].name).index("joint2")
+        heights = [message.position[index] for message in since(client.motors, begun_s)]
+        assert max(heights) - min(heights) < 0.1
+        answer = client.call("/excitation/run")
+        assert not answer.success and "the driver is inactive" in answer.message
+    finally:
+        assert change(Transition.TRANSITION_ACTIVATE)
+    assert wait_for(lambda: driver_status(client)[0] == "running", 2.0)
     assert_held(client)
 
 
