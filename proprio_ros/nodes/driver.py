@@ -135,6 +135,7 @@ class DriverNode(ManagedNode):
         return super().on_shutdown(state)
 
     def finish(self) -> None:
+        self._ended.set()  # first: a driver that ends is not one that somebody could activate again
         super().finish()
         self._end(hold=self.values["on_shutdown"] == "hold")
 
@@ -155,7 +156,7 @@ class DriverNode(ManagedNode):
             while not self._ended.is_set():
                 self._pacer.wait()
                 sample = driver.cycle()
-                if self._states_of(driver) != self._told:
+                if self._states_of(driver) != self._told and not self._ended.is_set():
                     self._tell(driver)
                 if sample is not None and self.active:
                     self._publish(driver, sample)
@@ -200,7 +201,10 @@ class DriverNode(ManagedNode):
             reason = self._driver.command_currents(values, sender)
         else:
             reason = self._driver.command_positions(values, sender)
-        if reason:
+        # two places, since each is throttled for itself
+        if reason and topic == "current_command":
+            self.get_logger().error(f"{topic} refused: {reason}", throttle_duration_sec=1.0)
+        elif reason:
             self.get_logger().error(f"{topic} refused: {reason}", throttle_duration_sec=1.0)
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -208,7 +212,7 @@ class DriverNode(ManagedNode):
             self._driver.stop()
             response.success, response.message = True, self._named("current zero; ~/torque true holds the arm again")
         else:
-            response.success, response.message = True, "the driver is not configured, and drives nothing"
+            response.success, response.message = True, "the driver does not hold the bus, and drives nothing"
         return response
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
