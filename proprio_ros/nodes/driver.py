@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -183,29 +184,32 @@ class DriverNode(ManagedNode):
 
     # --- callbacks ----------------------------------------------------------------------------------------------------
 
+    # each logs for itself, since a place in the code is throttled, not a sentence
+
     def _on_current(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        self._obey(message, info, "current_command")
+        reason = self._obey(message, info, "current_command", ArmDriver.command_currents)
+        if reason:
+            self.get_logger().error(f"current_command refused: {reason}", throttle_duration_sec=1.0)
 
     def _on_position(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        self._obey(message, info, "position_command")
+        reason = self._obey(message, info, "position_command", ArmDriver.command_positions)
+        if reason:
+            self.get_logger().error(f"position_command refused: {reason}", throttle_duration_sec=1.0)
 
-    def _obey(self, message: Float64MultiArray, info: dict[str, Any], topic: str) -> None:
+    def _obey(
+        self,
+        message: Float64MultiArray,
+        info: dict[str, Any],
+        topic: str,
+        command: Callable[[ArmDriver, dict[str, float], int], str],
+    ) -> str:
+        """Pass a command on; returns why it was refused, or an empty string."""
         looks = (len(message.data), *(dim.label for dim in message.layout.dim))
         sender = self._senders[topic].of(info.get("publication_sequence_number"), looks)
         if self._driver is None or not self.active:
-            return
+            return ""
         values = messages.by_joint(message, self._order)
-        if isinstance(values, str):
-            reason = values
-        elif topic == "current_command":
-            reason = self._driver.command_currents(values, sender)
-        else:
-            reason = self._driver.command_positions(values, sender)
-        # two places, since each is throttled for itself
-        if reason and topic == "current_command":
-            self.get_logger().error(f"{topic} refused: {reason}", throttle_duration_sec=1.0)
-        elif reason:
-            self.get_logger().error(f"{topic} refused: {reason}", throttle_duration_sec=1.0)
+        return values if isinstance(values, str) else command(self._driver, values, sender)
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._driver is not None and self._thread is not None:  # active or not: the arm is held

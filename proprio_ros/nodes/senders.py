@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
-LARGEST_GAP = 20
+LARGEST_GAP = 100
 """So many messages of one publisher may be lost between two that come."""
 MOST = 16
 """So many publishers of one topic are remembered."""
