@@ -38,6 +38,9 @@ BEFORE_S = 1.0
 MOVING_SPAN = 0.02
 """A joint that a position controller holds gives way by less than this [rad or m]."""
 
+REPEATED_SHARE = 0.2
+"""Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
+
 MIN_SAMPLES = 5
 """Fewer samples than this say nothing about a motion that starts at rest."""
 
@@ -232,11 +235,18 @@ def _run(
             f"{name}: only {int(inside.sum())} joint states lie in the {duration_s:.3f} s in which {interval.joint} was"
             f" driven; at least {MIN_SAMPLES} are needed: probe longer or publish faster"
         )
+    notes = list(interval.notes)
+    repeated = _repeated(record, inside, record.column(interval.joint))
+    if repeated.any():
+        notes.append(
+            f"{int(repeated.sum())} of {int(inside.sum())} joint states repeat the one before although {interval.joint} moves:"
+            " they are published faster than they are measured; the repeats were left out"
+        )
+        inside &= ~repeated
     begin_s = -BEFORE_S
     if previous_end_ns is not None:
         begin_s = max(begin_s, (previous_end_ns - interval.onset_ns) / 1e9 + SETTLING_S)
     before = (times_s >= begin_s) & (times_s < 0.0)
-    notes = list(interval.notes)
     column = record.column(interval.joint)
     before_position = record.position[before, column]
     if not before.any():
@@ -269,6 +279,30 @@ def _run(
         reported_effort=None if record.reported_effort is None else record.reported_effort[inside, column],
         held_position={joint: values for joint, values in others.items() if joint not in held},
     )
+
+
+def _repeated(record: JointRecord, inside: BoolArray, column: int) -> BoolArray:
+    """Rows of a run that only repeat the row before, as a broadcaster does that is faster than the hardware, shape (T,).
+
+    A joint that moves slowly repeats its position, too, from one count of its encoder to the next. So a run's repeats count only
+    where the joint goes in larger steps than that, and where there are many: else none is marked.
+    """
+    columns = [record.position, *(c for c in (record.velocity, record.reported_effort) if c is not None)]
+    rows = np.concatenate(columns, axis=1)
+    alike = np.zeros(len(rows), dtype=bool)
+    alike[1:] = np.all((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1])), axis=1)
+    alike &= inside
+    fresh = np.flatnonzero(inside & ~alike)
+    steps = np.abs(np.diff(record.position[:, column]))
+    none = np.zeros(len(rows), dtype=bool)
+    if len(fresh) < MIN_SAMPLES or not steps.any():
+        return none
+    count = float(steps[steps > 0.0].min())
+    large = np.abs(np.diff(record.position[fresh, column])) > 2.0 * count
+    # between two fresh rows that are a large step apart nothing should be alike
+    between = np.diff(fresh) - 1
+    passed = int(between[large].sum())
+    return alike if passed > REPEATED_SHARE * (passed + int(large.sum())) else none
 
 
 def _piecewise(inputs: InputRecord, interval: _Interval) -> tuple[FloatArray, FloatArray]:

@@ -90,6 +90,15 @@ def test_every_topic_and_service_is_explained() -> None:
     )
 
 
+def test_commands_are_named_as_a_workspace_has_them() -> None:
+    """`colcon build` puts programs where only `ros2 run` finds them."""
+    assert "install_scripts=$base/lib/proprio_ros" in (REPOSITORY / "setup.cfg").read_text(encoding="utf-8")
+    for path in (REPOSITORY / "README.md", REPOSITORY / "docs" / "pages" / "arm.md"):
+        text = " ".join(path.read_text(encoding="utf-8").split())
+        for words in ("`ros2 run proprio_ros proprio ", "`ros2 run proprio_ros proprio_driver "):
+            assert words in text, f"{path.name} lacks {words}"
+
+
 def generator() -> ModuleType:
     spec = importlib.util.spec_from_file_location("generate", REPOSITORY / "docs" / "generate.py")
     assert spec is not None and spec.loader is not None

@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from proprio_ros.errors import ProprioError
+from proprio_ros.nodes.arguments import check_arguments
 from proprio_ros.resources import resource
 from proprio_ros.virtual.objects import Container, parse_object
 
@@ -197,6 +199,47 @@ def started(**arguments: str) -> list[str]:
         for action in entity.visit(context) or []
         if type(action).__name__ == "Node"
     ]
+
+
+REFUSED = [
+    ({"held": "50g"}, "object '50g': mass=50g must be a number; valid: none | 0.05"),
+    ({"robot": "nonsense"}, "unknown robot 'nonsense'; known robots: open_manipulator_x"),
+    ({"params_file": "/nowhere/mine.yaml"}, "params_file /nowhere/mine.yaml: not readable (No such file or directory)"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "reason"), REFUSED)
+def test_what_the_nodes_would_refuse_is_refused_before_they_start(arguments: dict[str, str], reason: str) -> None:
+    with pytest.raises(ProprioError) as caught:
+        check_arguments(**arguments)
+    assert str(caught.value).startswith(reason) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "driver:\n  rate: 100.0\n", "/**/driver:\n  ros__parameters:\n    rate: a: b\n"])
+def test_a_parameter_file_that_states_nothing_is_refused(text: str, tmp_path: Path) -> None:
+    """The arm would move on default limits."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(text)
+    with pytest.raises(ProprioError, match=r"nothing was started"):
+        check_arguments(params_file=str(mine))
+    mine.write_text("/**/driver:\n  ros__parameters:\n    rate: 100.0\n")
+    check_arguments(robot="pendulum", params_file=str(mine), held="0.05")
+
+
+@pytest.mark.parametrize(("arguments", "reason"), REFUSED)
+def test_a_launch_that_is_refused_says_so_in_one_line_and_fails(
+    arguments: dict[str, str], reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("launch_ros", reason="launch and launch_ros come with ROS only")
+    launch = importlib.import_module("launch")
+    words = {"virtual": "true"} | {"object" if name == "held" else name: value for name, value in arguments.items()}
+    service = launch.LaunchService(argv=[])
+    file = launch.launch_description_sources.AnyLaunchDescriptionSource(str(LAUNCH[0]))
+    included = launch.actions.IncludeLaunchDescription(file, launch_arguments=words.items())
+    service.include_launch_description(launch.LaunchDescription([included]))
+    assert service.run() == 1
+    shown = "\n".join(record.getMessage() for record in caplog.records if record.levelname != "DEBUG")
+    assert reason in shown and "Traceback" not in shown and "process started" not in shown
 
 
 def test_the_virtual_robot_is_started_on_request_only() -> None:

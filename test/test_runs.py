@@ -361,3 +361,52 @@ def test_measured_effort_finds_the_commanded_run() -> None:
         assert abs(run.onset_ns - commanded.onset_ns) < 20e6
         assert run.duration_s == pytest.approx(0.6, abs=0.04)
         assert np.median(run.input_current_A) == pytest.approx(commanded.input_current_A[0], abs=0.01)
+
+
+# --- joint states that repeat ----------------------------------------------------------------------------------------
+
+
+def broadcast(original: Recording, times: int) -> Recording:
+    """What a broadcaster makes of a recording that is so many times faster than the hardware: every state again and again."""
+    joints = original.joints
+    gaps = np.diff(joints.times_ns, append=joints.times_ns[-1] + int(np.median(np.diff(joints.times_ns))))
+    stamps = (joints.times_ns[:, None] + gaps[:, None] * np.arange(times) // times).ravel()
+
+    def again(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else np.repeat(values, times, axis=0)
+
+    faster = JointRecord(
+        stamps, joints.names, np.repeat(joints.position, times, axis=0), again(joints.velocity), again(joints.effort),
+        again(joints.current), again(joints.reported_effort),
+    )  # fmt: skip
+    return replace(original, joints=faster)
+
+
+@pytest.mark.parametrize("name", ["quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_empty_00_joint3"])
+def test_a_state_that_is_published_again_and_again_counts_once(name: str) -> None:
+    """At 200 Hz from servos that are read at 40 Hz the joint seems to stand and to jump: no model explains that."""
+    original = read_recording(BAGS / name / "bag_mcap", nominal_torque_constants={}, joint_order=JOINTS)
+    (expected,) = cut_runs(original, joints=ROBOT_JOINTS)
+    assert not [note for note in expected.notes if "repeat" in note]
+    (run,) = cut_runs(broadcast(original, 5), joints=ROBOT_JOINTS)
+    (note,) = [note for note in run.notes if "repeat" in note]
+    assert re.fullmatch(
+        r"\d+ of \d+ joint states repeat the one before although joint3 moves: they are published faster than they are"
+        r" measured; the repeats were left out",
+        note,
+    )
+    kept = np.isin(run.times_s, expected.times_s)
+    assert kept.sum() >= len(expected.times_s) - 2 and np.count_nonzero(~kept) <= 1
+    assert run.position[kept].tolist() == expected.position[np.isin(expected.times_s, run.times_s)].tolist()
+
+
+def test_a_joint_that_stands_or_creeps_repeats_its_position_rightly() -> None:
+    """From one count of the encoder to the next nothing changes, and that is a measurement."""
+    times_s = cycles()
+    creeping = 0.001534 * np.floor(12.0 * np.maximum(times_s, 0.0))
+    still = {name: np.zeros_like(times_s) for name in JOINTS}
+    for position in (np.zeros_like(times_s), creeping):
+        (run,) = cut_runs(
+            recording({"joint3": step(times_s)}, positions={**still, "joint3": position}), joints=ROBOT_JOINTS
+        )
+        assert len(run.times_s) == 25 and not run.notes

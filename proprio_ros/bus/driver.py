@@ -1,8 +1,12 @@
 """The loop that drives an arm: read, check, command; every cycle, whatever happens. No ROS.
 
 Every joint is either *held* (its servo keeps a position) or *driven* (a constant current). A joint is driven only while fresh
-commands come; without one, or when a limit is reached, it is held where it is. Goals are written anew in every cycle, since a
-sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdog ends the current.
+commands come; without one, or when a limit or the table is reached, it is held where it is. Goals are written anew in every
+cycle, since a sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdog ends
+the current.
+
+Whoever drives holds a *lease*: it begins with a current that is not zero and lasts while the same sender's commands are fresh;
+others are refused meanwhile. A current of zero lets go of a joint only where the lease has driven it before.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from proprio_ros.bus.dynamixel import DynamixelBus, Goal, Reading, ServoHealth
 from proprio_ros.errors import BusError, PortLostError
 from proprio_ros.realtime import RoundTrips
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import clearance
 
 FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
@@ -32,6 +37,9 @@ LOST_AFTER_S = 0.2
 
 LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
+
+SINK_M = 1e-3
+"""An arm that is too low may be moved, but not lower by more than this: encoders are not exact."""
 
 HEALTH_PERIOD_S = 0.2
 """One servo's temperature and voltage are read so often, while nothing is driven."""
@@ -46,6 +54,7 @@ class DriverSettings:
         on_timeout: ``hold`` keeps it where it is then, ``zero`` leaves it without current.
         watchdog_s: The servos stop by themselves after so much silence; 0 turns that off.
         limit_margin_rad: A joint is not driven nearer to its limit than this.
+        min_clearance_m: Nothing that can be lowered is brought nearer to the base's plane, the table, than this.
         max_velocity_rad_s: A driven joint that is faster is braked.
         max_goal_velocity_rad_s: A goal position is followed no faster than this.
         max_temperature_C: No current above; the servos shut down by themselves at 80.
@@ -58,6 +67,7 @@ class DriverSettings:
     on_timeout: str = "hold"
     watchdog_s: float = 0.3
     limit_margin_rad: float = 0.05
+    min_clearance_m: float = 0.0
     max_velocity_rad_s: float = 7.0
     max_goal_velocity_rad_s: float = 2.5
     max_temperature_C: float = 70.0
@@ -138,14 +148,18 @@ class _Joint:
 
 @dataclass(frozen=True)
 class _Command:
+    """Attributes: sender: who sent it; leased: whether it, or one before it in an unbroken row, drove a joint."""
+
     arrived_s: float
     current_A: Mapping[str, float]
+    sender: int = 0
+    leased: bool = False
 
 
 class ArmDriver:
     """Drives the servos of one robot.
 
-    `cycle` belongs to one thread; `command_currents`, `command_positions`, `stop` and `set_torque` may be called from any.
+    `cycle` belongs to one thread; `command_currents`, `command_positions`, `hold`, `stop` and `set_torque` may be called from any.
 
     Args:
         robot: Joints, limits, motors and transmissions.
@@ -177,6 +191,8 @@ class ArmDriver:
         self._lock = threading.Lock()
         self._command: _Command | None = None
         self._targets: dict[str, float] = {}
+        self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
+        self._hold_wanted = False
         self._torque_wanted: bool | None = None
         self._torque_set = threading.Event()
         self._stop_wanted = False
@@ -190,6 +206,11 @@ class ArmDriver:
         self._round_trips = RoundTrips()
         self._alerts: set[str] = set()
         self._limp = False  # there was to be no current when the bus was lost
+        # joints without a motor are taken to stand at zero, or at the limit nearest to it
+        self._rest = {
+            name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
+            for name in robot.model.independent_joints
+        }
 
     def _joint(self, name: str) -> _Joint:
         joint, drive = self.robot.model.joint(name), self.robot.drive_trains[name]
@@ -213,19 +234,29 @@ class ArmDriver:
 
     # --- what others ask for ------------------------------------------------------------------------------------------
 
-    def command_currents(self, current_A: Mapping[str, float]) -> str:
+    def command_currents(self, current_A: Mapping[str, float], sender: int = 0) -> str:
         """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
+
+        A current of zero for a joint that is not driven leaves it held. No joint at all ends the lease.
+
+        Args:
+            current_A: By joint.
+            sender: Who it comes from; another one is refused while a lease lasts.
 
         Returns:
             Why the whole command was refused, or an empty string.
         """
         reason = self._why_refused(current_A)
-        if reason:
-            self.statistics.refused_commands += 1
-            return reason
         with self._lock:  # only the newest counts, so a flood of commands costs nothing
-            self._command = _Command(self._clock(), dict(current_A))
-        return ""
+            now, last = self._clock(), self._command
+            lasts = last is not None and last.leased and now - last.arrived_s <= self.settings.command_timeout_s
+            if not reason and lasts and last is not None and last.sender != sender:
+                reason = f"{', '.join(last.current_A)}: driven by another publisher; one at a time"
+            if not reason:
+                pushes = any(self._pushes(self._joints[name], value) for name, value in current_A.items())
+                self._command = _Command(now, dict(current_A), sender, pushes or (lasts and bool(current_A)))
+        self.statistics.refused_commands += bool(reason)
+        return reason
 
     def _why_unfit(self, values: Mapping[str, float], what: str) -> str:
         """Why these values cannot be commanded at all, or an empty string."""
@@ -255,8 +286,12 @@ class ArmDriver:
                 )
         return ""
 
-    def command_positions(self, position: Mapping[str, float]) -> str:
+    def command_positions(self, position: Mapping[str, float], sender: int = 0) -> str:
         """Move held joints to these positions [rad or m], no faster than allowed.
+
+        Args:
+            position: By joint.
+            sender: Who it comes from; another one is refused while the first one's commands come in a row.
 
         Returns:
             Why the whole command was refused, or an empty string.
@@ -274,9 +309,35 @@ class ArmDriver:
                 low, high = joint.lower_rad * joint.transmission, joint.upper_rad * joint.transmission
                 return f"{name}: {value:g} is outside its range {low:g} to {high:g}"
             targets[name] = min(max(angle, joint.lower_rad), joint.upper_rad)
+        here = {name: joint.angle_rad for name, joint in self._joints.items()}
+        if self._sinks(here, {name: joint.target_rad for name, joint in self._joints.items()} | targets):
+            return (
+                f"the arm would be less than {100 * self.settings.min_clearance_m:g} cm above the base's plane (min_clearance): "
+                "command a higher pose"
+            )
         with self._lock:
+            (mover, moved_s), now = self._mover, self._clock()
+            if sender != mover and now - moved_s <= self.settings.command_timeout_s:
+                return "another publisher is moving the arm; one at a time"
+            self._mover = (sender, now)
             self._targets.update(targets)
         return ""
+
+    def _sinks(self, before_rad: Mapping[str, float], after_rad: Mapping[str, float]) -> bool:
+        """Whether the arm comes too low on the way from one pose to another; an arm that is too low may rise."""
+        after_m = self._height(after_rad)
+        return after_m < self.settings.min_clearance_m and after_m < self._height(before_rad) - SINK_M
+
+    def _height(self, angle_rad: Mapping[str, float]) -> float:
+        pose = {name: angle * self._joints[name].transmission for name, angle in angle_rad.items()}
+        return clearance(self.robot, {**self._rest, **pose})
+
+    def hold(self) -> None:
+        """End every current, and hold all joints where they are from the next cycle on; an arm without torque stays so."""
+        with self._lock:
+            self._hold_wanted = True
+            self._command = None
+            self._targets.clear()
 
     def stop(self) -> None:
         """Current zero on every joint from the next cycle on, until torque is switched on again."""
@@ -368,7 +429,7 @@ class ArmDriver:
         for problem in self.bus.release():
             self._log("error", problem)
         self._last_answer_s = self._clock()
-        self.state, self.reason = BusState.RELEASED, "torque is off; switch it on to go on"
+        self.state, self.reason = BusState.RELEASED, "torque is off; ~/torque true holds the arm"
 
     def _let_go(self) -> None:
         """Report that nothing is driven or held."""
@@ -408,7 +469,7 @@ class ArmDriver:
             stop, self._stop_wanted = self._stop_wanted, False
             torque, self._torque_wanted = self._torque_wanted, None
         if stop and self.state is BusState.RUNNING:
-            self.state, self.reason = BusState.STOPPED, "stopped; switch torque on to go on"
+            self.state, self.reason = BusState.STOPPED, "the current is zero; ~/torque true holds the arm again"
             self._let_go()
             self._write_goals()
             self._log("warning", "stopped: the current is zero; ~/torque true holds the arm again")
@@ -479,16 +540,21 @@ class ArmDriver:
         with self._lock:
             command = self._command
             targets, self._targets = self._targets, {}
+            hold, self._hold_wanted = self._hold_wanted, False
             if command is not None and now - command.arrived_s > self.settings.command_timeout_s:
                 self._command = None
         fresh = command is not None and now - command.arrived_s <= self.settings.command_timeout_s
         currents = command.current_A if command is not None and fresh else {}
         for joint in self._joints.values():
-            if joint.name in currents:
+            current_A = currents.get(joint.name)
+            # a zero from nobody must not drop a joint that is held
+            if current_A is not None and (joint.mode is JointMode.DRIVEN or self._pushes(joint, current_A)):
                 # a push begins in a cycle whose stamp is right, since everything is measured from that instant
                 if timely or joint.mode is JointMode.DRIVEN:
-                    self._drive(joint, currents[joint.name])
+                    self._drive(joint, current_A)
                 continue
+            if hold and joint.mode is not JointMode.HELD:
+                self._hold(joint)
             if joint.mode is JointMode.DRIVEN:
                 timed_out = not fresh and self._driving
                 if timed_out and self.settings.on_timeout == "zero":
@@ -500,7 +566,8 @@ class ArmDriver:
                         "warning",
                         f"{joint.name}: no current command for {1e3 * self.settings.command_timeout_s:.0f} ms",
                     )
-            joint.blocked = ""  # the commands have paused
+            if current_A is None:
+                joint.blocked = ""  # the commands have paused
             if joint.name in targets:
                 if joint.mode is JointMode.FREE:
                     self._hold(joint)
@@ -508,6 +575,10 @@ class ArmDriver:
         self._driving = any(joint.mode is JointMode.DRIVEN for joint in self._joints.values())
         if seen:
             self._advance_goals()
+
+    def _pushes(self, joint: _Joint, current_A: float) -> bool:
+        """Whether a current is one for the servo, which counts in steps."""
+        return self._models[joint.name].counts_of_current(current_A) != 0
 
     def _drive(self, joint: _Joint, current_A: float) -> None:
         reason = joint.blocked or self._why_not_driven(joint, current_A)
@@ -531,6 +602,9 @@ class ArmDriver:
             return f"{joint.name} is at its lower limit"
         if abs(joint.velocity_rad_s) > self.settings.max_velocity_rad_s:
             return f"{joint.name} turns at {joint.velocity_rad_s:.1f} rad/s, faster than {self.settings.max_velocity_rad_s:g}"
+        here = {name: other.angle_rad for name, other in self._joints.items()}
+        if self._sinks(here, {**here, joint.name: ahead_rad}):
+            return f"{joint.name} was about to bring the arm too near to the base's plane (min_clearance)"
         return ""
 
     def _advance_goals(self) -> None:
@@ -538,9 +612,24 @@ class ArmDriver:
         now = self._clock()
         step = self.settings.max_goal_velocity_rad_s * min(now - self._goals_at_s, 0.1)
         self._goals_at_s = now
-        for joint in self._joints.values():
-            if joint.mode is JointMode.HELD:
-                joint.goal_rad += min(max(joint.target_rad - joint.goal_rad, -step), step)
+        held = [joint for joint in self._joints.values() if joint.mode is JointMode.HELD]
+        ways = {joint.name: joint.target_rad - joint.goal_rad for joint in held}
+        if not any(ways.values()):
+            return
+        before = {joint.name: joint.goal_rad if joint in held else joint.angle_rad for joint in self._joints.values()}
+        reach = step + self.settings.max_goal_velocity_rad_s * LOOKAHEAD_S
+        ahead = {name: angle + min(max(ways.get(name, 0.0), -reach), reach) for name, angle in before.items()}
+        # joints arrive one after the other: between two poses that are high enough the arm may come too low
+        if self._height(ahead) < min(self.settings.min_clearance_m, self._height(before)):
+            self._log(
+                "warning",
+                "the arm was about to come too near to the base's plane (min_clearance); it stays where it is",
+            )
+            for joint in held:
+                joint.target_rad = joint.goal_rad
+            return
+        for joint in held:
+            joint.goal_rad += min(max(ways[joint.name], -step), step)
 
     def _write_goals(self) -> None:
         if self.state is BusState.RELEASED:

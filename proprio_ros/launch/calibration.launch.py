@@ -15,16 +15,19 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown, TimerAction
 from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from proprio_ros.errors import ProprioError
+from proprio_ros.nodes.arguments import check_arguments
 from proprio_ros.probes import all_probes
 from proprio_ros.resources import resource
 
@@ -90,6 +93,13 @@ def _nodes(context: LaunchContext) -> list[Any]:
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     namespace = given["namespace"].strip("/")
     virtual = given["virtual"] == "true"
+    if given["params_file"]:
+        given["params_file"] = str(Path(given["params_file"]).expanduser())
+    try:
+        check_arguments(given["robot"], given["params_file"], given["object"] if virtual else "")
+    except ProprioError as error:
+        # this ends the launch with one line and exit code 1; a Shutdown would end it with 0
+        raise RuntimeError(str(error)) from None
     link = Path(tempfile.gettempdir()) / "_".join(["proprio_virtual", *namespace.split("/")]).rstrip("_")
     port = given["port"] or (str(link) if virtual else "")
     overrides: dict[str, dict[str, tuple[str, type]]] = {
@@ -142,13 +152,26 @@ def _nodes(context: LaunchContext) -> list[Any]:
                 output="screen",
                 sigterm_timeout=RELEASE_S,
                 sigkill_timeout=KILL_S,
-                on_exit=[Shutdown(reason=f"the {node} node has ended")] if ends else None,
+                on_exit=partial(_ended, node) if ends else None,
             )
         )
     base = f"/{namespace}" if namespace else ""
     for service in _services_for(given["object"] if virtual else ""):
         actions.append(LogInfo(msg=f"ros2 service call {base}/identifier/{service} std_srvs/srv/Trigger"))
     return actions
+
+
+def _ended(node: str, event: Any, context: LaunchContext) -> list[Any]:
+    """End all others, too; with exit code 1 where it was an error."""
+    words = f"the {node} node has ended"
+    if event.returncode == 0 or context.is_shutdown:
+        return [Shutdown(reason=words)]
+
+    def fail(_: LaunchContext) -> None:
+        raise RuntimeError(f"{words} with exit code {event.returncode}; its last line says why")
+
+    # what it said last is still to be shown
+    return [TimerAction(period=0.2, actions=[OpaqueFunction(function=fail)])]
 
 
 def _services_for(held: str) -> list[str]:

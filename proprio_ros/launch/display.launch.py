@@ -8,7 +8,7 @@ from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -59,12 +59,12 @@ def _nodes(context: LaunchContext) -> list[Any]:
     if missing:
         packages = " ".join(f"ros-jazzy-{package.replace('_', '-')}" for package in missing)
         words = f"{' and '.join(missing)} not found: install them (apt install {packages}) and source the workspace"
-        return [LogInfo(msg=words), Shutdown(reason="nothing can be shown")]
+        raise RuntimeError(words)  # ends the launch with one line and exit code 1; a Shutdown would end it with 0
     try:
         urdf = Path(given["urdf"]) if Path(given["urdf"]).is_file() else resource("urdf", given["urdf"])
         root = RobotModel.from_urdf(urdf).root
     except ProprioError as error:
-        return [LogInfo(msg=str(error)), Shutdown(reason="nothing can be shown")]
+        raise RuntimeError(str(error)) from None
     prefix = f"/{namespace}" if namespace else ""
     frames = f"{namespace}/" if namespace else ""
     actions: list[Any] = [

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -16,7 +18,8 @@ from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
-from proprio_ros.nodes.runtime import COMMANDS, STREAM, ManagedNode, run_node
+from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
+from proprio_ros.nodes.senders import Senders
 from proprio_ros.realtime import Pacer, StampClock
 from proprio_ros.robot import load_robot
 
@@ -41,6 +44,8 @@ class DriverNode(ManagedNode):
         Parameter("on_shutdown", "zero", "zero: current zero and torque off at the end; hold: the servos keep their position."),
         Parameter("watchdog", _D.watchdog_s, "The servos stop after so much silence on the bus [s]; 0: never.", 0.0, 2.54),
         Parameter("limit_margin", _D.limit_margin_rad, "A joint is not driven nearer to its limit [rad].", 0.0, 0.5),
+        Parameter("min_clearance", _D.min_clearance_m, "Nothing that can be lowered is brought nearer to the base's plane, the "
+                  "table [m]; -10 where the arm hangs below its base.", -10.0, 1.0),
         Parameter("max_velocity", _D.max_velocity_rad_s, "A driven joint that turns faster is braked [rad/s].", 0.1, 20.0),
         Parameter("max_goal_velocity", _D.max_goal_velocity_rad_s, "Goal positions are followed no faster [rad/s].", 0.01, 5.0),
         Parameter("max_temperature", _D.max_temperature_C, "No currents above this temperature of the motor [deg C].", 20.0, 80.0),
@@ -51,7 +56,6 @@ class DriverNode(ManagedNode):
         Parameter("reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0),
     )  # fmt: skip
 
-    pause_s = 0.001
     real_time = True
 
     def __init__(self, **kwargs: Any) -> None:
@@ -59,6 +63,12 @@ class DriverNode(ManagedNode):
         self._driver: ArmDriver | None = None
         self._thread: threading.Thread | None = None
         self._ended = threading.Event()
+        self._hold_at_end = False
+        self._told: tuple[str, ...] = ()
+
+    @property
+    def pause_s(self) -> float:
+        return 0.001
 
     def configure(self) -> None:
         values = self.values
@@ -81,6 +91,7 @@ class DriverNode(ManagedNode):
             on_timeout=values["on_timeout"],
             watchdog_s=values["watchdog"],
             limit_margin_rad=values["limit_margin"],
+            min_clearance_m=values["min_clearance"],
             max_velocity_rad_s=values["max_velocity"],
             max_goal_velocity_rad_s=values["max_goal_velocity"],
             max_temperature_C=values["max_temperature"],
@@ -97,20 +108,43 @@ class DriverNode(ManagedNode):
         self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
         self._current = self.create_publisher(Float64MultiArray, "applied_current", STREAM)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_subscription(Float64MultiArray, "current_command", self._on_current, COMMANDS)
-        self.create_subscription(Float64MultiArray, "position_command", self._on_position, COMMANDS)
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._senders = {"current_command": Senders(), "position_command": Senders()}
+        self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
+        self.create_subscription(Float64MultiArray, "position_command", self._on_position, FROM_MANY)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(SetBool, "~/torque", self._on_torque)
         self.every(1.0, self._each_second)
 
     def activate(self) -> None:
-        self._ended.clear()
         self._pacer = Pacer(1.0 / self.values["rate"])
         self._stamps = StampClock()
-        self._thread = threading.Thread(target=self._loop, name="servo bus", daemon=True)
-        self._thread.start()
+        if self._thread is None:
+            self._hold_at_end = self.values["on_shutdown"] == "hold"
+            self._ended.clear()
+            self._thread = threading.Thread(target=self._loop, name="servo bus", daemon=True)
+            self._thread.start()
 
     def deactivate(self) -> None:
+        """Nothing is driven or published any more, but the arm is held and watched on: whoever asks for this may not see it."""
+        if self._driver is not None:
+            self._driver.hold()
+
+    def cleanup(self) -> None:
+        self._end(hold=True)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._end(hold=True)  # anyone on the network can ask for it; `on_shutdown` is for the end of the process
+        return super().on_shutdown(state)
+
+    def finish(self) -> None:
+        self._ended.set()  # first: a driver that ends is not one that somebody could activate again
+        super().finish()
+        self._end(hold=self.values["on_shutdown"] == "hold")
+
+    def _end(self, hold: bool) -> None:
+        """End the bus thread, with the arm held by its servos alone, or released."""
+        self._hold_at_end = hold
         self._ended.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
@@ -125,7 +159,9 @@ class DriverNode(ManagedNode):
             while not self._ended.is_set():
                 self._pacer.wait()
                 sample = driver.cycle()
-                if sample is not None:
+                if self._states_of(driver) != self._told and not self._ended.is_set():
+                    self._tell(driver)
+                if sample is not None and self.active:
                     self._publish(driver, sample)
                 elif driver.state is BusState.DISCONNECTED:
                     self._ended.wait(0.02)
@@ -133,7 +169,7 @@ class DriverNode(ManagedNode):
             self.say("error", f"the servo loop failed ({type(error).__name__}: {error}); current zero")
             raise
         finally:
-            driver.close(hold=self.values["on_shutdown"] == "hold")
+            driver.close(hold=self._hold_at_end)
 
     def _publish(self, driver: ArmDriver, sample: ArmSample) -> None:
         if self._stamps.offset_ns is None:
@@ -150,31 +186,39 @@ class DriverNode(ManagedNode):
 
     # --- callbacks ----------------------------------------------------------------------------------------------------
 
-    def _on_current(self, message: Float64MultiArray) -> None:
-        self._obey(message, "current_command")
+    # each logs for itself, since a place in the code is throttled, not a sentence
 
-    def _on_position(self, message: Float64MultiArray) -> None:
-        self._obey(message, "position_command")
-
-    def _obey(self, message: Float64MultiArray, topic: str) -> None:
-        if self._driver is None or not self.active:
-            return
-        values = messages.by_joint(message, self._order)
-        if isinstance(values, str):
-            reason = values
-        elif topic == "current_command":
-            reason = self._driver.command_currents(values)
-        else:
-            reason = self._driver.command_positions(values)
+    def _on_current(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
+        reason = self._obey(message, info, "current_command", ArmDriver.command_currents)
         if reason:
-            self.get_logger().error(f"{topic} refused: {reason}", throttle_duration_sec=1.0)
+            self.get_logger().error(f"current_command refused: {reason}", throttle_duration_sec=1.0)
+
+    def _on_position(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
+        reason = self._obey(message, info, "position_command", ArmDriver.command_positions)
+        if reason:
+            self.get_logger().error(f"position_command refused: {reason}", throttle_duration_sec=1.0)
+
+    def _obey(
+        self,
+        message: Float64MultiArray,
+        info: dict[str, Any],
+        topic: str,
+        command: Callable[[ArmDriver, dict[str, float], int], str],
+    ) -> str:
+        """Pass a command on; returns why it was refused, or an empty string."""
+        looks = (len(message.data), *(dim.label for dim in message.layout.dim))
+        sender = self._senders[topic].of(info.get("publication_sequence_number"), looks)
+        if self._driver is None or not self.active:
+            return ""
+        values = messages.by_joint(message, self._order)
+        return values if isinstance(values, str) else command(self._driver, values, sender)
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._driver is not None and self.active:
+        if self._driver is not None and self._thread is not None:  # active or not: the arm is held
             self._driver.stop()
-            response.success, response.message = True, "current zero; ~/torque true holds the arm again"
+            response.success, response.message = True, self._named("current zero; ~/torque true holds the arm again")
         else:
-            response.success, response.message = True, "the driver is not active, and drives nothing"
+            response.success, response.message = True, "the driver does not hold the bus, and drives nothing"
         return response
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -187,26 +231,43 @@ class DriverNode(ManagedNode):
         wanted = BusState.RUNNING if request.data else BusState.RELEASED
         obeyed = driver.await_torque(5.0)  # a servo with a fault is rebooted first
         response.success = obeyed and driver.state is wanted
-        response.message = ("held" if request.data else "torque is off") if response.success else driver.reason
+        response.message = (
+            ("held" if request.data else "torque is off") if response.success else self._named(driver.reason)
+        )
         return response
 
     def _each_second(self) -> None:
         driver = self._driver
-        if driver is None or not self.active:
+        if driver is None or self._thread is None:
             return
-        now = self.get_clock().now().nanoseconds
-        if "driven" not in driver.modes.values():
-            moved_s = self._stamps.look(now, time.monotonic())
+        if self.active and "driven" not in driver.modes.values():
+            moved_s = self._stamps.look(self.get_clock().now().nanoseconds, time.monotonic())
             if abs(moved_s) > CLOCK_JUMP_S:
                 self.say("warning", f"the system's clock was set by {moved_s:+.3f} s; stamps follow it from here on")
-        self._diagnostics.publish(messages.diagnostics(now, self._statuses(driver)))
+        self._tell(driver)
+
+    def _named(self, words: str) -> str:
+        """The node's own services by their full names: whoever reads it elsewhere can call them."""
+        return words.replace("~/", f"{self.get_fully_qualified_name()}/")
+
+    def _states_of(self, driver: ArmDriver) -> tuple[str, ...]:
+        """What is published as soon as it changes."""
+        return (driver.state.value if self.active else "inactive",)
+
+    def _tell(self, driver: ArmDriver) -> None:
+        self._told = self._states_of(driver)
+        statuses = self._statuses(driver)
+        self._status.publish(statuses[0])
+        self._diagnostics.publish(messages.diagnostics(self.get_clock().now().nanoseconds, statuses))
 
     def _statuses(self, driver: ArmDriver) -> list[DiagnosticStatus]:
         late = list(self._pacer.lateness_s)
         statistics = driver.statistics
-        running = driver.state is BusState.RUNNING
+        running = driver.state is BusState.RUNNING and self.active
+        (state,) = self._states_of(driver)
+        reason = driver.reason if state != "inactive" else "the node is not active; activate it to go on"
         values = {
-            "state": driver.state.value,
+            "state": state,
             "rate [Hz]": self.values["rate"],
             "cycles": statistics.cycles,
             "incomplete": statistics.incomplete,
@@ -217,7 +278,9 @@ class DriverNode(ManagedNode):
             "latest [ms]": 1e3 * max(late, default=0.0),
         }
         level = "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
-        statuses = [messages.status(level, f"{self._diagnosed}: servo bus", driver.reason, values, self._hardware_id)]
+        statuses = [
+            messages.status(level, f"{self._diagnosed}: servo bus", self._named(reason), values, self._hardware_id)
+        ]
         modes = driver.modes
         for name, health in list(driver.health.items()):
             hot = health.temperature_C >= self.values["max_temperature"]

@@ -21,7 +21,7 @@ from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, J
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode, run_node
+from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, ManagedNode, run_node
 from proprio_ros.robot import load_robot
 
 _G = Guards()
@@ -33,6 +33,11 @@ STATES = QoSProfile(depth=4, reliability=ReliabilityPolicy.RELIABLE)
 """Of several publishers on one topic none takes another's place."""
 UNPUSHED_S = 0.1
 """From a current command to the driver's word that it flows: two cycles, and a late one."""
+
+DRIVER_SILENT_S = 3.0
+"""The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
+LIMP = ("stopped", "released", "inactive")
+"""States of the driver in which it takes no commands until somebody has called a service."""
 
 
 class ExcitationNode(ManagedNode):
@@ -51,11 +56,17 @@ class ExcitationNode(ManagedNode):
 
     real_time = True
 
+    @property
+    def pause_s(self) -> float:
+        return 0.0 if self._machine is not None and self._machine.busy else IDLE_PAUSE_S
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("excitation", **kwargs)
         self._machine: ExcitationMachine | None = None
         self._sample: JointSample | None = None
         self._leased_at_s: float | None = None
+        self._driver_state = self._driver_words = ""
+        self._driver_at_s = -math.inf
         self._driving = False
         self._unpushed_since_s: float | None = None
         self._count = 0
@@ -84,6 +95,7 @@ class ExcitationNode(ManagedNode):
         self.listen(JointState, "joint_states", self._on_joint_state, STATES)
         self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
+        self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)
         self.create_service(Trigger, "~/run", self._on_run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.every(0.02, self._on_timer)
@@ -116,7 +128,7 @@ class ExcitationNode(ManagedNode):
     def _on_joint_state(self, message: JointState) -> None:
         if self._machine is None:
             return
-        now = time.monotonic()
+        now = self.now_s()
         sample = self._joint_states.add(now, message.name, message.position, message.velocity)
         if sample is not None:
             self._sample = sample
@@ -131,7 +143,7 @@ class ExcitationNode(ManagedNode):
         if machine is None or machine.sequence is None or machine.phase is not Phase.PROBE or any(message.effort):
             self._unpushed_since_s = None
             return
-        now = time.monotonic()
+        now = self.now_s()
         if self._unpushed_since_s is None:
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
@@ -139,11 +151,28 @@ class ExcitationNode(ManagedNode):
             self._abort(machine, f"the driver does not push {joint}, or has ended it: its log and /diagnostics say why")
             self.say("error", f"aborted: {machine.abort_reason}")
 
+    def _on_driver(self, message: DiagnosticStatus) -> None:
+        """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
+        self._driver_state, self._driver_words = messages.values_of(message).get("state", ""), message.message
+        self._driver_at_s = time.monotonic()
+        machine = self._machine
+        if machine is not None and machine.busy and self._limp:
+            self._abort(machine, f"the driver was {self._limp}")
+            self.say("error", f"aborted: {machine.abort_reason}")
+        self._tell_when_due()
+
+    @property
+    def _limp(self) -> str:
+        """State and words of a driver that takes no commands; empty where it does, or where it does not say."""
+        known = time.monotonic() - self._driver_at_s < DRIVER_SILENT_S
+        return f"{self._driver_state}: {self._driver_words}" if known and self._driver_state in LIMP else ""
+
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming, or whoever asked for the sequence is gone."""
-        now = time.monotonic()
+        now = self.now_s()
         machine = self._machine
-        if self._leased_at_s is not None and now - self._leased_at_s > LEASE_S:
+        # whoever asked runs in real time, whatever the simulation's does
+        if self._leased_at_s is not None and time.monotonic() - self._leased_at_s > LEASE_S:
             self._leased_at_s = None
             if machine is not None and machine.busy:
                 self._abort(machine, "whoever asked for the sequence has fallen silent: is the identifier node alive?")
@@ -151,7 +180,7 @@ class ExcitationNode(ManagedNode):
         late = self._sample is None or now - self._sample.time_s > 0.5 * self.values["stale_after"]
         if late:
             self._tick(now)
-        self._tell_when_due(now)
+        self._tell_when_due()
 
     def _tick(self, now: float) -> None:
         machine = self._machine
@@ -163,7 +192,7 @@ class ExcitationNode(ManagedNode):
             self.say("error", f"aborted: {machine.abort_reason}")
         elif machine.phase is Phase.DONE:
             self.say("info", machine.message)
-        self._tell_when_due(now)
+        self._tell_when_due()
 
     def _abort(self, machine: ExcitationMachine, reason: str) -> None:
         machine.abort(reason)
@@ -187,7 +216,15 @@ class ExcitationNode(ManagedNode):
         machine = self._machine
         if machine is None or not self.active:
             return response
-        sample = self._sample
+        if not machine.busy and self._limp:
+            response.message = f"the driver is {self._limp}"
+            return response
+        now, sample = self.now_s(), self._sample
+        if now == 0.0:
+            response.message = (
+                "use_sim_time is set, and no time comes on /clock: start the simulation, or set it to false"
+            )
+            return response
         if sample is None or (not machine.busy and not self._fresh):
             response.message = (
                 "no joint states are coming: start the driver, and check its bus and the topic joint_states"
@@ -219,8 +256,9 @@ class ExcitationNode(ManagedNode):
 
     # --- status -------------------------------------------------------------------------------------------------------
 
-    def _tell_when_due(self, now: float) -> None:
-        machine = self._machine
+    def _tell_when_due(self) -> None:
+        """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""
+        machine, now = self._machine, time.monotonic()
         if machine is None or not self.active:
             return
         state = self._state(machine)
@@ -231,11 +269,11 @@ class ExcitationNode(ManagedNode):
     def _fresh(self) -> bool:
         """Whether joint states are coming."""
         sample = self._sample
-        return sample is not None and time.monotonic() - sample.time_s <= self.values["stale_after"]
+        return sample is not None and self.now_s() - sample.time_s <= self.values["stale_after"]
 
     def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
         """What is published as soon as it changes."""
-        return machine.phase, machine.run_number, machine.attempt, self._count, self._fresh
+        return machine.phase, machine.run_number, machine.attempt, self._count, self._fresh, self._limp
 
     def _tell(self) -> None:
         machine = self._machine
@@ -247,6 +285,7 @@ class ExcitationNode(ManagedNode):
             "sequence": self._count,
             "phase": machine.phase.value,
             "joint_states": self._fresh,
+            "driver": self._limp,
             "busy": machine.busy,
             "probe": sequence.name if sequence else "",
             "hand": sequence.hand if sequence else "any",

@@ -39,13 +39,22 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import (
+    COMMANDS,
+    IDLE_PAUSE_S,
+    LATCHED,
+    STREAM,
+    Answer,
+    LongService,
+    ManagedNode,
+    run_node,
+)
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.replay import ReplayOptions, replay, robot_of, write_report
 from proprio_ros.report import write_calibration_report
-from proprio_ros.robot import Robot
+from proprio_ros.robot import Robot, load_robot
 from proprio_ros.session import (
     LiveEstimate,
     Session,
@@ -159,6 +168,7 @@ class IdentifierNode(ManagedNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identifier", **kwargs)
+        self._sequences = {each.name: each.default for each in self.parameters if each.name.endswith("_sequence")}
         self._job: Job | None = None
         self._job_lock = threading.Lock()
         self._closing = False
@@ -178,6 +188,10 @@ class IdentifierNode(ManagedNode):
         self._excitation: dict[str, str] = {}
         self._excitation_at_s = self._unfed_at_s = -1e9
 
+    @property
+    def pause_s(self) -> float:
+        return 0.0 if self._job is not None else IDLE_PAUSE_S
+
     # --- lifecycle ----------------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
@@ -193,6 +207,9 @@ class IdentifierNode(ManagedNode):
         for problem in problems:
             self.say("error", problem)
         self._calibration = self._find_calibration()
+        for name, default in self._sequences.items():
+            if value_of(self, name) != default:  # not every robot can make every default
+                self._check_sequence(name, value_of(self, name))
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         started = time.monotonic()
         with progress.listening(partial(self._tell_and_log, "starting")):
@@ -214,7 +231,8 @@ class IdentifierNode(ManagedNode):
             ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
-            self.listen(kind, topic, self._listener(self.resolve_topic_name(topic), role, kind), STREAM, raw=True)
+            listener = self._listener(self.resolve_topic_name(topic), role, kind)
+            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=lambda: self._job is None)
         self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
         self._topics = self._stated_topics()
         if self._topics["command_topic"]:
@@ -246,16 +264,23 @@ class IdentifierNode(ManagedNode):
         self._save_again()
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
-        """Facts that cannot be understood are refused when they are stated, with the reason."""
-        for parameter in parameters:
-            if parameter.name in ("settings", "reference_settings"):
-                try:
+        """Facts that cannot be understood, and sequences that cannot be made, are refused when they are stated, with the reason."""
+        try:
+            for parameter in parameters:
+                if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
-                    options = ReplayOptions(robot=self.values["robot"], settings=facts)
-                    check_settings(options)
-                except ProprioError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+                    check_settings(ReplayOptions(robot=self.values["robot"], settings=facts))
+                elif parameter.name in self._sequences:
+                    self._check_sequence(parameter.name, str(parameter.value))
+        except ProprioError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_sequence(self, parameter: str, name: str) -> None:
+        try:
+            load_sequence(name, load_robot(self.values["robot"]))
+        except ProprioError as error:
+            raise ConfigurationError(f"{parameter}: {error}") from error
 
     def _find_calibration(self) -> Path | None:
         stated = self.values["calibration"]
@@ -457,6 +482,8 @@ class IdentifierNode(ManagedNode):
                 missing = "no joint states are coming; start the driver and check its bus"
             elif not self._run.service_is_ready() or not self._set_probe.service_is_ready():
                 missing = f"there is no {self.values['excitation_node']} node; start it"
+            elif self._excitation.get("driver"):
+                raise JobError(f"the driver is {self._excitation['driver']}")
             elif self._excitation.get("joint_states") != "true":
                 missing = f"no joint states reach {self.values['excitation_node']}; are the topics named alike?"
             else:

@@ -38,6 +38,27 @@ STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 """Only the newest command counts."""
 
+FROM_MANY = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+"""Commands, of whoever sends some: those of one publisher must not push out another's before they are seen."""
+
+
+IDLE_PAUSE_S = 0.008
+"""Between two callbacks of a node that has nothing to do. Every wake-up costs 0.3 ms, whatever it is for: without this a driver at
+250 Hz had its idle listeners take a quarter of a core each. A service call still waits for three or four of them only."""
+
+
+def newest(subscription: Any, data: Any) -> Any:
+    """What came last on a subscription, taken from its queue without a wake-up for each message.
+
+    Args:
+        subscription: Whose callback this is called from.
+        data: What the callback was given.
+    """
+    with subscription.handle:
+        while (more := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            data = more[0]
+    return data
+
 
 class ManagedNode(LifecycleNode):
     """A lifecycle node whose transitions fail with one line instead of a traceback.
@@ -49,8 +70,6 @@ class ManagedNode(LifecycleNode):
     parameters: Sequence[Parameter] = ()
     real_time = False
     """Runs before everything else once it is active; until then it starts like any other program, beside others that do."""
-    pause_s = 0.0
-    """Between two callbacks: a flood of messages leaves the interpreter to the node's other threads."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -72,6 +91,16 @@ class ManagedNode(LifecycleNode):
     def cleanup(self) -> None:
         """Undo `configure`."""
 
+    @property
+    def pause_s(self) -> float:
+        """Between two callbacks [s]: a flood of messages leaves room for the node's other threads, and for other programs."""
+        return 0.0
+
+    def now_s(self) -> float:
+        """Time that never runs back; with `use_sim_time` the simulation's, whose pauses and pace count [s]."""
+        clock = self.get_clock()
+        return 1e-9 * clock.now().nanoseconds if clock.ros_time_is_active else time.monotonic()
+
     def say(self, severity: str, message: str) -> None:
         """Log; severity is ``info``, ``warning`` or ``error``. rclpy wants one place in the code for each severity."""
         if severity == "error":
@@ -86,7 +115,14 @@ class ManagedNode(LifecycleNode):
         self.create_timer(period_s, do, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def listen(
-        self, kind: type, topic: str, callback: Callable[[Any], None], quality: QoSProfile, *, raw: bool = False
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        quality: QoSProfile,
+        *,
+        raw: bool = False,
+        only_newest: Callable[[], bool] = lambda: False,
     ) -> None:
         """Subscribe, also to best-effort publishers, which a reliable subscription does not hear.
 
@@ -98,19 +134,23 @@ class ManagedNode(LifecycleNode):
             callback: For each message.
             quality: Reliable.
             raw: Whether the callback takes bytes.
+            only_newest: Whether, at present, all that waits but the newest may be left out.
         """
 
+        def hear(message: Any) -> None:
+            callback(newest(subscriptions[-1], message) if only_newest() else message)
+
         def relax(_event: Any) -> None:
-            if subscription.callback is not callback:
+            if len(subscriptions) > 1:
                 return  # every further publisher of the kind says so again
             # muted, not destroyed: the executor may have it in hand just now
-            subscription.callback = lambda _message: None
-            self.say("warning", f"{subscription.topic_name} is published best effort: messages may be lost")
+            subscriptions[0].callback = lambda _message: None
+            self.say("warning", f"{subscriptions[0].topic_name} is published best effort: messages may be lost")
             relaxed = QoSProfile(depth=quality.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-            self.create_subscription(kind, topic, callback, relaxed, raw=raw)
+            subscriptions.append(self.create_subscription(kind, topic, hear, relaxed, raw=raw))
 
         events = SubscriptionEventCallbacks(incompatible_qos=relax)
-        subscription = self.create_subscription(kind, topic, callback, quality, event_callbacks=events, raw=raw)
+        subscriptions = [self.create_subscription(kind, topic, hear, quality, event_callbacks=events, raw=raw)]
 
     # --- the lifecycle ------------------------------------------------------------------------------------------------
 
@@ -208,6 +248,21 @@ class LongService:
         self._serve(answer)
 
 
+_RANGE_SET_BY = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "CYCLONEDDS_URI",
+    "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE",
+)  # fmt: skip
+
+
+def _stay_on_this_machine() -> None:
+    """Be found by programs on this computer only, unless the user has said who else may find us.
+
+    ROS 2 lets everybody on the network command every node, and these move an arm.
+    """
+    if not any(name in os.environ for name in _RANGE_SET_BY):
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
 def _leave_shared_memory() -> None:
     """Have Fast DDS send through sockets only.
 
@@ -218,6 +273,8 @@ def _leave_shared_memory() -> None:
     if "FASTRTPS_DEFAULT_PROFILES_FILE" in os.environ or "FASTDDS_DEFAULT_PROFILES_FILE" in os.environ:
         return
     localhost = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+    if localhost and "ROS_STATIC_PEERS" in os.environ:
+        return  # the peers count with this range only
     if localhost or os.environ.get("ROS_LOCALHOST_ONLY") == "1":  # here rmw_fastrtps insists on shared memory
         os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share_directory() / "config/dds/localhost_udp.xml")
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
@@ -240,6 +297,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     # cycles, and 300 messages in a second do not come through beside a thread that computes
     sys.setswitchinterval(0.0005)
     ended = threading.Event()
+    _stay_on_this_machine()
     if (
         getattr(make, "real_time", False)
         and os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp"
@@ -261,8 +319,9 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
                 ended.set()
         while not ended.is_set():
             spinner.spin_once(timeout_sec=0.1)
-            if node.pause_s > 0.0:
-                time.sleep(node.pause_s)
+            pause_s = node.pause_s
+            if pause_s > 0.0:
+                time.sleep(pause_s)
     except (ProprioError, ParameterException) as error:
         logging.getLogger("proprio_ros").error("%s", " ".join(str(error).split()))
         code = 2

@@ -19,6 +19,7 @@ from proprio_ros.bus.driver import LOST_AFTER_S, ArmDriver, ArmSample, BusState,
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
 from proprio_ros.realtime import Pacer
 from proprio_ros.robot import load_robot
+from proprio_ros.robot.kinematics import clearance
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
@@ -230,6 +231,116 @@ def test_refused_positions(rig: Rig) -> None:
         assert rig.driver.command_positions({"joint1": 0.5, **positions}).startswith(reason)
         rig.run(0.03)
     assert rig.position()["joint1"] == pytest.approx(before, abs=0.01), "the whole command is refused"
+
+
+# --- one at a time, and no zero from nobody
+
+
+def test_a_zero_from_nobody_drops_nothing(rig: Rig) -> None:
+    """Five zeros by mistake used to mean: drive all joints with 0 A, and the arm fell."""
+    start = rig.position()
+    rig.run(0.7, dict.fromkeys(rig.driver.joints, 0.0))
+    assert set(rig.driver.modes.values()) == {"held"}
+    for name, position in rig.position().items():
+        assert position == pytest.approx(start[name], abs=0.02)
+    # nor does it keep the arm from moving
+    assert rig.driver.command_positions({"joint1": start["joint1"] + 0.2}) == ""
+    rig.run(0.4, dict.fromkeys(rig.driver.joints, 0.0))
+    assert rig.position()["joint1"] == pytest.approx(start["joint1"] + 0.2, abs=0.03)
+
+
+def test_a_zero_after_a_push_is_driven(rig: Rig) -> None:
+    rig.run(0.05, {"joint4": -0.05})
+    zero_s = time.monotonic()
+    samples = rig.run(0.08, {"joint4": 0.0, "joint3": 0.0})
+    assert rig.driver.modes["joint4"] == "driven" and samples[-1].commanded_A["joint4"] == 0.0
+    assert rig.driver.modes["joint3"] == "held"
+    assert not np.any(rig.currents("joint4", zero_s + 2 * CYCLE_S + 0.015))
+
+
+def test_one_sender_drives_until_it_ends(rig: Rig) -> None:
+    driver = rig.driver
+    assert driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
+    rig.cycle()
+    for stranger in ({"joint3": 0.0}, {"joint4": -0.05}, dict.fromkeys(driver.joints, 0.0), {}):
+        assert driver.command_currents(stranger, sender=2).startswith("joint3: driven by another publisher")
+    rig.cycle()
+    assert driver.modes["joint3"] == "driven" and driver.modes["joint4"] == "held"
+    # zero by the one who drives keeps the lease, nothing at all ends it
+    assert driver.command_currents({"joint3": 0.0}, sender=1) == ""
+    assert "another publisher" in driver.command_currents({"joint4": -0.05}, sender=2)
+    assert driver.command_currents({}, sender=1) == ""
+    assert driver.command_currents({"joint4": -0.05}, sender=2) == ""
+    rig.run(0.03)
+    assert driver.modes["joint3"] == "held" and driver.modes["joint4"] == "driven"
+
+
+def test_a_sender_that_falls_silent_drives_no_longer(rig: Rig) -> None:
+    assert rig.driver.command_currents({"joint3": PUSH_A}, sender=1) == ""
+    rig.run(rig.driver.settings.command_timeout_s + 0.05)
+    assert rig.driver.modes["joint3"] == "held"
+    assert rig.driver.command_currents({"joint4": -0.05}, sender=2) == ""
+
+
+def test_one_sender_moves_the_arm(rig: Rig) -> None:
+    here = rig.position()["joint1"]
+    assert rig.driver.command_positions({"joint1": here}, sender=1) == ""
+    assert rig.driver.command_positions({"joint1": here + 0.1}, sender=2).startswith("another publisher is moving")
+    assert rig.driver.command_positions({"joint1": here}, sender=1) == ""
+    rig.run(rig.driver.settings.command_timeout_s + 0.02)
+    assert rig.driver.command_positions({"joint1": here}, sender=2) == ""
+
+
+def test_told_to_hold_in_mid_push(rig: Rig) -> None:
+    rig.run(0.05, {"joint3": PUSH_A})
+    rig.driver.hold()
+    told_s = time.monotonic()
+    rig.run(0.1)
+    assert set(rig.driver.modes.values()) == {"held"} and rig.driver.state is BusState.RUNNING
+    assert rig.pushed(told_s + 2 * CYCLE_S + 0.015) < 0.3
+    assert not rig.said("no current command")
+
+
+# --- the table
+
+LOW = {"joint2": 1.2, "joint3": 0.0, "joint4": 0.3}
+"""The forearm points down through the table [rad]."""
+
+
+def test_a_position_below_the_table_is_refused(rig: Rig) -> None:
+    assert clearance(rig.robot, {**dict.fromkeys(rig.robot.model.independent_joints, 0.0), **LOW}) < -0.05
+    reason = rig.driver.command_positions(LOW)
+    assert reason.startswith("the arm would be less than 0 cm above the base's plane (min_clearance)")
+    rig.run(0.1)
+    assert set(rig.driver.modes.values()) == {"held"}
+
+
+def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
+    """Both ends are high enough, but one joint arrives before the other."""
+    before = {"joint2": -0.23, "joint3": 1.09, "joint4": -1.09}
+    after = {"joint2": 1.22, "joint3": -1.17, "joint4": 0.13}
+    assert rig.driver.command_positions(before) == ""
+    rig.run(1.2)
+    assert rig.driver.command_positions(after) == ""
+    lowest = math.inf
+    for _ in range(150):
+        rig.cycle()
+        lowest = min(lowest, clearance(rig.robot, rig.position()))
+    assert lowest > -0.01
+    assert sum("too near to the base's plane" in message for _, message in rig.log) == 1
+
+
+@with_settings(min_clearance_m=0.15)
+def test_a_push_ends_above_the_table(rig: Rig) -> None:
+    start_s = time.monotonic()
+    samples = rig.run(0.6, {"joint3": 0.15})
+    assert rig.said("joint3 was about to bring the arm too near to the base's plane")
+    assert rig.driver.modes["joint3"] == "held"
+    assert np.any(np.isclose(rig.currents("joint3", start_s), 56 * UNIT_A, atol=1e-9)), "it did push"
+    assert min(clearance(rig.robot, sample.position) for sample in samples) > 0.13
+    rig.run(0.15)
+    rig.run(0.03, {"joint3": PUSH_A})
+    assert rig.driver.modes["joint3"] == "driven", "up again"
 
 
 # --- limits and faults

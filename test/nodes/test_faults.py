@@ -27,6 +27,8 @@ pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from live import Client, running, wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -634,6 +636,61 @@ def test_a_flood_of_commands(arm: Arm) -> None:
     assert_held(client)
 
 
+def test_a_stranger_in_mid_probe(arm: Arm) -> None:
+    """Another program on the network sends zeros, a push of its own and goals; the probe does not notice."""
+    client, ended = arm.client, threading.Event()
+    begin_push(client)
+    before = client.motors[-1]
+
+    def disturb() -> None:
+        while not ended.wait(0.02):
+            client.currents.publish(Float64MultiArray(data=[0.0] * 5))
+            client.push({"joint4": -0.2})
+            client.positions.publish(labelled({"joint1": 0.5}))
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    try:
+        assert_done(client)
+    finally:
+        ended.set()
+        thread.join()
+    assert client.excitation["good_runs"] == "1"
+    during = since(client.motors, stamp_s(before))
+    for joint in ("joint1", "joint4"):
+        index = list(before.name).index(joint)
+        reached = [message.position[index] for message in during if pushed(message)]
+        assert max(abs(position - before.position[index]) for position in reached) < 0.1, joint
+    assert "driven by another publisher" in arm.log("driver")
+    assert "another publisher is moving the arm" in arm.log("driver")
+
+
+def test_deactivated_in_mid_probe(arm: Arm) -> None:
+    """Anyone on the network can ask a lifecycle node for that; the arm must not fall."""
+    client = arm.client
+
+    def change(transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(client.answer(client.begin("/driver/change_state", ChangeState, request)).success)
+
+    begin_push(client)
+    begun_s = time.time()
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    try:
+        assert_aborted(client, "the driver was inactive")
+        assert wait_for(lambda: not pushed(client.motors[-1]), 1.0)
+        assert wait_for(lambda: at_rest(client) and not without_current(client.motors[-1]), 5.0), client.motors[-1]
+        index = list(client.motors[-1].name).index("joint2")
+        heights = [message.position[index] for message in since(client.motors, begun_s)]
+        assert max(heights) - min(heights) < 0.1
+        answer = client.call("/excitation/run")
+        assert not answer.success and "the driver is inactive" in answer.message
+    finally:
+        assert change(Transition.TRANSITION_ACTIVATE)
+    assert wait_for(lambda: driver_status(client)[0] == "running", 2.0)
+    assert_held(client)
+
+
 def test_stop_in_mid_probe(arm: Arm) -> None:
     client = arm.client
     begin_push(client)
@@ -641,14 +698,17 @@ def test_stop_in_mid_probe(arm: Arm) -> None:
     assert client.call("/driver/stop").success
     answered_s = time.time()
     assert_zero(client, begun_s, answered_s - begun_s + 0.05)
-    assert_aborted(client, "")
-    # nobody's command gets through
-    answer = client.call("/excitation/run")
+    assert_aborted(client, "the driver was stopped: the current is zero; /driver/torque true")
+    assert wait_for(lambda: driver_status(client)[0] == "stopped", 2.0), driver_status(client)
+    # nobody's command gets through, and whoever asks hears what to do
     client.push({ELBOW: -0.3})
-    assert not answer.success or wait_for(lambda: client.excitation["busy"] == "false", 10.0)
+    for service in ("/excitation/run", "/identifier/calibrate_payload"):
+        answer = client.call(service, 5.0)
+        assert (
+            not answer.success and "the driver is stopped" in answer.message and "/driver/torque true" in answer.message
+        )
     assert_zero(client, begun_s, answered_s - begun_s + 0.05)
     assert not any(client.applied[-1].effort)
-    assert wait_for(lambda: driver_status(client)[0] == "stopped", 2.0), "diagnostics come once a second"
     assert torque_is_on(client)
     assert_held(client)
 

@@ -1,0 +1,274 @@
+"""Excitation and identifier in this process: what they say of a driver that let go of the arm, and a simulation's time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from proprio_ros.excitation.machine import Command
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.excitation import ExcitationNode
+from proprio_ros.nodes.identifier import IdentifierNode, Job, JobError
+from proprio_ros.nodes.runtime import IDLE_PAUSE_S, ManagedNode
+from proprio_ros.robot import load_robot
+from proprio_ros.virtual.robot import PARKED
+
+ELBOW, PUSH_S = "joint3", 0.4
+PROBE = f"""
+excitation:
+  hand: any
+  settle_s: 0.3
+  brake_s: 0.2
+  approach_velocity: 1.5
+  runs:
+    - {{joint: {ELBOW}, current_A: -0.3, duration_s: {PUSH_S}, max_travel: 1.5}}
+"""
+STOPPED = messages.status(
+    "warning", "driver: servo bus", "the current is zero; /driver/torque true holds the arm again", {"state": "stopped"}
+)
+RUNNING = messages.status("ok", "driver: servo bus", "held", {"state": "running"})
+
+
+@pytest.fixture
+def context(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    monkeypatch.setattr(ExcitationNode, "real_time", False)  # this process is that of the other tests, too
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+def active(kind: type[ManagedNode], context: Any, **parameters: Any) -> Any:
+    """A node of that kind, active."""
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    node = kind(context=context, parameter_overrides=overrides)  # type: ignore[call-arg]
+    node.trigger_configure()
+    node.trigger_activate()
+    assert node.active
+    return node
+
+
+class Arm:
+    """An excitation node, and joints that stand where it commands them; one that is pushed turns slowly. No bus, no wire."""
+
+    def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
+        probe = folder / "push.yaml"
+        probe.write_text(PROBE)
+        self.node = active(ExcitationNode, context, probe=str(probe), **parameters)
+        self.position = {**dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0), **PARKED}
+        self.sent: list[tuple[float, Command]] = []
+        self.node._send = lambda command: self.sent.append((self.node.now_s(), command))
+
+    @property
+    def machine(self) -> Any:
+        return self.node._machine
+
+    def run(self) -> Trigger.Response:
+        response: Trigger.Response = self.node._on_run(Trigger.Request(), Trigger.Response())
+        return response
+
+    def state(self, step_s: float) -> None:
+        """A joint state arrives, the arm having obeyed for that long."""
+        if self.sent:
+            command = self.sent[-1][1]
+            self.position |= command.position
+            for joint in command.current_A:
+                self.position[joint] -= 0.5 * step_s
+        velocity = dict.fromkeys(self.position, 0.0)
+        self.node._on_joint_state(
+            messages.joint_state(0, list(self.position), list(self.position.values()), list(velocity.values()))
+        )
+
+    def until(self, done: Callable[[], bool], step_s: float = 0.01) -> None:
+        for _ in range(2000):
+            if done():
+                return
+            time.sleep(step_s)
+            self.state(step_s)
+        raise AssertionError(self.machine.message)
+
+
+@pytest.fixture
+def arm(context: Any, tmp_path: Path) -> Iterator[Arm]:
+    arm = Arm(context, tmp_path, stale_after=4.0)  # others use this computer, too
+    arm.state(0.0)
+    yield arm
+    arm.node.finish()
+    arm.node.destroy_node()
+
+
+def test_a_stop_in_mid_probe_is_named(arm: Arm) -> None:
+    arm.node._on_driver(RUNNING)
+    assert arm.run().success
+    arm.until(lambda: arm.machine.phase.value == "probe")
+    arm.node._on_driver(STOPPED)
+    assert arm.machine.abort_reason == (
+        "the driver was stopped: the current is zero; /driver/torque true holds the arm again"
+    )
+    assert not arm.sent[-1][1].current_A and arm.machine.phase.value == "aborted"
+
+
+def test_nothing_begins_while_the_driver_is_stopped(arm: Arm) -> None:
+    arm.node._on_driver(STOPPED)
+    answer = arm.run()
+    assert not answer.success and not arm.machine.busy
+    assert answer.message == "the driver is stopped: the current is zero; /driver/torque true holds the arm again"
+    arm.node._on_driver(RUNNING)
+    assert arm.run().success
+
+
+def test_the_word_of_a_driver_that_is_gone_does_not_count(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    arm.node._on_driver(STOPPED)
+    monkeypatch.setattr("proprio_ros.nodes.excitation.DRIVER_SILENT_S", 0.0)
+    assert arm.run().success, "a driver that does not publish its state is not asked for it"
+
+
+def test_an_idle_node_rests_between_messages(arm: Arm) -> None:
+    assert arm.node.pause_s == IDLE_PAUSE_S
+    assert arm.run().success
+    assert arm.node.pause_s == 0.0
+
+
+@pytest.mark.parametrize("pace", [4.0, 0.5])
+def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(context: Any, tmp_path: Path, pace: float) -> None:
+    """The simulation runs faster or slower than the clock on the wall, and pauses before the push and in it."""
+    arm = Arm(context, tmp_path, use_sim_time=True)
+    simulation = Node("simulation", context=context)
+    clock = simulation.create_publisher(Clock, "/clock", 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(arm.node)
+    now_s, step_s = 100.0, 0.01
+    try:
+        answer = arm.run()
+        assert not answer.success and "no time comes on /clock" in answer.message
+
+        def advance() -> None:
+            nonlocal now_s
+            now_s += step_s
+            deadline = time.monotonic() + 60.0
+            while abs(arm.node.now_s() - now_s) > 1e-3:
+                assert time.monotonic() < deadline
+                clock.publish(Clock(clock=Time(sec=int(now_s), nanosec=round(1e9 * (now_s % 1.0)) % 10**9)))
+                executor.spin_once(timeout_sec=0.05)
+            time.sleep(step_s / pace / 10.0)
+            arm.state(step_s)
+
+        advance()
+        assert arm.run().success
+        paused = set()
+        for _ in range(2000):
+            advance()
+            phase = arm.machine.phase.value
+            if phase in ("settle", "probe") and phase not in paused:
+                paused.add(phase)
+                time.sleep(0.3)  # longer than stale_after
+                executor.spin_once(timeout_sec=0.05)
+                arm.node._on_timer()
+            if not arm.machine.busy:
+                break
+        assert arm.machine.phase.value == "done", arm.machine.message
+        (outcome,) = arm.machine.outcomes
+        assert outcome.duration_s == pytest.approx(PUSH_S, abs=step_s)
+        driven_s = [at_s for at_s, command in arm.sent if command.current_A]
+        assert driven_s[-1] - driven_s[0] == pytest.approx(PUSH_S, abs=2 * step_s)
+        assert all(after - before == pytest.approx(step_s, abs=1e-3) for before, after in pairwise(driven_s))
+    finally:
+        executor.shutdown()
+        arm.node.finish()
+        arm.node.destroy_node()
+        simulation.destroy_node()
+
+
+# --- the identifier -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def identifier(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    monkeypatch.setattr("proprio_ros.nodes.identifier.prepare_identification", lambda: None)
+    node = active(IdentifierNode, context, data_directory=str(tmp_path), calibration="none")
+    yield node
+    node.finish()
+    node.destroy_node()
+
+
+def test_a_weighing_after_a_stop_is_refused_at_once(identifier: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identifier._run, "service_is_ready", lambda: True)
+    monkeypatch.setattr(identifier._set_probe, "service_is_ready", lambda: True)
+    identifier._state_at_s = math.inf
+    values = {"driver": "stopped: the current is zero; /driver/torque true holds the arm again", "joint_states": True}
+    identifier._on_excitation(messages.status("ok", "excitation", "waiting", values))
+    with pytest.raises(JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"):
+        identifier._await_others()
+    answers: list[tuple[bool, str]] = []
+    identifier._begin("payload", lambda success, message: answers.append((success, message)))
+    deadline = time.monotonic() + 30.0
+    while not answers and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert answers and not answers[0][0] and "/driver/torque true" in answers[0][1]
+
+
+@pytest.mark.parametrize("name", ["softness_sequence", "payload_sequence"])
+def test_a_sequence_that_does_not_exist_is_refused(identifier: Any, name: str) -> None:
+    (result,) = identifier.set_parameters([Parameter(name, value="nonsense")])
+    assert not result.successful
+    assert result.reason.startswith(f"{name}: no 'nonsense' among the probes; there are: ")
+    assert "payload_elbow" in result.reason
+    (result,) = identifier.set_parameters([Parameter("payload_sequence", value="payload_elbow")])
+    assert result.successful, result.reason
+
+
+def test_nor_is_the_identifier_configured_with_one(context: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    node = IdentifierNode(context=context, parameter_overrides=[Parameter("softness_sequence", value="nonsense")])
+    try:
+        node.trigger_configure()
+        assert (
+            "cannot configure: softness_sequence: no 'nonsense' among the probes; there are: " in capfd.readouterr().err
+        )
+    finally:
+        node.destroy_node()
+
+
+def test_an_idle_identifier_takes_what_waits_at_once(identifier: Any, context: Any) -> None:
+    """A wake-up for each of 250 joint states in a second costs a quarter of a core."""
+    assert identifier.pause_s == IDLE_PAUSE_S
+    publisher = identifier.create_publisher(JointState, "/joint_states", 100)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(identifier)
+    stamps: list[int] = []
+    try:
+        deadline = time.monotonic() + 60.0
+        while publisher.get_subscription_count() < 1:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        for row in range(1, 51):
+            publisher.publish(messages.joint_state(10**9 * row, ["joint1"], [0.0]))
+        time.sleep(0.2)
+        while identifier._state_stamp_ns < 50 * 10**9:
+            assert time.monotonic() < deadline
+            executor.spin_once(timeout_sec=0.05)
+            if identifier._state_stamp_ns not in stamps:
+                stamps.append(identifier._state_stamp_ns)
+        assert len(stamps) < 10
+        identifier._job = Job("payload", "calibrate_payload")
+        assert identifier.pause_s == 0.0
+    finally:
+        identifier._job = None
+        executor.shutdown()
+        identifier.destroy_publisher(publisher)
