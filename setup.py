@@ -37,7 +37,7 @@ setup(
     install_requires=[
         "numpy>=1.26",
         "warp-lang>=1.19",
-        "rosbags>=0.11",
+        "rosbags>=0.11.9",
         "ruamel.yaml",
         "scipy>=1.11",
         "matplotlib>=3.6",

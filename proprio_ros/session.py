@@ -7,6 +7,7 @@ the same bytes, so it gives the same numbers. No ROS here; the identifier node o
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import tempfile
 import threading
@@ -25,7 +26,7 @@ from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.replay import ReplayOptions, configured_robot, held_positions, probe_asked_for
-from proprio_ros.resources import write_in_one_step
+from proprio_ros.resources import private_folder, write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
 from proprio_ros.settings import Settings
@@ -74,6 +75,8 @@ class Session:
         for parent in (self.folder.parent, *_elsewhere()):
             folder = parent / self.name
             try:
+                if parent != self.folder.parent:
+                    private_folder(parent)  # these lie where every user may write
                 folder.mkdir(parents=True, exist_ok=True)
                 write_messages(folder / "bag", messages)
             except (OSError, RecordingError) as error:
@@ -87,7 +90,9 @@ class Session:
 
 
 def _elsewhere() -> list[Path]:
-    return [Path(tempfile.gettempdir()) / "proprio_recordings", Path("/dev/shm/proprio_recordings")]
+    """Folders of this user alone, on the disk and in memory."""
+    name = f"proprio_recordings_{os.getuid()}"
+    return [Path(tempfile.gettempdir()) / name, Path("/dev/shm") / name]
 
 
 def prepare_identification() -> None:
