@@ -18,6 +18,7 @@ from proprio_ros import __version__, schema
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line, printable
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.quantity import shown
+from proprio_ros.reading import path_problem
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
@@ -257,6 +258,9 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
 
 def _refuse_unwritable(report: str | None) -> None:
     """Before the work, and before anything is printed."""
+    problem = path_problem(report or ".")
+    if problem:
+        raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
     folder = Path(report or ".").resolve().parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
         raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")

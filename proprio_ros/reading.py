@@ -52,7 +52,10 @@ def path_problem(path: str | Path) -> str:
     text = str(path)
     if "\0" in text:
         return "holds a NUL character"
-    encoded = text.encode(errors="surrogateescape") if text.isascii() else os.fsencode(text)
+    try:
+        encoded = os.fsencode(text)
+    except UnicodeEncodeError:
+        return "holds characters that no path has"
     if len(encoded) > LONGEST_PATH or any(len(part) > LONGEST_NAME for part in encoded.split(b"/")):
         return f"is too long for a path: a name may have {LONGEST_NAME} bytes"
     return ""
