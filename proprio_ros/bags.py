@@ -25,7 +25,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from proprio_ros.errors import ConfigurationError, RecordingError, one_line
+from proprio_ros.errors import ConfigurationError, RecordingError, one_line, printable
 from proprio_ros.forms import FormError, Number, Text, shortly
 from proprio_ros.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of, yaml_of
 from proprio_ros.records import (
@@ -713,7 +713,7 @@ def _commands(
     latest = np.diff(times, append=times[-1] + 1) > 0
     if not latest.all():
         notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
-    return InputRecord(times[latest], columns.names, current[latest], topic.name)
+    return InputRecord(times[latest], columns.names, current[latest], printable(topic.name))
 
 
 def _effort_and_current(
@@ -836,7 +836,7 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
         RecordingError: It is no bag, or cannot be opened.
     """
     with _open(Path(path)) as bag:
-        topics = tuple((topic.name, topic.msgtype, topic.size) for topic in bag.topics)
+        topics = tuple((one_line(topic.name), one_line(topic.msgtype), topic.size) for topic in bag.topics)
         try:
             state = _state_topic(bag, state_topic, command_topic)
         except RecordingError as error:
@@ -844,8 +844,9 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
         try:
             inputs = _input_topic(bag, command_topic, state)
         except RecordingError as error:
-            return Contents(topics, state.name, None, str(error))
-    return Contents(topics, state.name, None if inputs is None or inputs == state else inputs.name)
+            return Contents(topics, one_line(state.name), None, str(error))
+    chosen = None if inputs is None or inputs == state else one_line(inputs.name)
+    return Contents(topics, one_line(state.name), chosen)
 
 
 def read_points(path: str | Path, topic: str) -> PointTrack:

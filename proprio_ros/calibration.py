@@ -230,7 +230,8 @@ def check_complete(
         names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
         if of and scope not in names:
             raise RobotError(f"{where}: {name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
-    for joint in dict.fromkeys(str(key[1]) for key in there if key[0] in TERMS):
+    # of a joint that was only held, its zero is known and nothing else
+    for joint in dict.fromkeys(str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"):
         drive = drive_trains[joint]
         lost = [name_of((t, joint)) for t in TERMS if (t, joint) not in there and getattr(drive, t).std > 0.0]
         if lost:

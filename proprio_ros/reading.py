@@ -11,6 +11,7 @@ import math
 import os
 import re
 import stat
+import warnings
 from collections.abc import Iterator
 from itertools import accumulate
 from pathlib import Path
@@ -171,12 +172,15 @@ def yaml_of(text: str) -> Any:
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer = Counting
     try:
-        constructor, _ = yaml.get_constructor_parser(text)
-        node = constructor.composer.get_single_node()
-        if node is None:
-            return None
-        weight(node, ())
-        return constructor.construct_document(node)
+        # an anchor that is used again warns, and a warning is more than one line
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            constructor, _ = yaml.get_constructor_parser(text)
+            node = constructor.composer.get_single_node()
+            if node is None:
+                return None
+            weight(node, ())
+            return constructor.construct_document(node)
     except RecursionError:
         raise _Refused(f"nested more than {DEEPEST} deep") from None
     # a reader of YAML lets whatever its text leads it to through: of dates that are none, of tags that nobody knows

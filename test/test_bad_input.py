@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader
 
-from proprio_ros.bags import read_point_file, read_recording, read_text_recording
+from proprio_ros.bags import RawMessage, read_point_file, read_recording, read_text_recording, write_messages
 from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.cli import main
 from proprio_ros.errors import LONGEST_SENTENCE, ConfigurationError, ProprioError, RecordingError, one_line, printable
@@ -299,6 +300,13 @@ def read(path: Path) -> Any:
     return read_recording(path, nominal_torque_constants={}, joint_order=joints)
 
 
+def bytes_of(path: Path, topic: str) -> list[tuple[str, int, bytes]]:
+    """Type, time and bytes of the messages of a topic."""
+    with Reader(path) as reader:
+        wanted = [connection for connection in reader.connections if connection.topic == topic]
+        return [(c.msgtype, time_ns, bytes(data)) for c, time_ns, data in reader.messages(wanted)]
+
+
 def test_more_than_is_read_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("MOST_MESSAGES", "MOST_BYTES", "MOST_BYTES_OF_ONE"):
         with monkeypatch.context() as patch:
@@ -324,6 +332,18 @@ def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("proprio_ros.bags.MOST_UNPACKED", len(whole) - 1)
     with pytest.raises(RecordingError, match="unpacks to over"):
         read(folder)
+
+
+def test_a_topic_cannot_speak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [RawMessage("/joint_states", *message) for message in bytes_of(BAG, "/joint_states")] + [
+        RawMessage("/say\naccepted  1 g\x1b[2J", *message) for message in bytes_of(BAG, "/current_command")
+    ]
+    write_messages(tmp_path / "bag", rows)
+    for command in (["check"], ["replay", "--probe", "payload", "--command-topic", "/say\naccepted  1 g\x1b[2J"]):
+        main([*command, str(tmp_path / "bag")])
+        said = capsys.readouterr()
+        assert not any(line.startswith("accepted  1 g") for line in (said.out + said.err).splitlines())
+        assert "\x1b" not in said.out + said.err
 
 
 def test_metadata_that_stands_for_gigabytes(tmp_path: Path) -> None:
@@ -462,8 +482,8 @@ def test_some_mistakes(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     """The first of them, at every run."""
     capsys.readouterr()
     outcomes = []
-    for seed in range(12):
+    for seed in range(8):
         folder = tmp_path / str(seed)
         folder.mkdir()
         outcomes.append(check_one(good, folder, seed, capsys.readouterr))
-    assert "refused" in outcomes
+    assert set(outcomes) == {"refused", "accepted"}

@@ -392,7 +392,7 @@ def _choices() -> str:
 def _located(name_or_path: str, folder: Path) -> Path:
     """The YAML file that a name or a path (relative to a folder) means."""
     path = folder / name_or_path
-    problem = path_problem(path)
+    problem = path_problem(path) or ("" if path.name.isprintable() else "holds characters that are not printable")
     if problem:
         raise RobotError(f"robot {one_line(name_or_path, 60)} {problem}; {_choices()}")
     if path.suffix == ".urdf":

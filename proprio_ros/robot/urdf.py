@@ -134,7 +134,7 @@ class UrdfReader:
         root = self._root(links, joints)
         ordered = self._ordered(root, links, joints)
         return (
-            self._robot.get("name") or "robot",
+            one_line(self._robot.get("name") or "robot", LONGEST_NAME),
             (links[root], *(links[joint.child] for joint in ordered)),
             tuple(ordered),
             root,
