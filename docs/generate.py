@@ -320,7 +320,7 @@ def settings() -> str:
         "What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file and a calibration may say. "
         "Ranges are "
         "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
-        "`config/probes/PROBE.yaml`.",
+        "the files in `config/probes`.",
     ]
     for probe, forms in (("payload", OF_PAYLOAD), ("container", OF_CONTAINER), ("softness", OF_BLOCK)):
         content = probe_file(probe)

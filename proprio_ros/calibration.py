@@ -22,7 +22,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +31,6 @@ from proprio_ros.errors import RobotError, one_line
 from proprio_ros.forms import Form, FormError, Number, Text, Whole, shortly
 from proprio_ros.kinds import KINDS, Key, key_of, name_of
 from proprio_ros.quantity import Quantity
-
-if TYPE_CHECKING:
-    from proprio_ros.robot.drive_train import DriveTrain
 
 FloatArray = NDArray[np.float64]
 RANGES: dict[str, Number] = {
@@ -215,10 +212,14 @@ class Calibration:
         )
 
 
-def check_complete(
-    calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, DriveTrain], where: str
-) -> None:
+def check_complete(calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], where: str) -> None:
     """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
+
+    Args:
+        calibration: as the file has it.
+        links: of the robot, by name.
+        drive_trains: of the robot file, by joint; each a ``DriveTrain``.
+        where: for the message.
 
     Raises:
         RobotError: an unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a

@@ -14,24 +14,29 @@ ROOMS: dict[str, set[str]] = {
     "errors": set(),
     "schema": set(),
     "threads": set(),
+    # what a user hands in: parsed with limits, and read by stated types, units and ranges
+    "reading": {"errors"},
+    "forms": {"reading"},
     "records": {"errors"},
     "resources": {"errors"},
     "quantity": {"errors"},
     # the unknowns that fits may have, with their units and what to call them
     "kinds": set(),
-    "calibration": {"errors", "quantity", "kinds"},
-    "robot": {"errors", "resources", "quantity", "calibration", "kinds"},
-    "settings": {"errors", "resources"},
+    "calibration": {"errors", "quantity", "kinds", "forms"},
+    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading"},
+    "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
-    "bags": {"errors", "records"},
+    "bags": {"errors", "records", "forms", "reading"},
     "runs": {"errors", "records"},
-    "sim": {"errors", "records", "robot"},
+    "sim": {"errors", "records", "robot", "reading"},
     "identification": {"errors", "schema", "records", "quantity", "kinds", "robot", "calibration", "sim"},
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room below
     "probes": {
         "errors",
+        "forms",
+        "reading",
         "records",
         "quantity",
         "kinds",
@@ -115,6 +120,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "cli": {
         "errors",
+        "reading",
         "quantity",
         "schema",
         "settings",
@@ -130,7 +136,7 @@ ROOMS: dict[str, set[str]] = {
     "bus": {"errors", "records", "robot", "realtime"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
-    "excitation": {"errors", "records", "resources", "robot"},
+    "excitation": {"errors", "reading", "records", "resources", "robot"},
     "nodes": {
         "errors",
         "quantity",
