@@ -234,7 +234,9 @@ def check_complete(calibration: Calibration, links: Sequence[str], drive_trains:
     # of a joint that was only held, its zero is known and nothing else
     for joint in dict.fromkeys(str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"):
         drive = drive_trains[joint]
-        lost = [name_of((t, joint)) for t in TERMS if (t, joint) not in there and getattr(drive, t).std > 0.0]
+        # a slide has no zero of its own
+        open_terms = [t for t in TERMS if getattr(drive, t).std > 0.0 and (t != "zero" or drive.transmission == 1.0)]
+        lost = [name_of((t, joint)) for t in open_terms if (t, joint) not in there]
         if lost:
             raise RobotError(f"{where}: unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`")
         found = calibration.quantities.get(("torque_constant", joint), drive.torque_constant).value

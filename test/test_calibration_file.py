@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +195,19 @@ def test_a_calibration_of_joints_that_the_robot_does_not_drive(written: Path) ->
 
     with pytest.raises(RobotError, match="is of elbow, but open_manipulator_x drives"):
         load_robot(edited(written, foreign))
+
+
+def test_fingers_have_no_zero_and_held_joints_nothing_else(tmp_path: Path) -> None:
+    """What `proprio calibrate` leaves out is not missed."""
+    names = {"joint3": "gripper_left_joint", "link5": "link5"}
+    whole = small().without({("zero", "joint3")})
+    keys = tuple(key if isinstance(key, str) else (key[0], names[str(key[1])]) for key in whole.keys)
+    path = tmp_path / "fingers.yaml"
+    write_calibration(path, load_robot("open_manipulator_x"), replace(whole, keys=keys))
+    assert load_robot(path).calibration.joints == ("gripper_left_joint",)
+    held = small().without({key for key in small().keys if key[0] != "zero"})
+    write_calibration(path, load_robot("open_manipulator_x"), held)
+    assert load_robot(path).calibration.names == ("zero[joint3]",)
 
 
 def test_another_urdf_is_refused(tmp_path: Path) -> None:
