@@ -72,6 +72,7 @@ TERMS = (
 """Kinds of unknowns that a drive train has."""
 _LEAST_STD = 1e-10  # of any unknown, in its unit: below it, a covariance loses its digits
 _FARTHEST = 5.0  # times the nominal torque constant, or that part of it
+_MOST_STDS = 10.0
 _SMALLEST_EIGENVALUE = 1e-12  # of a correlation matrix: below it, rounding has made it no covariance
 
 
@@ -212,13 +213,20 @@ class Calibration:
         )
 
 
-def check_complete(calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], where: str) -> None:
+def check_complete(
+    calibration: Calibration,
+    links: Sequence[str],
+    drive_trains: Mapping[str, Any],
+    spreads: Mapping[str, float],
+    where: str,
+) -> None:
     """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
 
     Args:
         calibration: as the file has it.
         links: of the robot, by name.
         drive_trains: of the robot file, by joint; each a ``DriveTrain``.
+        spreads: standard deviations that the robot file gives to what it takes for zero, by kind of unknown.
         where: for the message.
 
     Raises:
@@ -231,6 +239,12 @@ def check_complete(calibration: Calibration, links: Sequence[str], drive_trains:
         names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
         if of and scope not in names:
             raise RobotError(f"{where}: {name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
+        value, spread = calibration.quantities[key].value, spreads.get(_kind(key), 0.0)
+        if spread > 0.0 and abs(value) > _MOST_STDS * spread:
+            raise RobotError(
+                f"{where}: {name_of(key)}: {value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({spread:g}) "
+                "from zero: calibrate again"
+            )
     # of a joint that was only held, its zero is known and nothing else
     for joint in dict.fromkeys(str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"):
         drive = drive_trains[joint]

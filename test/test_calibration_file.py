@@ -162,6 +162,7 @@ def triangle(below: str = "0", diagonal: str = "1") -> str:
         (of("torque_constant[joint3]", value=-1.7), r"torque_constant\[joint3\]: value: must be positive"),
         (of("torque_constant[joint3]", value=17.0), "over 5 times"),
         (of("torque_constant[joint3]", std=1e-300), r"std: must be from"),
+        (of("link_mass[link5]", value=-0.41), "over 10 of the robot file's standard deviations"),
         (of("delay", value=9.0), "delay: value: must be from -0.1 to 0.1 s"),
         (of("zero[joint3]", unit="deg"), "unit must be 'rad'"),
         (renamed("coulomb[joint3]", "colomb[joint3]"), "no such unknown"),

@@ -474,7 +474,9 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
     if calibration is None:
         return robot
     calibrated = robot.with_calibration(calibration)
-    check_complete(calibration, link_names, drive_trains, f"{file}: calibration")
+    spreads = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
+    spreads |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
+    check_complete(calibration, link_names, drive_trains, spreads, f"{file}: calibration")
     return calibrated
 
 
