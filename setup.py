@@ -38,7 +38,7 @@ setup(
     install_requires=[
         "numpy>=1.26,<3",
         "warp-lang>=1.19,<2",
-        "rosbags>=0.11.6,<0.12",
+        "rosbags>=0.11.9,<0.12",
         "ruamel.yaml",
         "scipy>=1.11",
         "matplotlib>=3.6",

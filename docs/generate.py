@@ -1,7 +1,8 @@
 """Writes the pages that follow from the code: ``python docs/generate.py`` (after a change of an option, a parameter or a topic).
 
 ``pages/command_line.md`` comes from the parser of ``proprio_ros/cli.py``; ``pages/ros_interface.md`` from the parameter tables
-of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. Neither needs ROS: where
+of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. ``pages/settings.md`` comes
+from the forms of settings, robot files and calibrations, and from the limits of what is read. None needs ROS: where
 rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
 """
 
@@ -305,6 +306,110 @@ def _parameter(parameter: Any) -> tuple[str, str, str, str]:
     return f"`{parameter.name}`", default, f"{parameter.lowest:g} .. {parameter.highest:g}" if bounded else "", about
 
 
+# --- settings and files -------------------------------------------------------------------------------------------------
+
+
+def settings() -> str:
+    """The page about settings, robot files, calibrations and limits."""
+    from proprio_ros import bags, reading
+    from proprio_ros.calibration import NOISE, RANGES
+    from proprio_ros.kinds import KINDS
+    from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
+    from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
+    from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
+    from proprio_ros.robot import robot_file, urdf
+    from proprio_ros.settings import SEARCH, probe_file
+
+    parts = [
+        NOTE,
+        "# Settings, files and limits",
+        "What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file and a calibration may say. "
+        "Ranges are "
+        "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
+        "the files in `config/probes`.",
+    ]
+    for probe, forms in (("payload", OF_PAYLOAD), ("container", OF_CONTAINER), ("softness", OF_BLOCK)):
+        content = probe_file(probe)
+        rows = []
+        for key, form in (forms | SEARCH).items():
+            section, _, name = key.partition(".")
+            if key in forms or name in content.get(section, {}):
+                value = content.get(section, {}).get(name)
+                rows.append((f"`{key}`", "" if value is None else f"`{_yaml(value)}`", form.described(), form.meaning))
+        parts += [f"## Probe {probe}", _table(("key", "default", "value", "meaning"), rows)]
+    parts += [
+        "`payload.size`, `container.inner_size` and `block.size` are lengths in m of the form that the shape needs: a diameter or "
+        "an "
+        "edge, `[diameter, length]`, or `[x, y, z]`. `payload.frame` is a link of the robot, `held.JOINT` the position of a joint "
+        "that "
+        "was held and not recorded, and `robot.KEY` any key of the robot file.",
+        "## Robot file",
+        "An uncertain number is `{value: .., std: ..}`; a plain one is known exactly.",
+    ]
+    for title, fields in (
+        ("The robot", robot_file._ROBOT),
+        ("joints: JOINT", robot_file._JOINT),
+        ("joints: JOINT: motor", robot_file._MOTOR),
+        ("joints: JOINT: drive_train", robot_file._DRIVE_TRAIN),
+    ):
+        rows = [
+            (f"`{key}`", _default(field.default, robot_file._REQUIRED), field.form.described(), field.form.meaning)
+            for key, field in fields.items()
+        ]
+        parts += [f"### {title}", _table(("key", "default", "value", "meaning"), rows)]
+    parts += [
+        "## Calibration",
+        "The section `calibration` of a robot file, as `proprio calibrate` writes it. `model_fingerprint` is required; joints and "
+        "links "
+        "must be the robot's; of a calibrated joint no unknown may be missing that the robot file leaves open; a torque constant "
+        "lies "
+        "within five times the motor's nominal one, up or down. A number within its range that is nevertheless wrong cannot be "
+        "seen "
+        "in the file: only further runs show it (`--baseline`).",
+        _table(
+            ("unknown", "value", "meaning"),
+            [
+                (
+                    f"`{kind}[{KINDS[kind].of.upper()}]`" if KINDS[kind].of else f"`{kind}`",
+                    form.described(),
+                    form.meaning,
+                )
+                for kind, form in RANGES.items()
+            ]
+            + [(f"`{key}`", form.described(), form.meaning) for key, form in NOISE.items()],
+        ),
+        "## Limits",
+        _table(
+            ("of", "at most"),
+            [
+                ("a YAML, JSON or URDF file", f"{reading.LONGEST_TEXT / 1e6:g} MB"),
+                ("lists and mappings within each other", str(reading.DEEPEST)),
+                ("values of a YAML file, aliases counted as what they stand for", str(reading.MOST_NODES)),
+                ("VALUE of a setting", f"{reading.LONGEST_VALUE} characters"),
+                ("links of a URDF, and joints", str(urdf.MOST_LINKS)),
+                ("names of joints and links", f"{urdf.LONGEST_NAME} printable characters"),
+                ("rows of a CSV file", str(bags.MOST_ROWS)),
+                ("messages of one topic", f"{bags.MOST_MESSAGES}, {bags.MOST_BYTES / 1e6:g} MB together"),
+                ("one message", f"{bags.MOST_BYTES_OF_ONE / 1e3:g} kB"),
+                ("files of a compressed bag, unpacked", f"{bags.MOST_UNPACKED / 1e9:g} GB each"),
+            ],
+        ),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _yaml(value: Any) -> str:
+    return {True: "true", False: "false"}.get(value, str(value)) if isinstance(value, bool) else str(value)
+
+
+def _default(value: Any, required: Any) -> str:
+    if value is required:
+        return "required"
+    if value is None or value == "" or value == float("inf"):
+        return ""
+    return f"`{_yaml(getattr(value, 'value', list(value) if isinstance(value, tuple) else value))}`"
+
+
 # --- both ---------------------------------------------------------------------------------------------------------------
 
 
@@ -318,7 +423,11 @@ def _table(columns: tuple[str, ...], rows: list[Any]) -> str:
 def pages() -> dict[Path, str]:
     """Every generated page, with what should be in it."""
     os.environ.pop("PROPRIO_PROBES", None)  # the package's own probes
-    return {PAGES / "command_line.md": command_line(), PAGES / "ros_interface.md": ros_interface()}
+    return {
+        PAGES / "command_line.md": command_line(),
+        PAGES / "ros_interface.md": ros_interface(),
+        PAGES / "settings.md": settings(),
+    }
 
 
 if __name__ == "__main__":

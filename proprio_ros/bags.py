@@ -8,24 +8,27 @@ deserialised, so a bag may hold messages of types that nobody here knows.
 from __future__ import annotations
 
 import csv
-import json
 import shutil
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer, WriterError, storage_mcap
+from rosbags.rosbag2 import reader as rosbag2_reader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import ConfigurationError, RecordingError, one_line, printable
+from proprio_ros.forms import FormError, Number, Text, shortly
+from proprio_ros.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of, yaml_of
 from proprio_ros.records import (
     LOST_AFTER_PERIODS,
     MEASURED_EFFORT,
@@ -39,6 +42,8 @@ from proprio_ros.records import (
     TimeArray,
 )
 
+_zstd = storage_mcap.zstd  # of the standard library, or its backport
+
 EFFORT_UNITS = ("N.m", "A", "mA", "raw")
 """What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
 
@@ -49,6 +54,17 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 
 MIN_SAMPLES = 5
+MOST_ROWS = 200_000
+"""Rows of a CSV file: nearly two hours at 30 Hz."""
+MOST_MESSAGES = 1_000_000
+"""Messages of one topic of a bag: nearly three hours at 100 Hz."""
+MOST_BYTES = 500_000_000
+"""Bytes of the messages of one topic, together."""
+MOST_BYTES_OF_ONE = 200_000
+"""Bytes of one message: that of a thousand joints."""
+MOST_UNPACKED = 2_000_000_000
+"""Bytes of a compressed bag's files, or of one chunk of it, once they are unpacked."""
+_TOGETHER = 8192  # messages that are decoded at once
 IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
 
@@ -115,7 +131,12 @@ class _Bag:
 
     def messages(self, topic: _Topic) -> list[tuple[int, Any]]:
         """Recorder's time [ns] and message, of one topic, in the order of time; at least one."""
-        messages: list[tuple[int, Any]] = []
+        return [(time_ns, _deserialise(raw, topic.msgtype)) for time_ns, raw in self._raw(topic)]
+
+    def _raw(self, topic: _Topic) -> list[tuple[int, bytes]]:
+        """The same with the messages as they were recorded."""
+        messages: list[tuple[int, bytes]] = []
+        size = 0
         for reader in self._readers:
             wanted = [c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)]
             if not wanted:
@@ -123,12 +144,129 @@ class _Bag:
             for connection in wanted:
                 _require_cdr(self.path, connection)
             for _, time_ns, raw in reader.messages(connections=wanted):
-                messages.append((time_ns, _deserialise(bytes(raw), topic.msgtype)))
+                size += len(raw)
+                if len(raw) > MOST_BYTES_OF_ONE or size > MOST_BYTES or len(messages) == MOST_MESSAGES:
+                    raise RecordingError(
+                        f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
+                        f"{MOST_BYTES / 1e6:g} MB together and {MOST_BYTES_OF_ONE / 1e3:g} kB each; cut the bag with "
+                        "`ros2 bag convert`"
+                    )
+                messages.append((time_ns, bytes(raw)))
         if not messages:
             raise RecordingError(f"{self.path}: {topic.name} should hold {topic.size} messages but holds none")
         if len(messages) < topic.size:
             self.notes.append(f"{topic.name}: the bag promises {topic.size} messages but holds {len(messages)}.")
         return sorted(messages, key=lambda message: message[0])
+
+    def rows(self, topic: _Topic) -> Iterator[_Rows]:
+        """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
+        messages = self._raw(topic)
+        start = 0
+        while start < len(messages):
+            block = messages[start : start + _TOGETHER]
+            first = _deserialise(block[0][1], topic.msgtype)
+            numbers = _numbers_of(first)
+            layout = _layout(block[0][1], first, numbers)
+            count, stamps, values = 1, None, {key: np.asarray(data, np.float64)[None] for key, data in numbers.items()}
+            if layout is not None:
+                count, stamps, values = layout.read([raw for _, raw in block])
+            elif hasattr(first, "header"):
+                stamps = np.array([first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec])
+            times = np.array([time_ns for time_ns, _ in block[:count]], dtype=np.int64)
+            yield _Rows(times, np.zeros_like(times) if stamps is None else stamps, first, values)
+            start += count
+
+
+class _Rows(NamedTuple):
+    """Messages that differ only in their numbers."""
+
+    bag_ns: TimeArray  # (M,)
+    stamp_ns: TimeArray  # (M,), 0 where there is none
+    message: Any  # the first of them
+    values: dict[str, FloatArray]  # (M, length of the field)
+
+
+def _numbers_of(message: Any) -> dict[str, Any]:
+    """The fields that are arrays of numbers, in their order."""
+    names = ("position", "velocity", "effort") if hasattr(message, "header") else ("data",)
+    return {name: getattr(message, name) for name in names}
+
+
+class _Layout(NamedTuple):
+    """Where the numbers lie in the bytes of a message (CDR, little-endian)."""
+
+    stamp: int | None
+    numbers: dict[str, tuple[int, int, str]]  # offset, length in bytes, type
+
+    def read(self, raws: Sequence[bytes]) -> tuple[int, TimeArray | None, dict[str, FloatArray]]:
+        """How many of the messages from the first on differ only in their numbers; their stamps and their numbers."""
+        length = len(raws[0])
+        count = next((n for n, raw in enumerate(raws) if len(raw) != length), len(raws))
+        table = np.frombuffer(b"".join(raws[:count]), np.uint8).reshape(count, length)
+        same = np.ones(length, dtype=bool)
+        for offset, size, _ in self.numbers.values():
+            same[offset : offset + size] = False
+        if self.stamp is not None:
+            same[self.stamp : self.stamp + 8] = False
+        unlike = np.flatnonzero(_any(table[:, same] != table[0, same], axis=1))
+        table = table[: int(unlike[0]) if len(unlike) else count]
+        stamps = None
+        if self.stamp is not None:
+            seconds, nanoseconds = (
+                table[:, at : at + 4].copy().view(kind)[:, 0].astype(np.int64)
+                for at, kind in ((self.stamp, "<i4"), (self.stamp + 4, "<u4"))
+            )
+            stamps = seconds * 1_000_000_000 + nanoseconds
+        values = {
+            name: table[:, at : at + size].copy().view(kind).astype(np.float64).reshape(len(table), -1)
+            for name, (at, size, kind) in self.numbers.items()
+        }
+        return len(table), stamps, values
+
+
+def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | None:
+    """Where the numbers of a message lie; None where that is not what the deserialiser says."""
+    if raw[:2] != b"\0\1":
+        return None
+    at = 4  # behind the header, from where alignment counts
+
+    def skip(size: int, align: int = 4) -> int:
+        nonlocal at
+        start = at + (4 - at) % align
+        at = start + size
+        return start
+
+    def skip_text(text: str) -> None:
+        skip(4)
+        skip(len(text.encode()) + 1, 1)
+
+    stamp = None
+    if hasattr(message, "header"):
+        stamp = skip(8)
+        skip_text(message.header.frame_id)
+        skip(4)
+        for name in message.name:
+            skip_text(name)
+    else:
+        skip(4)
+        for dimension in message.layout.dim:
+            skip_text(dimension.label)
+            skip(8)
+        skip(4)
+    places = {}
+    for key, values in numbers.items():
+        skip(4)
+        kind = np.dtype(np.asarray(values).dtype).newbyteorder("<")
+        start = skip(values.nbytes, kind.itemsize) if len(values) else at
+        places[key] = (start, values.nbytes, kind.str)
+    layout = _Layout(stamp, places)
+    if at > len(raw):
+        return None
+    _, stamps, found = layout.read([raw])
+    fits = all(np.array_equal(found[key][0], np.asarray(values), equal_nan=True) for key, values in numbers.items())
+    if stamps is not None:
+        fits = fits and int(stamps[0]) == message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+    return layout if fits else None
 
 
 def _require_cdr(path: Path, connection: Connection) -> None:
@@ -155,6 +293,7 @@ def _deserialise(raw: bytes, msgtype: str) -> Any:
 def _open(path: Path) -> Iterator[_Bag]:
     """Open a bag; whatever rosbags raises, then or while reading, becomes one line."""
     files = _files(path)
+    _check_unpacked(path)
     try:
         with ExitStack() as stack:
             yield _Bag(path, files, [stack.enter_context(Reader(file)) for file in files])
@@ -174,6 +313,9 @@ def _open(path: Path) -> Iterator[_Bag]:
 
 def _files(path: Path) -> list[Path]:
     """What to hand to rosbags: the folder when it has metadata, else its storage files."""
+    problem = path_problem(path)
+    if problem:
+        raise RecordingError(f"{one_line(str(path), 100)}: {problem}")
     if not path.exists():
         raise RecordingError(f"{path}: no such bag; give a bag folder, or a .mcap or .db3 file")
     if path.is_file():
@@ -191,6 +333,48 @@ def _files(path: Path) -> list[Path]:
     inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
     hint = f"; did you mean one of the bags in it: {_few(inner)}?" if inner else "; give a bag folder or file"
     raise RecordingError(f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}")
+
+
+def _check_unpacked(path: Path) -> None:
+    """Refuse what would fill the disk or the memory before rosbags unpacks it."""
+    if not path.is_dir():
+        return
+    if (path / "metadata.yaml").exists():
+        text = text_of(path / "metadata.yaml", RecordingError)
+        if "&" in text or len(text) > 50_000:  # a recorder writes no anchors; rosbags would follow them
+            try:
+                yaml_of(text)
+            except ValueError as error:
+                raise RecordingError(f"{path}: not readable as a ROS 2 bag (metadata.yaml: {error})") from error
+    for file in path.glob("*.zstd"):
+        size = 0
+        with suppress(OSError, _zstd.ZstdError, EOFError), _zstd.open(file, "rb") as stream:
+            while size <= MOST_UNPACKED and (data := stream.read(1 << 20)):
+                size += len(data)
+        if size > MOST_UNPACKED:
+            raise RecordingError(f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read")
+
+
+def _unzstd(data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
+    """At most the given number of bytes, and one more."""
+    return bytes(_zstd.ZstdDecompressor().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
+
+
+def _unlz4(data: bytes, size: int) -> bytes:
+    return bytes(LZ4FrameDecompressor().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
+
+
+class _Zstd:
+    """What rosbags uses of zstd for whole files and single messages, with a limit on the latter."""
+
+    open = staticmethod(_zstd.open)
+    decompress = staticmethod(_unzstd)
+    ZstdError = _zstd.ZstdError
+
+
+# rosbags unpacks whatever it is given; a kilobyte of zstd can stand for gigabytes
+storage_mcap.DECOMPRESSORS.update(zstd=_unzstd, lz4=_unlz4)
+rosbag2_reader.zstd = _Zstd
 
 
 # --- topics ----------------------------------------------------------------------------------------------------------
@@ -279,35 +463,33 @@ class _Columns(NamedTuple):
 
 def _joint_state_columns(bag: _Bag, topic: _Topic, quantities: Sequence[str]) -> _Columns:
     """Columns of a JointState topic; the first quantity must be there in every message."""
-    messages = bag.messages(topic)
-    names = tuple(dict.fromkeys(str(name) for _, message in messages for name in message.name))
+    rows = list(bag.rows(topic))
+    names = tuple(dict.fromkeys(str(name) for part in rows for name in part.message.name))
     index = {name: column for column, name in enumerate(names)}
-    values = {quantity: np.full((len(messages), len(names)), np.nan) for quantity in quantities}
+    bag_ns = np.concatenate([part.bag_ns for part in rows])
+    values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}
     orders = set()
-    for row, (_, message) in enumerate(messages):
-        columns = [index[name] for name in message.name]
+    row = 0
+    for part in rows:
+        columns = [index[name] for name in part.message.name]
         if len(set(columns)) != len(columns):
             raise RecordingError(f"{bag.path}: {topic.name} names a joint twice in message {row + 1}")
         orders.add(tuple(columns))
         for quantity in quantities:
-            data = np.asarray(getattr(message, quantity), dtype=np.float64)
-            if len(data) != len(columns) and (len(data) or quantity == quantities[0]):
+            data = part.values[quantity]
+            length = data.shape[1]
+            if length != len(columns) and (length or quantity == quantities[0]):
                 raise RecordingError(
-                    f"{bag.path}: {topic.name} has {len(columns)} names but {len(data)} values of {quantity} in message"
+                    f"{bag.path}: {topic.name} has {len(columns)} names but {length} values of {quantity} in message"
                     f" {row + 1}; every joint needs one"
                 )
-            if len(data):
-                values[quantity][row, columns] = _marked(data)
+            if length:
+                values[quantity][row : row + len(data), columns] = _marked(data)
+        row += len(part.bag_ns)
     notes = []
     if len({frozenset(order) for order in orders}) < len(orders):
         notes.append(f"{topic.name}: the order of the joints changes between messages; they were matched by name.")
-    return _Columns(
-        np.array([time_ns for time_ns, _ in messages], dtype=np.int64),
-        np.array([m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages], dtype=np.int64),
-        names,
-        values,
-        notes,
-    )
+    return _Columns(bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes)
 
 
 def _marked(values: FloatArray) -> FloatArray:
@@ -320,22 +502,28 @@ def _array_columns(bag: _Bag, topic: _Topic, joint_order: Sequence[str], recorde
     A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
     the push.
     """
-    messages = bag.messages(topic)
+    parts = list(bag.rows(topic))
     notes: dict[str, None] = {}
-    rows: list[dict[str, float]] = []
-    for _, message in messages:
-        if not len(message.data):
-            rows.append({})
+    labelled: list[Sequence[str]] = []
+    for part in parts:
+        if not len(part.message.data):
+            labelled.append(())
             continue
-        labels = _labels(bag, topic, message, {*joint_order, *recorded})
+        labels = _labels(bag, topic, part.message, {*joint_order, *recorded})
         if labels is None:
-            labels = _unlabelled(bag, topic, len(message.data), joint_order, recorded)
+            labels = _unlabelled(bag, topic, len(part.message.data), joint_order, recorded)
             if len(labels) < len(joint_order):
                 notes[f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."] = None
-        rows.append(dict(zip(labels, _marked(np.asarray(message.data, dtype=np.float64)), strict=True)))
-    names = tuple(dict.fromkeys(name for row in rows for name in row))
-    current = np.array([[row.get(name, 0.0) for name in names] for row in rows]).reshape(len(rows), len(names))
-    times_ns = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
+        labelled.append(labels)
+    names = tuple(dict.fromkeys(name for labels in labelled for name in labels))
+    times_ns = np.concatenate([part.bag_ns for part in parts])
+    current = np.zeros((len(times_ns), len(names)))
+    row = 0
+    for part, named in zip(parts, labelled, strict=True):
+        if named:
+            columns = [names.index(label) for label in named]
+            current[row : row + len(part.bag_ns), columns] = _marked(part.values["data"])
+        row += len(part.bag_ns)
     return _Columns(times_ns, np.zeros_like(times_ns), names, {"current": current}, list(notes))
 
 
@@ -539,7 +727,7 @@ def _commands(
     latest = np.diff(times, append=times[-1] + 1) > 0
     if not latest.all():
         notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
-    return InputRecord(times[latest], columns.names, current[latest], topic.name)
+    return InputRecord(times[latest], columns.names, current[latest], printable(topic.name))
 
 
 def _effort_and_current(
@@ -696,7 +884,7 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
         RecordingError: It is no bag, or cannot be opened.
     """
     with _open(Path(path)) as bag:
-        topics = tuple((topic.name, topic.msgtype, topic.size) for topic in bag.topics)
+        topics = tuple((one_line(topic.name), one_line(topic.msgtype), topic.size) for topic in bag.topics)
         try:
             state = _state_topic(bag, state_topic, command_topic)
         except RecordingError as error:
@@ -704,8 +892,9 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
         try:
             inputs = _input_topic(bag, command_topic, state)
         except RecordingError as error:
-            return Contents(topics, state.name, None, str(error))
-    return Contents(topics, state.name, None if inputs is None or inputs == state else inputs.name)
+            return Contents(topics, one_line(state.name), None, str(error))
+    chosen = None if inputs is None or inputs == state else one_line(inputs.name)
+    return Contents(topics, one_line(state.name), chosen)
 
 
 def read_points(path: str | Path, topic: str) -> PointTrack:
@@ -756,11 +945,13 @@ def _track(stamps: TimeArray, points: FloatArray) -> PointTrack:
 
 def _csv_table(file: Path, form: str) -> tuple[list[str], list[list[str]]]:
     """Header and rows of a CSV file, all cells as text."""
+    text = text_of(file, RecordingError, LONGEST_TABLE)
     try:
-        with file.open(newline="", encoding="utf-8") as stream:
-            header, *rows = [row for row in csv.reader(stream) if row]
-    except (OSError, ValueError, csv.Error) as error:
+        header, *rows = [row for row in csv.reader(text.splitlines()) if row]
+    except (ValueError, csv.Error) as error:
         raise RecordingError(f"{file}: not a table of numbers under the header {form} ({error})") from error
+    if len(rows) > MOST_ROWS:
+        raise RecordingError(f"{file}: has {len(rows)} rows, and {MOST_ROWS} are the most that are read: cut it")
     return [cell.strip() for cell in header], rows
 
 
@@ -924,7 +1115,7 @@ class TextRecording:
 
 def is_text_recording(path: str | Path) -> bool:
     """Whether a path is a folder with trajectory.csv and setting.json."""
-    return all((Path(path) / name).is_file() for name in ("trajectory.csv", "setting.json"))
+    return not path_problem(path) and all((Path(path) / name).is_file() for name in ("trajectory.csv", "setting.json"))
 
 
 def read_text_recording(path: str | Path) -> TextRecording:
@@ -963,20 +1154,29 @@ def read_text_recording(path: str | Path) -> TextRecording:
     return TextRecording(path.resolve().name, joint, table[:, 0], table[:, 1], setting)
 
 
-_SETTING_NUMBERS = ("torque_N_m", "true_mass_kg", "armature_kg_m2", "gravity_m_s2")
+_SETTING_NUMBERS = {
+    "torque_N_m": Number("that drives the joint", "N m", -1e3, 1e3),
+    "true_mass_kg": Number("of the object", "kg", 0.0, 1e3),
+    "armature_kg_m2": Number("of the joint", "kg m^2", 0.0, 100.0),
+    "gravity_m_s2": Number("downwards", "m/s^2", -100.0, 100.0),
+}
+_POSITION = Number("of a joint", "rad", -IMPLAUSIBLE_POSITION, IMPLAUSIBLE_POSITION)
 
 
 def _setting(file: Path) -> dict[str, Any]:
+    text = text_of(file, RecordingError)
     try:
-        setting = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        setting = json_of(text)
+    except ValueError as error:
         raise RecordingError(f"{file}: not readable as JSON ({error})") from error
     needed = ("moving_joint", "torque_N_m", "start_pose_rad")
     missing = [key for key in needed if not isinstance(setting, dict) or key not in setting]
     if missing:
         raise RecordingError(f"{file}: {', '.join(missing)} missing; it must be an object with {', '.join(needed)}")
-    if not isinstance(setting["moving_joint"], str):
-        raise RecordingError(f"{file}: moving_joint must be a name, got {setting['moving_joint']!r}")
+    try:
+        Text(what="text").read(setting["moving_joint"])
+    except FormError as error:
+        raise RecordingError(f"{file}: moving_joint must be a name: {error}") from error
     pose = setting["start_pose_rad"]
     numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
     if not isinstance(pose, dict) or setting["moving_joint"] not in pose:
@@ -985,6 +1185,10 @@ def _setting(file: Path) -> dict[str, Any]:
         )
     numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
     for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise RecordingError(f"{file}: {key} must be a number, got {value!r}")
+        if finite(value) is None:
+            raise RecordingError(f"{file}: {key} must be a number, got {shortly(value)}")
+        try:
+            _SETTING_NUMBERS.get(key, _POSITION).read(value)
+        except FormError as error:
+            raise RecordingError(f"{file}: {key}: {error}") from error
     return dict(setting)

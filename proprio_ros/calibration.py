@@ -10,7 +10,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       residual_scale: 1.02               # residuals over what encoder and stamps explain
       stamp_jitter_s: 0.0003             # standard deviation of the stamps, as the runs show it
       torque_disturbance_N_m: 0.0004     # what differs from run to run
-      start_velocity_rad_s: 0.003        # how still the held joint is when its probe begins
+      start_velocity_rad_s: 0.003        # how still the held joint is when its probe begins; all numbers have ranges, see `RANGES`
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
       correlation: |                     # lower triangle, a line per unknown in the order above
@@ -20,19 +20,59 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from proprio_ros.errors import RobotError
+from proprio_ros.errors import RobotError, one_line
+from proprio_ros.forms import Form, FormError, Number, Text, Whole, shortly
 from proprio_ros.kinds import KINDS, Key, key_of, name_of
 from proprio_ros.quantity import Quantity
 
 FloatArray = NDArray[np.float64]
+RANGES: dict[str, Number] = {
+    "torque_constant": Number("at the output shaft", "N m/A", 0.0, 1e3, open=True),
+    "coulomb": Number("dry friction", "N m", 0.0, 1e3),
+    "viscous": Number("viscous friction", "N m s/rad", 0.0, 1e3),
+    "load_friction": Number("part of the motor's torque that the gears lose", "", 0.0, 1.0),
+    "armature": Number("rotor and gears, seen at the output", "kg m^2", 0.0, 100.0),
+    "stribeck": Number("by how much of itself dry friction is greater at rest", "", 0.0, 10.0),
+    "stribeck_velocity": Number("speed at which 1/e of that is left", "rad/s", 0.0, 100.0, open=True),
+    "zero": Number("true position minus reading", "rad", -7.0, 7.0),
+    "ripple_cos": Number("encoder error", "rad", -0.2, 0.2),
+    "ripple_sin": Number("encoder error", "rad", -0.2, 0.2),
+    "link_mass": Number("beyond the URDF's, relative", "", -0.9, 5.0),
+    "link_com_x": Number("beyond the URDF's", "m", -0.5, 0.5),
+    "link_com_y": Number("beyond the URDF's", "m", -0.5, 0.5),
+    "link_com_z": Number("beyond the URDF's", "m", -0.5, 0.5),
+    "link_inertia": Number("beyond the URDF's, relative", "", -0.9, 10.0),
+    "arm_scale": Number("all masses of the URDF times this", "", 0.5, 2.0),
+    "delay": Number("from the command's stamp to torque, less that of the position", "s", -0.1, 0.1),
+}
+"""What a calibration may say of each kind of unknown; further off is no arm, but a slip of the hand or of a unit."""
+NOISE: dict[str, Number] = {
+    "residual_scale": Number("residuals over what encoder and stamps explain", "", 0.01, 10.0),
+    "stamp_jitter_s": Number("standard deviation of the stamps", "s", 0.0, 0.1),
+    "torque_disturbance_N_m": Number("torque that differs from run to run", "N m", 0.0, 100.0),
+    "start_velocity_rad_s": Number("of a held joint when its probe begins", "rad/s", 0.0, 10.0, open=True),
+}
+_RUN: dict[str, Form] = {
+    "name": Text(longest=9000),
+    "joint": Text(),
+    "current_A": Number(unit="A", lowest=-1e3, highest=1e3),
+    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
+    "samples": Whole(lowest=0, highest=10**9),
+}
+TERMS = (
+    "torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity",
+)  # fmt: skip
+"""Kinds of unknowns that a drive train has."""
+_LEAST_STD = 1e-10  # of any unknown, in its unit: below it, a covariance loses its digits
+_FARTHEST = 5.0  # times the nominal torque constant, or that part of it
+_MOST_STDS = 10.0
 _SMALLEST_EIGENVALUE = 1e-12  # of a correlation matrix: below it, rounding has made it no covariance
 
 
@@ -118,19 +158,29 @@ class Calibration:
             RobotError: A key is missing, a number is none, or the correlations belong to no covariance.
         """
         if not isinstance(section, Mapping):
-            raise RobotError(f"{where}: expected keys and values, got {section!r}; write it with `proprio calibrate`")
+            raise RobotError(
+                f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
+            )
         unknowns = _part(section, "unknowns", Mapping, where)
         correlation = [line.split() for line in _part(section, "correlation", str, where).splitlines()]
         runs = _part(section, "runs", list, where)
-        keys = tuple(key_of(str(name)) for name in unknowns)
-        values, stds = [], []
+        for number, run in enumerate(runs, 1):
+            if not isinstance(run, Mapping) or set(run) != set(_RUN):
+                raise RobotError(f"{where}: runs: {number}: expected {', '.join(_RUN)}, got {shortly(run)}")
+            for name, form in _RUN.items():
+                _read(run[name], form, f"{where}: runs: {number}: {name}")
+        keys, values, stds = [], [], []
         for name, entry in unknowns.items():
+            at = f"{where}: unknowns: {one_line(str(name), 80)}"
             if not isinstance(entry, Mapping):
-                raise RobotError(f"{where}: unknowns: {name}: expected value, std and unit, got {entry!r}")
-            values.append(_number(entry.get("value"), f"{where}: unknowns: {name}: value"))
-            stds.append(_number(entry.get("std"), f"{where}: unknowns: {name}: std"))
-            if stds[-1] <= 0.0:
-                raise RobotError(f"{where}: unknowns: {name}: std must be positive, got {stds[-1]}")
+                raise RobotError(f"{at}: expected value, std and unit, got {shortly(entry)}")
+            keys.append(_key(name, at))
+            form = RANGES[_kind(keys[-1])]
+            values.append(_read(entry.get("value"), form, f"{at}: value"))
+            spread = Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)
+            stds.append(_read(entry.get("std"), spread, f"{at}: std"))
+            if entry.get("unit", _unit(keys[-1])) != _unit(keys[-1]):
+                raise RobotError(f"{at}: unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
         if not keys or [len(row) for row in correlation] != [n + 1 for n in range(len(keys))]:
             raise RobotError(
                 f"{where}: correlation must be the lower triangle of {len(keys)} unknowns, one row each; calibrate again"
@@ -147,16 +197,80 @@ class Calibration:
         if np.linalg.eigvalsh(matrix)[0] < _SMALLEST_EIGENVALUE:
             raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
         scale = np.array(stds)
+        residual_scale, stamp_jitter_s, torque_disturbance, start_velocity = (
+            _read(section.get(name, default), NOISE[name], f"{where}: {name}")
+            for name, default in zip(NOISE, (1.0, 0.0, 0.0, 0.01), strict=True)
+        )
         return cls(
-            keys,
+            tuple(keys),
             np.array(values),
             matrix * scale[:, None] * scale[None, :],
-            _number(section.get("residual_scale", 1.0), f"{where}: residual_scale"),
-            _number(section.get("stamp_jitter_s", 0.0), f"{where}: stamp_jitter_s"),
-            _number(section.get("torque_disturbance_N_m", 0.0), f"{where}: torque_disturbance_N_m"),
-            _number(section.get("start_velocity_rad_s", 0.01), f"{where}: start_velocity_rad_s"),
+            residual_scale,
+            stamp_jitter_s,
+            torque_disturbance,
+            start_velocity,
             tuple(runs),
         )
+
+
+def check_complete(
+    calibration: Calibration,
+    links: Sequence[str],
+    drive_trains: Mapping[str, Any],
+    spreads: Mapping[str, float],
+    where: str,
+) -> None:
+    """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
+
+    Args:
+        calibration: as the file has it.
+        links: of the robot, by name.
+        drive_trains: of the robot file, by joint; each a ``DriveTrain``.
+        spreads: standard deviations that the robot file gives to what it takes for zero, by kind of unknown.
+        where: for the message.
+
+    Raises:
+        RobotError: an unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a
+            torque constant is far from the motor's nominal one.
+    """
+    there = set(calibration.keys)
+    for key in calibration.keys:
+        of, scope = KINDS[_kind(key)].of, "" if isinstance(key, str) else str(key[1])
+        names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
+        if of and scope not in names:
+            raise RobotError(f"{where}: {name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
+        value, spread = calibration.quantities[key].value, spreads.get(_kind(key), 0.0)
+        if spread > 0.0 and abs(value) > _MOST_STDS * spread:
+            raise RobotError(
+                f"{where}: {name_of(key)}: {value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({spread:g}) "
+                "from zero: calibrate again"
+            )
+    # of a joint that was only held, its zero is known and nothing else
+    for joint in dict.fromkeys(str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"):
+        drive = drive_trains[joint]
+        # a slide has no zero of its own
+        open_terms = [t for t in TERMS if getattr(drive, t).std > 0.0 and (t != "zero" or drive.transmission == 1.0)]
+        lost = [name_of((t, joint)) for t in open_terms if (t, joint) not in there]
+        if lost:
+            raise RobotError(f"{where}: unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`")
+        found = calibration.quantities.get(("torque_constant", joint), drive.torque_constant).value
+        if not 1.0 / _FARTHEST <= found / drive.nominal_torque_constant <= _FARTHEST:
+            raise RobotError(
+                f"{where}: torque_constant[{joint}]: {found:g} N m/A is over {_FARTHEST:g} times or under a fifth of the motor's "
+                f"nominal {drive.nominal_torque_constant:g}: calibrate again"
+            )
+
+
+def _kind(key: Key) -> str:
+    return key if isinstance(key, str) else key[0]
+
+
+def _key(name: Any, where: str) -> Key:
+    """The key of an unknown that a calibration may hold."""
+    kind, _, scope = str(name).partition("[")
+    if kind not in RANGES or bool(KINDS[kind].of) != bool(scope) or (scope and not scope.endswith("]")):
+        raise RobotError(f"{where}: no such unknown; valid are {', '.join(RANGES)}, of joints and links as kind[name]")
+    return key_of(str(name))
 
 
 def _unit(key: Key) -> str:
@@ -170,10 +284,11 @@ def _part(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
     return section[key]
 
 
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(float(value)):
-        raise RobotError(f"{where}: expected a finite number, got {value!r}")
-    return float(value)
+def _read(value: Any, form: Form, where: str) -> Any:
+    try:
+        return form.read(value)
+    except FormError as error:
+        raise RobotError(f"{where}: {error}") from None
 
 
 def _short(value: float, digits: int = 12) -> float:

@@ -16,12 +16,15 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from proprio_ros import __version__, progress, schema
-from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.errors import ConfigurationError, ProprioError, one_line, printable
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.quantity import shown, spec_for
+from proprio_ros.reading import path_problem
 from proprio_ros.settings import parse_settings
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
+LONGEST_WORD = 100_000
+"""Characters of one word of the command line."""
 
 
 def run() -> NoReturn:
@@ -41,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and obey; returns the exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
+        for word in given:
+            if "\0" in word or len(word) > LONGEST_WORD:
+                raise ConfigurationError(f"{one_line(word, 60)}: too long, or it holds a NUL character")
         options = _parser().parse_args(given)
         with progress.listening(_say):
             return int(options.command(options, given))
@@ -50,13 +56,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ProprioError as error:
         print(f"proprio: {error}", file=sys.stderr)
         return _json_error(given, str(error), EXIT_BAD_INPUT)
+    except OSError as error:
+        # whatever the file system refuses; where it can be foreseen, the code above says what to do
+        if isinstance(error, BrokenPipeError):
+            # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
+            sys.stderr.close()
+            return EXIT_OK
+        sentence = one_line(f"{error.filename or 'a file'}: {error.strerror or error}")
+        print(f"proprio: {sentence}", file=sys.stderr)
+        return _json_error(given, sentence, EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         print("proprio: interrupted", file=sys.stderr)
         return _json_error(given, "interrupted", EXIT_INTERRUPTED)
-    except BrokenPipeError:
-        # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
-        sys.stderr.close()
-        return EXIT_OK
 
 
 class _UsageError(SystemExit):
@@ -84,6 +95,7 @@ class _Parser(argparse.ArgumentParser):
         self.register("action", None, _Once)
 
     def error(self, message: str) -> NoReturn:
+        message = one_line(message)
         self.print_usage(sys.stderr)
         print(f"{self.prog}: error: {message}", file=sys.stderr)
         raise _UsageError(message)
@@ -278,6 +290,9 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
 
 def _refuse_unwritable(report: str | None) -> None:
     """Before the work, and before anything is printed."""
+    problem = path_problem(report or ".")
+    if problem:
+        raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
     folder = Path(report or ".").resolve().parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
         raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")
@@ -315,12 +330,12 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     if options.json:
         print(json.dumps(estimate.as_json(), indent=1))
     else:
-        print(_as_text(estimate))
+        _print(_as_text(estimate))
     if options.report:
         from proprio_ros.replay import write_report
 
         write_report(estimate, Path(options.report), command=shlex.join(["proprio", *given]), sources=options.bags)
-        print(f"proprio: report written to {options.report}", file=sys.stderr)
+        print(f"proprio: report written to {printable(options.report)}", file=sys.stderr)
     return EXIT_OK if estimate.verdict.value == "accepted" else EXIT_NO_ANSWER
 
 
@@ -361,7 +376,7 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         written = {"output": str(options.output) if accepted else None}
         print(json.dumps({**estimate.as_json(), **written}, indent=1))
     else:
-        print(_calibration_as_text(estimate))
+        _print(_calibration_as_text(estimate))
     if options.report:
         from proprio_ros.report import write_calibration_report
 
@@ -371,9 +386,9 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
             command=shlex.join(["proprio", *given]),
             sources=[*options.bags, *references],
         )
-        print(f"proprio: report written to {options.report}", file=sys.stderr)
+        print(f"proprio: report written to {printable(options.report)}", file=sys.stderr)
     if accepted:
-        print(f"proprio: calibration written to {options.output}", file=sys.stderr)
+        print(f"proprio: calibration written to {printable(options.output)}", file=sys.stderr)
     return EXIT_OK if accepted else EXIT_NO_ANSWER
 
 
@@ -390,7 +405,7 @@ def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
     if options.json:
         print(json.dumps(as_json(robot, checks), indent=1))
     else:
-        print("\n".join(check.as_text() for check in checks))
+        _print("\n".join(check.as_text() for check in checks))
     return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
 
 
@@ -516,6 +531,11 @@ def _say(message: str) -> None:
 def _progress(message: str) -> None:
     if sys.stderr is not None and sys.stderr.isatty():
         print(f"proprio: {message}", file=sys.stderr)
+
+
+def _print(text: str) -> None:
+    """Lines of a result; whatever else moves a cursor is escaped (names in notes and reasons are others')."""
+    print("\n".join(printable(line) for line in text.split("\n")))
 
 
 def _as_text(estimate: Any) -> str:

@@ -10,13 +10,47 @@ Every message is one line that says what is wrong, which choices are valid, and 
     +-- BusError            a serial port or a servo: no port, no answer, another model, a hardware error
     |   +-- PortLostError   the port itself is gone: unplugged, or taken away while open
     +-- ExcitationError     a probe that cannot start, or must not: busy, out of limits, no free way
+
+Messages quote what others wrote: names of folders, topics and joints, whole values of a file. The base class therefore makes every
+message printable and short, whatever it quotes.
 """
 
 from __future__ import annotations
 
+LONGEST_SENTENCE = 290
+"""Characters of a message; with the command's name before it, it stays below 300."""
+
+
+def printable(text: str) -> str:
+    """The text on one line, with an escape for every character that could move a cursor, end a line or not be encoded."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def one_line(text: str, longest: int = LONGEST_SENTENCE) -> str:
+    """A printable text of at most so many characters; what is too much is left out of its middle.
+
+    A sentence begins with where something is wrong and ends with what to do: both are kept.
+    """
+    if len(text) > 4 * longest:  # nothing is gained by escaping a megabyte first
+        text = text[: 2 * longest] + text[-2 * longest :]
+    text = printable(text)
+    if len(text) <= longest:
+        return text
+    head = (longest - 5) * 2 // 3
+    return f"{text[:head]} ... {text[head + 5 - longest :]}"
+
 
 class ProprioError(Exception):
-    """Base of everything this package raises on purpose; the command line prints it and exits with 2."""
+    """Base of everything this package raises on purpose; the command line prints it and exits with 2.
+
+    Args:
+        message: the sentence; it is made one printable line of at most `LONGEST_SENTENCE` characters.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(str(message)))
 
 
 class RobotError(ProprioError, ValueError):

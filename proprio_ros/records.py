@@ -6,6 +6,7 @@ take the same way. Every class checks itself when it is made, so that the code t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, one_line, printable
 
 FloatArray = NDArray[np.float64]
 TimeArray = NDArray[np.int64]
@@ -27,6 +28,9 @@ ZERO_CURRENT_A = 1e-6
 
 LOST_AFTER_PERIODS = 2.5
 """A gap longer than this many median periods means that messages were lost, not that one came late."""
+
+LONGEST_NAME = 255
+"""Characters of a joint's name."""
 
 INSTANT_S = 1e-6
 """Two stamps closer than this are the same instant: cycles are milliseconds apart, and stamps carry rounding [s]."""
@@ -49,9 +53,15 @@ def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDAr
 
 def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
     result = tuple(str(name) for name in names)
-    repeated = sorted({name for name in result if result.count(name) > 1})
+    repeated = [name for name, count in Counter(result).items() if count > 1]
     if repeated:
-        raise RecordingError(f"{what}: joint {repeated[0]!r} is named twice; each joint needs one column")
+        raise RecordingError(f"{what}: joint {min(repeated)!r} is named twice; each joint needs one column")
+    for name in result:
+        # they end up on terminals, in logs and in pages
+        if not name.isprintable() or len(name) > LONGEST_NAME:
+            raise RecordingError(
+                f"{what}: '{one_line(name, 60)}' is no name of a joint: at most {LONGEST_NAME} printable characters"
+            )
     return result
 
 
@@ -69,6 +79,12 @@ def _column(names: tuple[str, ...], name: str) -> int:
     if name not in names:
         raise RecordingError(f"joint {name!r} is not in the recording; recorded: {', '.join(names) or 'none'}")
     return names.index(name)
+
+
+def _show(record: Recording | Run) -> None:
+    """Make what readers will see of it printable: folders and topics are named by others."""
+    object.__setattr__(record, "name", printable(record.name))
+    object.__setattr__(record, "notes", tuple(one_line(note) for note in record.notes))
 
 
 @dataclass(frozen=True)
@@ -178,6 +194,9 @@ class Recording:
     inputs: InputRecord | None
     notes: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        _show(self)
+
 
 @dataclass(frozen=True)
 class PointTrack:
@@ -253,6 +272,7 @@ class Run:
     held_position: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        _show(self)
         for times_name, values_name in (
             ("times_s", "position"),
             ("before_times_s", "before_position"),

@@ -7,11 +7,14 @@ installs no data files at all for an editable package.
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError
@@ -80,9 +83,9 @@ def resource(kind: str, name: str) -> Path:
     """
     folder, suffix = KINDS[kind]
     path = share_directory() / folder / (name.removesuffix(suffix) + suffix)
-    if not path.exists():
+    if len(os.fsencode(name)) > 200 or "\0" in name or not path.exists():
         choices = ", ".join(resource_names(kind)) or "none"
-        raise ConfigurationError(f"no {name!r} among the {kind}; there are: {choices}; or give a path")
+        raise ConfigurationError(f"no {name[:100]!r} among the {kind}; there are: {choices}; or give a path")
     return path
 
 
@@ -94,6 +97,9 @@ def paths_of(paths: str | Path | Sequence[str | Path]) -> list[str | Path]:
 def write_in_one_step(path: Path, text: str, option: str) -> None:
     """Write a text file that is either whole or as it was before.
 
+    A new file gets the mode that the user's umask leaves, a replaced one keeps its own. A link is followed, and what is no file
+    (``/dev/stdout``, a pipe) is written into: nothing but a file is ever replaced.
+
     Args:
         path: of the file.
         text: all of it.
@@ -104,16 +110,48 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
     """
     temporary = None
     try:
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=path.resolve().parent, prefix=f".{path.name}.", delete=False
-        ) as stream:
-            temporary = Path(stream.name)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if path.exists() and not path.is_file():
+            # a pipe that nobody reads is refused, not waited for
+            handle = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+            with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
+                os.set_blocking(handle, True)
+                stream.write(text)
+            return
+        path = Path(os.path.realpath(path))
+        # it has no other name until it is whole; who else may read it is set before anything is in it
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
+        temporary = Path(name)
+        with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
+            os.fchmod(handle, stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask())
             stream.write(text)
-        temporary.chmod(0o644)
         os.replace(temporary, path)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+        reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigurationError(
-            f"{option} {path}: cannot be written ({error.strerror}); name a file in a folder that exists and is writable"
+            f"{option} {path}: cannot be written ({reason}); name a file in a folder that exists and is writable"
         ) from error
+
+
+def _umask() -> int:
+    """The user's umask, without setting it: other threads may be making files."""
+    with suppress(OSError, ValueError, IndexError), open("/proc/self/status", encoding="ascii") as status:
+        return int(next(line for line in status if line.startswith("Umask:")).split()[1], 8)
+    return 0o022
+
+
+def private_folder(path: Path) -> Path:
+    """A folder that only this user can read, made where it is not there, below one that others may write to.
+
+    Raises:
+        OSError: it is a link, or belongs to somebody else, or cannot be made.
+    """
+    path.mkdir(mode=0o700, parents=False, exist_ok=True)
+    there = path.lstat()
+    if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid():
+        raise OSError(errno.EPERM, f"{path} is not a folder of this user")
+    path.chmod(0o700)
+    return path

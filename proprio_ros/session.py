@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import json
 import math
+import os
 import re
 import shlex
 import shutil
@@ -31,7 +32,7 @@ from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.replay import ReplayOptions, configured_robot, held_positions, probe_asked_for, robot_of
-from proprio_ros.resources import write_in_one_step
+from proprio_ros.resources import private_folder, write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
 from proprio_ros.settings import Settings
@@ -113,6 +114,8 @@ class Session:
         for parent in (self.folder.parent, *_elsewhere()):
             folder = parent / self.name
             try:
+                if parent != self.folder.parent:
+                    private_folder(parent)  # these lie where every user may write
                 folder.mkdir(parents=True, exist_ok=True)
                 write_messages(folder / "bag", messages)
             except (OSError, RecordingError) as error:
@@ -194,7 +197,9 @@ def recover(root: Path) -> tuple[list[Path], list[str]]:
 
 
 def _elsewhere() -> list[Path]:
-    return [Path(tempfile.gettempdir()) / "proprio_recordings", Path("/dev/shm/proprio_recordings")]
+    """Folders of this user alone, on the disk and in memory."""
+    name = f"proprio_recordings_{os.getuid()}"
+    return [Path(tempfile.gettempdir()) / name, Path("/dev/shm") / name]
 
 
 def prepare_identification(options: ReplayOptions) -> None:

@@ -6,18 +6,16 @@ command line does so before it knows what is asked for.
 
 from __future__ import annotations
 
-import json
-import math
+import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, one_line
+from proprio_ros.forms import Choice, Form, FormError, Number, Numbers, Perhaps, Whole, shortly
+from proprio_ros.reading import LONGEST_VALUE, json_of, text_of, yaml_of
 from proprio_ros.resources import resource
-
-if TYPE_CHECKING:
-    import numpy as np
 
 _Options = TypeVar("_Options")
 
@@ -33,13 +31,47 @@ def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
         key, separator, text = pair.partition("=")
         if not separator or not key:
             raise ConfigurationError(f"--set {pair}: write KEY=VALUE, e.g. --set payload.size=0.03")
+        if len(text) > LONGEST_VALUE:
+            raise ConfigurationError(f"--set {key}: its value has over {LONGEST_VALUE} characters")
         try:
-            settings[key] = json.loads(text)
-        except ValueError:
+            settings[key] = json_of(text)
+        except ValueError as error:
             if text[:1] in '[{"' or not text:
-                raise ConfigurationError(f"--set {pair}: {text!r} is not JSON, e.g. [0,0,0.01] or 0.03") from None
+                why = error if "nested" in str(error) else "e.g. [0,0,0.01] or 0.03"
+                raise ConfigurationError(f"--set {one_line(pair, 100)}: {shortly(text)} is not JSON, {why}") from None
             settings[key] = text  # a bare word such as cube
     return settings
+
+
+_MASS = Number(unit="kg", lowest=0.0, highest=20.0, open=True)
+SEARCH: dict[str, Form] = {
+    "solver.starts_kg": Numbers("first guesses", _MASS, most=20, example="at least one positive mass in kg"),
+    "solver.starts_Pa": Numbers(
+        "first guesses", Number(unit="Pa", lowest=1.0, highest=1e10), example="at least one positive modulus in Pa"
+    ),
+    "solver.integrator": Choice("semi_implicit: the paper's equation (2)", ("rk4", "semi_implicit")),
+    # a run of a second takes 1e4 steps of the shortest; at the longest, no integrator knows what an arm does
+    "solver.step_s": Number("longest step of the simulation", "s", 1e-4, 0.02),
+    "solver.widest_interval_kg": Number(
+        "half width of the widest 95 % interval that is an answer", "kg", 0.0, 10.0, open=True
+    ),
+    "solver.widest_relative": Number(
+        "half width of the widest 95 % interval that is an answer, over the value", "", 0.0, 10.0, open=True
+    ),
+    "solver.signals": Choice("what runs that a camera saw are fitted to", ("both", "joint", "camera")),
+    "paper.substeps": Whole("Euler steps per 1/60 s frame, 4 to 64 in the paper", "", 1, 1024),
+    "paper.iterations": Whole("length of the cosine schedule", "", 1, 10_000),
+    "paper.extended_iterations": Whole("of the schedule that is allowed to converge", "", 1, 10_000),
+    "paper.learning_rate": Number("Adam's, at the start", "kg", 0.0, 10.0, open=True),
+    "paper.starts_kg": Numbers("first guesses", _MASS, most=20, example="at least one positive mass in kg"),
+    "paper.loss_time_s": Perhaps(
+        "simulated instant that is compared; null: the last sample's", Number(unit="s", lowest=0.0, highest=60.0)
+    ),
+    "paper.loss_sample": Perhaps(
+        "number of the sample it is compared with; null: the last", Whole(lowest=-1e6, highest=1e6)
+    ),
+}
+"""Forms of how a probe searches; what is stated about an object is in the ``facts.py`` of its probe."""
 
 
 class Settings:
@@ -59,13 +91,18 @@ class Settings:
         """Keys that nothing has taken yet."""
         return frozenset(self._left)
 
-    def take(self, key: str, default: Any) -> Any:
-        """The user's value, or the default."""
+    def take(self, key: str, default: Any, form: Form | None = None) -> Any:
+        """The user's value, or the default; as the form reads it, where there is one.
+
+        Raises:
+            ConfigurationError: it is none of that form.
+        """
         self._known.append(key)
+        value = default
         if key in self._left:
             self.taken.add(key)
-            return self._left.pop(key)
-        return default
+            value = self._left.pop(key)
+        return value if form is None else read(key, value, form)
 
     def take_prefix(self, prefix: str) -> dict[str, Any]:
         """All keys under a prefix, without it."""
@@ -77,7 +114,7 @@ class Settings:
         """The options of a solver, a data class, from the keys under a prefix.
 
         Args:
-            kind: the data class; a field whose default is a number takes a number, a tuple positive numbers, a text a text.
+            kind: the data class; `SEARCH` knows the forms of its fields.
             prefix: such as ``solver.``.
             defaults: of the probe's file; a field that it leaves out has the class's own.
 
@@ -89,27 +126,18 @@ class Settings:
             if entry.name == "solver":  # the command line has a flag for it
                 continue
             key = prefix + entry.name
-            value = self.take(key, defaults.get(entry.name, entry.default))
-            if isinstance(entry.default, tuple):
-                value = tuple(numbers(key, value))
-                if not value or min(value) <= 0.0:
-                    what = "modulus in Pa" if key.endswith("_Pa") else "mass in kg"
-                    raise ConfigurationError(f"{key} needs at least one positive {what}")
-            elif not isinstance(entry.default, str) and value is not None:
-                value = number(key, value)
-                if isinstance(entry.default, int) or "int" in str(entry.type):
-                    if value != int(value):
-                        raise ConfigurationError(f"{key}={value} must be a whole number")
-                    value = int(value)
-            values[entry.name] = value
+            values[entry.name] = self.take(key, defaults.get(entry.name, entry.default), SEARCH.get(key))
         return kind(**values)
 
     def refuse_rest(self) -> None:
         """Raises: ConfigurationError: a key that nothing understands."""
         if self._left:
-            raise ConfigurationError(
-                f"--set {', '.join(sorted(self._left))}: unknown; valid keys: {', '.join(sorted(self._known))}"
-            )
+            names = sorted(self._left)
+            # the nearest first, since the list may be longer than a sentence
+            section = names[0].partition(".")[0]
+            close = difflib.get_close_matches(names[0][:100], self._known, n=1)
+            known = sorted(set(self._known), key=lambda key: (key not in close, not key.startswith(f"{section}."), key))
+            raise ConfigurationError(f"--set {one_line(', '.join(names), 60)}: unknown; valid keys: {', '.join(known)}")
 
 
 def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
@@ -122,17 +150,28 @@ def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
     Raises:
         ConfigurationError: it is not readable, or lacks a section.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     path: Path = resource("probes", name)
     try:
-        content = YAML(typ="safe", pure=True).load(path)
-    except (OSError, YAMLError) as error:
-        raise ConfigurationError(f"{path}: not readable as YAML ({str(error).splitlines()[0]})") from error
+        content = yaml_of(text_of(path, ConfigurationError))
+    except ConfigurationError:
+        raise
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: not readable as YAML ({one_line(str(error), 120)})") from error
     if not isinstance(content, dict) or not all(isinstance(content.get(section), dict) for section in sections):
         raise ConfigurationError(f"{path}: needs the sections {', '.join(sorted(sections))}")
     return content
+
+
+def read(key: str, value: Any, form: Form) -> Any:
+    """A value as its form reads it.
+
+    Raises:
+        ConfigurationError: it is none of that form.
+    """
+    try:
+        return form.read(value)
+    except FormError as error:
+        raise ConfigurationError(f"{key}: {error}") from None
 
 
 def number(key: str, value: Any) -> float:
@@ -141,54 +180,5 @@ def number(key: str, value: Any) -> float:
     Raises:
         ConfigurationError: it is none.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigurationError(f"{key}={value!r} must be a number")
-    return float(value)
-
-
-def not_negative(key: str, value: Any) -> float:
-    """A finite number of at least 0.
-
-    Raises:
-        ConfigurationError: it is none.
-    """
-    checked = number(key, value)
-    if checked < 0.0:
-        raise ConfigurationError(f"{key}={value!r} must not be negative")
+    checked: float = read(key, value, Number())
     return checked
-
-
-def yes_or_no(key: str, value: Any) -> bool:
-    """A truth value.
-
-    Raises:
-        ConfigurationError: it is none.
-    """
-    if not isinstance(value, bool):
-        raise ConfigurationError(f"{key}={value!r} must be true or false")
-    return value
-
-
-def numbers(key: str, value: Any) -> list[float]:
-    """A list of finite numbers.
-
-    Raises:
-        ConfigurationError: it is none.
-    """
-    if not isinstance(value, (list, tuple)):
-        raise ConfigurationError(f"{key}={value!r} must be a list of numbers")
-    return [number(key, entry) for entry in value]
-
-
-def vector(key: str, value: Any) -> np.ndarray:
-    """Three finite numbers, shape (3,) [m].
-
-    Raises:
-        ConfigurationError: they are none.
-    """
-    import numpy as np
-
-    checked = numbers(key, value)
-    if len(checked) != 3:
-        raise ConfigurationError(f"{key}={value!r} must be [x, y, z] in m")
-    return np.array(checked)

@@ -16,26 +16,31 @@ ROOMS: dict[str, set[str]] = {
     "threads": set(),
     # what takes long says so to whoever listens
     "progress": set(),
+    # what a user hands in: parsed with limits, and read by stated types, units and ranges
+    "reading": {"errors"},
+    "forms": {"reading"},
     "records": {"errors"},
     "resources": {"errors"},
     "quantity": {"errors"},
     # the unknowns that fits may have, with their units and what to call them
     "kinds": set(),
-    "calibration": {"errors", "quantity", "kinds"},
-    "robot": {"errors", "resources", "quantity", "calibration", "kinds"},
-    "settings": {"errors", "resources"},
+    "calibration": {"errors", "quantity", "kinds", "forms"},
+    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading"},
+    "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
-    "bags": {"errors", "records"},
+    "bags": {"errors", "records", "forms", "reading"},
     "runs": {"errors", "records"},
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
-    "sim": {"errors", "progress", "records", "robot"},
+    "sim": {"errors", "progress", "records", "robot", "reading"},
     "identification": {"errors", "schema", "records", "motions", "quantity", "kinds", "robot", "calibration", "sim"},
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room below
     "probes": {
         "errors",
+        "forms",
+        "reading",
         "records",
         "motions",
         "quantity",
@@ -124,6 +129,7 @@ ROOMS: dict[str, set[str]] = {
     "cli": {
         "errors",
         "progress",
+        "reading",
         "quantity",
         "schema",
         "settings",
@@ -139,7 +145,7 @@ ROOMS: dict[str, set[str]] = {
     "bus": {"errors", "records", "robot", "realtime"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
-    "excitation": {"errors", "records", "resources", "robot"},
+    "excitation": {"errors", "reading", "records", "resources", "robot"},
     "nodes": {
         "errors",
         "progress",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +21,21 @@ from proprio_ros.replay import ReplayOptions, replay, robot_of
 from proprio_ros.resources import resource
 from proprio_ros.robot import load_robot
 
-NAMES = ("torque_constant[joint3]", "coulomb[joint3]", "armature[joint3]", "arm_scale", "delay", "link_mass[link5]")
+NAMES = (
+    "torque_constant[joint3]", "coulomb[joint3]", "armature[joint3]", "arm_scale", "delay", "link_mass[link5]",
+    "viscous[joint3]", "load_friction[joint3]", "zero[joint3]", "stribeck[joint3]", "stribeck_velocity[joint3]",
+)  # fmt: skip
 
 
 def small() -> Calibration:
-    """Six unknowns of very different size, all correlated."""
-    factor = np.eye(6) + 0.4 * np.random.default_rng(5).normal(size=(6, 6))
-    stds = np.array([0.02, 0.003, 0.0008, 0.015, 0.0011, 0.009])
+    """Eleven unknowns of very different size, all correlated."""
+    factor = np.eye(11) + 0.4 * np.random.default_rng(5).normal(size=(11, 11))
+    stds = np.array([0.02, 0.003, 0.0008, 0.015, 0.0011, 0.009, 0.002, 0.003, 0.004, 0.1, 0.05])
     correlation = factor @ factor.T
     correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
     return Calibration(
         tuple(key_of(name) for name in NAMES),
-        np.array([1.7123456789, 0.041, 0.0143, 1.013, 0.0087, -0.004]),
+        np.array([1.7123456789, 0.041, 0.0143, 1.013, 0.0087, -0.004, 0.008, 0.02, 0.006, 0.0, 0.12]),
         correlation * np.outer(stds, stds),
         1.07,
         2.6e-4,
@@ -78,7 +82,7 @@ def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> No
     assert drive.torque_constant.value == pytest.approx(1.7123456789) and drive.torque_constant.std == pytest.approx(
         0.02
     )
-    assert drive.coulomb.value == pytest.approx(0.041) and drive.viscous == base.drive_trains["joint3"].viscous
+    assert drive.coulomb.value == pytest.approx(0.041) and drive.viscous.value == pytest.approx(0.008)
     assert robot.drive_trains["joint2"] == base.drive_trains["joint2"]
     assert robot.arm_scale.value == pytest.approx(1.013) and robot.delay.std == pytest.approx(0.0011)
     assert robot.residual_scale == 1.07 and robot.stamp_jitter_s == 2.6e-4 and robot.torque_disturbance == 1.1e-3
@@ -110,6 +114,28 @@ def test_what_the_user_states_replaces_one_number_and_keeps_the_others_correlati
     assert load_robot(written).with_overrides({"delay_s": 0.003}).delay.value == 0.003
 
 
+def of(name: str, **entries):
+    """A change of one unknown."""
+    return lambda content: content["calibration"]["unknowns"][name].update(entries)
+
+
+def renamed(name: str, other: str):
+    """A change of the name of one unknown, whose place stays."""
+
+    def change(content) -> None:
+        unknowns = content["calibration"]["unknowns"]
+        content["calibration"]["unknowns"] = {other if key == name else key: entry for key, entry in unknowns.items()}
+
+    return change
+
+
+def triangle(below: str = "0", diagonal: str = "1") -> str:
+    """Correlations of independent unknowns, with one changed."""
+    rows = [["0"] * row + ["1"] for row in range(len(NAMES))]
+    rows[1][0], rows[0][0] = below, diagonal
+    return "".join(" ".join(row) + "\n" for row in rows)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -118,19 +144,42 @@ def test_what_the_user_states_replaces_one_number_and_keeps_the_others_correlati
         (lambda c: c["calibration"]["unknowns"]["arm_scale"].pop("std"), "arm_scale: std"),
         (lambda c: c["calibration"]["unknowns"]["arm_scale"].update(std=-1.0), "must be positive"),
         (lambda c: c["calibration"]["unknowns"]["arm_scale"].update(value=float("nan")), "expected a finite number"),
-        (lambda c: c["calibration"]["unknowns"].pop("arm_scale"), "lower triangle of 5 unknowns"),
-        (lambda c: c["calibration"].update(correlation="1\nx 1\n1 1 1\n1 1 1 1\n1 1 1 1 1\n1 1 1 1 1 1\n"), "line 2"),
-        (
-            lambda c: c["calibration"].update(correlation="2\n0 1\n0 0 1\n0 0 0 1\n0 0 0 0 1\n0 0 0 0 0 1\n"),
-            "ones on its",
-        ),
-        (
-            lambda c: c["calibration"].update(correlation="1\n1 1\n0 0 1\n0 0 0 1\n0 0 0 0 1\n0 0 0 0 0 1\n"),
-            "not one of any",
-        ),
+        (lambda c: c["calibration"]["unknowns"].pop("arm_scale"), "lower triangle of 10 unknowns"),
+        (lambda c: c["calibration"].update(correlation=triangle(below="x")), "line 2"),
+        (lambda c: c["calibration"].update(correlation=triangle(diagonal="2")), "ones on its"),
+        (lambda c: c["calibration"].update(correlation=triangle(below="1")), "not one of any"),
         (lambda c: c.update(calibration=[1, 2]), "expected keys and values"),
         (lambda c: c.update(model_fingerprint="0" * 64), "made with another URDF"),
         (lambda c: c["calibration"].update(residual_scale="much"), "residual_scale"),
+        (lambda c: c["calibration"].update(residual_scale=1e300), r"residual_scale: must be from 0.01 to 10"),
+        (lambda c: c["calibration"].update(residual_scale=10**400), "residual_scale: expected a"),
+        (lambda c: c["calibration"].update(residual_scale=0), "residual_scale: must be positive"),
+        (lambda c: c["calibration"].update(stamp_jitter_s=-1e-4), "stamp_jitter_s: must not be negative"),
+        (lambda c: c["calibration"].update(start_velocity_rad_s=1e9), "start_velocity_rad_s"),
+        (lambda c: c["calibration"].update(torque_disturbance_N_m=None), "torque_disturbance_N_m: expected a number"),
+        (of("arm_scale", value=0), r"arm_scale: value: must be positive"),
+        (of("arm_scale", value=20), r"arm_scale: value: must be from 0.5 to 2"),
+        (of("coulomb[joint3]", value=-0.04), r"coulomb\[joint3\]: value: must not be negative"),
+        (of("torque_constant[joint3]", value=-1.7), r"torque_constant\[joint3\]: value: must be positive"),
+        (of("torque_constant[joint3]", value=17.0), "over 5 times"),
+        (of("torque_constant[joint3]", std=1e-300), r"std: must be from"),
+        (of("link_mass[link5]", value=-0.41), "over 10 of the robot file's standard deviations"),
+        (of("delay", value=9.0), "delay: value: must be from -0.1 to 0.1 s"),
+        (of("zero[joint3]", unit="deg"), "unit must be 'rad'"),
+        (renamed("coulomb[joint3]", "colomb[joint3]"), "no such unknown"),
+        (renamed("coulomb[joint3]", "coulomb"), "no such unknown"),
+        (renamed("arm_scale", "arm_scale[joint3]"), "no such unknown"),
+        (renamed("arm_scale", "payload_mass"), "no such unknown"),
+        (renamed("coulomb[joint3]", "coulomb[elbow]"), "the robot has no such joint"),
+        (renamed("link_mass[link5]", "link_mass[link9]"), "the robot has no such link"),
+        (renamed("coulomb[joint3]", "coulomb[joint2]"), r"coulomb\[joint3\] missing"),
+        (lambda c: c.pop("model_fingerprint"), "model_fingerprint is missing"),
+        (lambda c: c["calibration"]["runs"].append("a bag"), "runs: 2: expected name, joint"),
+        (lambda c: c["calibration"]["runs"][0].update(samples="many"), "runs: 1: samples: expected a whole number"),
+        (
+            lambda c: c.update(friction_velocity_rad_s=12),
+            "friction_velocity_rad_s: must be above 0 and at most 0.01 rad/s",
+        ),
     ],
 )
 def test_a_broken_file_is_refused_in_one_line(written: Path, change, words: str) -> None:
@@ -148,6 +197,19 @@ def test_a_calibration_of_joints_that_the_robot_does_not_drive(written: Path) ->
 
     with pytest.raises(RobotError, match="is of elbow, but open_manipulator_x drives"):
         load_robot(edited(written, foreign))
+
+
+def test_fingers_have_no_zero_and_held_joints_nothing_else(tmp_path: Path) -> None:
+    """What `proprio calibrate` leaves out is not missed."""
+    names = {"joint3": "gripper_left_joint", "link5": "link5"}
+    whole = small().without({("zero", "joint3")})
+    keys = tuple(key if isinstance(key, str) else (key[0], names[str(key[1])]) for key in whole.keys)
+    path = tmp_path / "fingers.yaml"
+    write_calibration(path, load_robot("open_manipulator_x"), replace(whole, keys=keys))
+    assert load_robot(path).calibration.joints == ("gripper_left_joint",)
+    held = small().without({key for key in small().keys if key[0] != "zero"})
+    write_calibration(path, load_robot("open_manipulator_x"), held)
+    assert load_robot(path).calibration.names == ("zero[joint3]",)
 
 
 def test_another_urdf_is_refused(tmp_path: Path) -> None:

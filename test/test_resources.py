@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.resources import resource, resource_names, share_directory
+from proprio_ros.resources import private_folder, resource, resource_names, share_directory, write_in_one_step
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -48,3 +49,55 @@ def test_resources_of_an_installation(tmp_path: Path, installed: str) -> None:
         check=True,
     )
     assert Path(answer.stdout.strip()) == share / "open_manipulator_x.yaml"
+
+
+# --- files of the user -----------------------------------------------------------------------------------------------
+
+
+def mode_of(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_a_new_file_has_the_mode_that_the_umask_leaves(tmp_path: Path, umask: int, mode: int) -> None:
+    before = os.umask(umask)
+    try:
+        write_in_one_step(tmp_path / "page.html", "text", "--report")
+    finally:
+        os.umask(before)
+    assert mode_of(tmp_path / "page.html") == mode and os.listdir(tmp_path) == ["page.html"]
+
+
+def test_a_replaced_file_keeps_its_mode_and_a_link_its_place(tmp_path: Path) -> None:
+    page, link = tmp_path / "page.html", tmp_path / "link.html"
+    page.write_text("old")
+    page.chmod(0o640)
+    link.symlink_to(page)
+    write_in_one_step(link, "new", "--report")
+    assert link.is_symlink() and page.read_text() == "new" and mode_of(page) == 0o640
+
+
+def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
+    """A pipe is written into, a folder refused; a rename would have put a file in the place of either."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        write_in_one_step(pipe, "nobody reads", "--report")
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_in_one_step(pipe, "some text", "--report")
+    assert os.read(reader, 100) == b"some text" and stat.S_ISFIFO(pipe.stat().st_mode)
+    os.close(reader)
+    with pytest.raises(ConfigurationError, match="directory"):
+        write_in_one_step(tmp_path, "text", "--report")
+
+
+def test_a_private_folder_is_no_link_and_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_to_all = tmp_path / "there"
+    open_to_all.mkdir(mode=0o777)
+    assert mode_of(private_folder(open_to_all)) == 0o700 and mode_of(private_folder(tmp_path / "new")) == 0o700
+    (tmp_path / "link").symlink_to(open_to_all)
+    with pytest.raises(OSError, match="not a folder of this user"):
+        private_folder(tmp_path / "link")
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    with pytest.raises(OSError, match="not a folder of this user"):
+        private_folder(open_to_all)

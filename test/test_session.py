@@ -339,7 +339,9 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "held.joint1",
     }
     check_settings(ReplayOptions(settings=stated))
-    with pytest.raises(ConfigurationError, match=r"sphere\.radios: unknown.*payload\.com.*sphere\.radius"):
+    with pytest.raises(
+        ConfigurationError, match=r"sphere\.radios: unknown; valid keys: sphere\.radius.*block\.contact"
+    ):
         check_settings(ReplayOptions(settings={**stated, "sphere.radios": 0.01}))
     with pytest.raises(ConfigurationError, match="does not fit"):
         check_settings(ReplayOptions(settings={"sphere.radius": 0.03}))

@@ -12,10 +12,8 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, one_line
+from proprio_ros.reading import finite, text_of, yaml_of
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance
@@ -281,10 +279,11 @@ def _all(robot: Robot) -> tuple[str, ...]:
 
 def _content(path: Path) -> Mapping[str, Any]:
     try:
-        content = YAML(typ="safe", pure=True).load(path)
-    except (OSError, YAMLError, UnicodeDecodeError) as error:
-        what = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-        raise ConfigurationError(f"{path}: not readable as YAML ({what})") from error
+        content = yaml_of(text_of(path, ConfigurationError))
+    except ConfigurationError:
+        raise
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: not readable as YAML ({error})") from error
     if not isinstance(content, Mapping):
         raise ConfigurationError(f"{path}: holds no sections; a probe file starts with 'excitation:'")
     return content
@@ -349,9 +348,10 @@ def _known(section: Any, kind: type, where: str, leave_out: tuple[str, ...] = ()
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigurationError(f"{where}: expected a number, got {value!r}")
-    return float(value)
+    number = finite(value)
+    if number is None:
+        raise ConfigurationError(f"{where}: expected a number, got {one_line(repr(value), 60)}")
+    return number
 
 
 def _pose(value: Any, where: str) -> dict[str, float]:

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import copy
 import difflib
-import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
-from proprio_ros.calibration import Calibration
-from proprio_ros.errors import RobotError
+from proprio_ros.calibration import NOISE, RANGES, TERMS, Calibration, check_complete
+from proprio_ros.errors import RobotError, one_line
+from proprio_ros.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
+from proprio_ros.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
 from proprio_ros.robot.geometry import FloatArray, frozen
@@ -125,7 +123,7 @@ class Robot:
         known = calibration.quantities
         drives = {}
         for joint, drive in self.drive_trains.items():
-            terms: dict[str, Any] = {term: known.get((term, joint), getattr(drive, term)) for term in _CALIBRATED_TERMS}
+            terms: dict[str, Any] = {term: known.get((term, joint), getattr(drive, term)) for term in TERMS}
             drives[joint] = replace(drive, **terms)
         return replace(
             self,
@@ -145,60 +143,34 @@ _REQUIRED = object()
 
 @dataclass(frozen=True)
 class _Field:
-    """One key of the file: how to read it, and what holds when it is absent."""
+    """One key of the file: its form, and what holds when it is absent."""
 
-    read: Callable[[Any, str], Any]
+    form: Form
     default: Any = _REQUIRED
 
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not value:
-        raise RobotError(f"{where}: expected a text, got {value!r}")
-    return value
-
-
-def _truth(value: Any, where: str) -> bool:
-    if not isinstance(value, bool):
-        raise RobotError(f"{where}: expected true or false, got {value!r}")
-    return value
+    def read(self, value: Any, where: str) -> Any:
+        if isinstance(self.form, _Nested):
+            return self.form.nested(value, where)
+        try:
+            return self.form.read(value)
+        except FormError as error:
+            raise RobotError(f"{where}: {error}") from None
 
 
-def _real(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise RobotError(f"{where}: expected a number, got {value!r}")
-    if not math.isfinite(value):
-        raise RobotError(f"{where}: expected a finite number, got {value}")
-    return float(value)
+@dataclass(frozen=True)
+class _Nested(Form):
+    """Keys and values, whose messages say where in the file they stand."""
 
+    nested: Callable[[Any, str], Any] = field(kw_only=True)
+    of: Form | None = None
 
-def _positive(value: Any, where: str) -> float:
-    number = _real(value, where)
-    if number <= 0.0:
-        raise RobotError(f"{where}: must be positive, got {number}")
-    return number
-
-
-def _not_negative(value: Any, where: str) -> float:
-    number = _real(value, where)
-    if number < 0.0:
-        raise RobotError(f"{where}: must not be negative, got {number}")
-    return number
-
-
-def _bus_id(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 252:
-        raise RobotError(f"{where}: expected a whole number from 0 to 252, got {value!r}")
-    return value
-
-
-def _vector3(value: Any, where: str) -> FloatArray:
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
-        raise RobotError(f"{where}: expected three numbers [x, y, z], got {value!r}")
-    return frozen([_real(component, where) for component in value])
+    def described(self) -> str:
+        return "keys and values" if self.of is None else f"{self.of.described()}, or its value and std"
 
 
 def _finger_travel(value: Any, where: str) -> FingerTravel:
-    parts = _section(value, {"at_rad": _Field(_rising), "open_m": _Field(_rising)}, where)
+    rising = _Field(Numbers(least=2, rising=True, example="a list of two or more numbers"))
+    parts = _section(value, {"at_rad": rising, "open_m": rising}, where)
     at_rad, open_m = parts["at_rad"], parts["open_m"]
     if len(at_rad) != len(open_m):
         raise RobotError(f"{where}: {len(at_rad)} angles and {len(open_m)} openings; give one opening for each angle")
@@ -212,77 +184,85 @@ def _finger_travel(value: Any, where: str) -> FingerTravel:
     return travel
 
 
-def _rising(value: Any, where: str) -> tuple[float, ...]:
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:
-        raise RobotError(f"{where}: expected a list of two or more numbers, got {value!r}")
-    numbers = tuple(_real(entry, where) for entry in value)
-    if any(after <= before for before, after in itertools.pairwise(numbers)):
-        raise RobotError(f"{where}: expected rising numbers, got {list(numbers)}")
-    return numbers
+def _quantity(form: Number) -> _Nested:
+    """A number that is known exactly, or its value and standard deviation."""
 
-
-def _quantity(read: Callable[[Any, str], float]) -> Callable[[Any, str], Quantity]:
     def quantity(value: Any, where: str) -> Quantity:
         if not isinstance(value, Mapping):
-            return Quantity(read(value, where), 0.0)
-        parts = _section(value, {"value": _Field(read), "std": _Field(_not_negative, 0.0)}, where)
+            return Quantity(_Field(form).read(value, where), 0.0)
+        std = Number(unit=form.unit, lowest=0.0, highest=form.highest)
+        parts = _section(value, {"value": _Field(form), "std": _Field(std, 0.0)}, where)
         return Quantity(parts["value"], parts["std"])
 
-    return quantity
+    return _Nested(form.meaning, nested=quantity, of=form)
 
 
 _MOTOR = {
-    "model": _Field(_text, ""),
-    "id": _Field(_bus_id, None),
-    "nominal_torque_constant_N_m_per_A": _Field(_positive),
-    "supply_voltage_V": _Field(_not_negative, 0.0),
-    "back_emf_V_s_per_rad": _Field(_not_negative, 0.0),
-    "resistance_ohm": _Field(_not_negative, 0.0),
-    "current_limit_A": _Field(_positive, math.inf),
-    "encoder_resolution_rad": _Field(_not_negative),
-    "encoder_noise_rad": _Field(_not_negative, 0.0),
-    "encoder_once_per_turn_rad": _Field(_not_negative, 0.0),
+    "model": _Field(Text("name of the model"), ""),
+    "id": _Field(Whole("its number on the bus", "", 0, 252), None),
+    "nominal_torque_constant_N_m_per_A": _Field(
+        Number("what published efforts are made with", "N m/A", 0.0, 1e3, open=True)
+    ),
+    "supply_voltage_V": _Field(Number("0: the supply does not limit the current", "V", 0.0, 1e3), 0.0),
+    "back_emf_V_s_per_rad": _Field(Number("voltage that the motor makes per speed", "V s/rad", 0.0, 1e3), 0.0),
+    "resistance_ohm": _Field(Number("of the winding", "ohm", 0.0, 1e4), 0.0),
+    "current_limit_A": _Field(Number("the driver never commands more", "A", 0.0, 1e3, open=True), math.inf),
+    "encoder_resolution_rad": _Field(Number("one count", "rad", 0.0, 1.0)),
+    "encoder_noise_rad": _Field(Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.0),
+    "encoder_once_per_turn_rad": _Field(
+        Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.0
+    ),
 }
 _DRIVE_TRAIN = {
     # friction has no default: one that was forgotten would be taken as exactly zero and bias every mass
-    "torque_constant_N_m_per_A": _Field(_quantity(_positive)),
-    "coulomb_N_m": _Field(_quantity(_not_negative)),
-    "viscous_N_m_s_per_rad": _Field(_quantity(_not_negative)),
-    "load_friction": _Field(_quantity(_not_negative)),
-    "armature_kg_m2": _Field(_quantity(_not_negative)),
-    "zero_rad": _Field(_quantity(_real), Quantity(0.0)),
-    "stribeck": _Field(_quantity(_not_negative), Quantity(0.0)),
-    "stribeck_velocity_rad_s": _Field(_quantity(_positive), Quantity(0.1)),
+    "torque_constant_N_m_per_A": _Field(_quantity(RANGES["torque_constant"])),
+    "coulomb_N_m": _Field(_quantity(RANGES["coulomb"])),
+    "viscous_N_m_s_per_rad": _Field(_quantity(RANGES["viscous"])),
+    "load_friction": _Field(_quantity(RANGES["load_friction"])),
+    "armature_kg_m2": _Field(_quantity(RANGES["armature"])),
+    "zero_rad": _Field(_quantity(RANGES["zero"]), Quantity(0.0)),
+    "stribeck": _Field(_quantity(RANGES["stribeck"]), Quantity(0.0)),
+    "stribeck_velocity_rad_s": _Field(_quantity(RANGES["stribeck_velocity"]), Quantity(0.1)),
 }
 _JOINT = {
-    "usable_velocity_rad_s": _Field(_positive, math.inf),
-    "transmission_m_per_rad": _Field(_positive, None),
-    "finger_travel": _Field(_finger_travel, None),
+    "usable_velocity_rad_s": _Field(Number("faster samples are left out", "rad/s", 0.0, 1e3, open=True), math.inf),
+    "transmission_m_per_rad": _Field(
+        Number("how far a sliding joint moves per rad of the motor", "m/rad", 0.0, 10.0, open=True), None
+    ),
+    "finger_travel": _Field(
+        _Nested("what gauge blocks said of one finger: at_rad and open_m", nested=_finger_travel), None
+    ),
 }
 _ROBOT = {
-    "name": _Field(_text),
-    "payload_frame": _Field(_text),
-    "gravity": _Field(_vector3, frozen(STANDARD_GRAVITY)),
-    "arm_scale": _Field(_quantity(_positive), Quantity(1.0)),
-    "delay_s": _Field(_quantity(_real), Quantity(0.0)),
-    "stamp_jitter_s": _Field(_not_negative, 0.0),
-    "onset_jitter_s": _Field(_not_negative, 0.0),
-    "torque_disturbance_N_m": _Field(_not_negative, 0.0),
-    "start_velocity_rad_s": _Field(_positive, 0.01),
-    "link_mass_std": _Field(_not_negative, 0.0),
-    "link_com_std_m": _Field(_not_negative, 0.0),
-    "link_inertia_std": _Field(_not_negative, 0.0),
-    "friction_velocity_rad_s": _Field(_positive, 0.001),
-    "calibrated": _Field(_truth, False),
-    "model_fingerprint": _Field(_text, None),
-    "calibration": _Field(Calibration.from_settings, None),
+    "name": _Field(Text("of the robot")),
+    "payload_frame": _Field(Text("link in which objects are held")),
+    "gravity": _Field(
+        Numbers(
+            "in the frame of the root link",
+            Number(unit="m/s^2", lowest=-100.0, highest=100.0),
+            3,
+            example="three numbers [x, y, z]",
+        ),
+        STANDARD_GRAVITY,
+    ),
+    "arm_scale": _Field(_quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0)),
+    "delay_s": _Field(_quantity(RANGES["delay"]), Quantity(0.0)),
+    "stamp_jitter_s": _Field(NOISE["stamp_jitter_s"], 0.0),
+    "onset_jitter_s": _Field(Number("standard deviation of the delay from run to run", "s", 0.0, 0.1), 0.0),
+    "torque_disturbance_N_m": _Field(NOISE["torque_disturbance_N_m"], 0.0),
+    "start_velocity_rad_s": _Field(NOISE["start_velocity_rad_s"], 0.01),
+    "link_mass_std": _Field(Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.0),
+    "link_com_std_m": _Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.0),
+    "link_inertia_std": _Field(Number("relative inertia about it", "", 0.0, 10.0), 0.0),
+    # a tenth of a rad/s would take the place of the friction that it smooths
+    "friction_velocity_rad_s": _Field(
+        Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
+    ),
+    "calibrated": _Field(Truth("whether the numbers come from this very arm"), False),
+    "model_fingerprint": _Field(Text("of the URDF that a calibration was made with"), None),
+    "calibration": _Field(_Nested("what `proprio calibrate` learnt", nested=Calibration.from_settings), None),
 }
 _FILE_ONLY = ("model_fingerprint", "calibration")  # no --set
-
-
-_CALIBRATED_TERMS = (
-    "torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity",
-)  # fmt: skip
 
 
 def _unknown_of(path: tuple[str, ...]) -> Key:
@@ -295,7 +275,7 @@ def _unknown_of(path: tuple[str, ...]) -> Key:
 
 def _as_mapping(value: Any, where: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise RobotError(f"{where}: expected keys and values, got {value!r}")
+        raise RobotError(f"{where}: expected keys and values, got {shortly(value)}")
     return value
 
 
@@ -304,9 +284,9 @@ def _section(value: Any, fields: Mapping[str, _Field], where: str) -> dict[str, 
     given = _as_mapping(value, where)
     for key in given:
         if key not in fields:
-            close = difflib.get_close_matches(str(key), fields, n=1)
+            close = difflib.get_close_matches(str(key)[:100], fields, n=1)
             hint = f"did you mean {close[0]!r}? " if close else ""
-            raise RobotError(f"{where}: unknown key {key!r}; {hint}valid keys: {', '.join(fields)}")
+            raise RobotError(f"{where}: unknown key {shortly(key)}; {hint}valid keys: {', '.join(fields)}")
     result = {}
     for key, entry in fields.items():
         if key in given:
@@ -347,11 +327,11 @@ def nested_settings(model: RobotModel, overrides: Mapping[str, Any]) -> dict[str
 
 
 def _unknown_override(key: str, paths: Mapping[str, tuple[str, ...]], joints: Sequence[str]) -> str:
-    close = difflib.get_close_matches(key, paths, n=1)
+    close = difflib.get_close_matches(key[:100], paths, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
     top = [path for path in paths if not path.startswith("joints.")]
     return (
-        f"unknown robot setting {key!r}; {hint}valid: {', '.join(top)}, "
+        f"unknown robot setting {shortly(key)}; {hint}valid: {', '.join(top)}, "
         f"joints.JOINT.motor.({'|'.join(_MOTOR)}), joints.JOINT.drive_train.({'|'.join(_DRIVE_TRAIN)}), "
         f"joints.JOINT.({'|'.join(_JOINT)}), where JOINT is one of {', '.join(joints)}"
     )
@@ -367,22 +347,27 @@ def _merged(base: Any, addition: Any) -> Any:
     return result
 
 
+_PATH = _Field(Text(longest=LONGEST_PATH))
+
+
 def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     """One YAML file with all that it extends merged in, and the path of its URDF made absolute."""
     if path in below:
         raise RobotError(f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}")
     try:
-        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read ({error.strerror}); {_choices()}") from error
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path}: not YAML ({' '.join(str(error).split())})") from error
+        text = text_of(path, RobotError)
+    except RobotError as error:
+        raise RobotError(f"{error}; {_choices()}") from error
+    try:
+        content = yaml_of(text)
+    except ValueError as error:
+        raise RobotError(f"{path}: not YAML ({error})") from error
     settings = dict(_as_mapping(content, path.name))
     if "urdf" in settings:
-        settings["urdf"] = str(_urdf_path(_text(settings["urdf"], f"{path.name}: urdf"), path))
+        settings["urdf"] = str(_urdf_path(_PATH.read(settings["urdf"], f"{path.name}: urdf"), path))
     if "extends" in settings:
         base = _read_settings(
-            _located(_text(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
+            _located(_PATH.read(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
         )
         if "calibration" in settings:
             base.pop("calibration", None)  # a newer calibration replaces an older one as a whole
@@ -391,7 +376,11 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _urdf_path(text: str, source: Path) -> Path:
-    beside = (source.parent / text).resolve()
+    beside = source.parent / text
+    problem = path_problem(beside)
+    if problem:
+        raise RobotError(f"{source.name}: urdf: {one_line(text, 60)} {problem}")
+    beside = beside.resolve()
     if beside.is_file():
         return beside
     if text.removesuffix(".urdf") in resource_names("urdf"):
@@ -408,11 +397,14 @@ def _choices() -> str:
 def _located(name_or_path: str, folder: Path) -> Path:
     """The YAML file that a name or a path (relative to a folder) means."""
     path = folder / name_or_path
+    problem = path_problem(path) or ("" if path.name.isprintable() else "holds characters that are not printable")
+    if problem:
+        raise RobotError(f"robot {one_line(name_or_path, 60)} {problem}; {_choices()}")
     if path.suffix == ".urdf":
         template = resource("robots", "open_manipulator_x")
         raise RobotError(
-            f"{name_or_path} is a bare URDF, which says nothing of motors: write {path.with_suffix('.yaml')} "
-            f"with 'urdf: {path.name}', payload_frame and joints, starting from {template}"
+            f"{name_or_path} is a bare URDF, which says nothing of motors: write "
+            f"{path.with_suffix('.yaml').name} with 'urdf: {path.name}', payload_frame and joints, starting from {template}"
         )
     if path.suffix in (".yaml", ".yml"):
         if not path.is_file():
@@ -429,7 +421,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
     given = _section(
         {key: value for key, value in settings.items() if key not in ("urdf", "joints")},
         # listed for the message about unknown keys; read below
-        _ROBOT | {key: _Field(_text, None) for key in ("urdf", "joints", "extends")},
+        _ROBOT | {key: _Field(Text(longest=LONGEST_PATH), None) for key in ("urdf", "joints", "extends")},
         file,
     )
     if model is None:
@@ -437,6 +429,11 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
             raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
         model = RobotModel.from_urdf(settings["urdf"])
     expected = given["model_fingerprint"]
+    if expected is None and given["calibration"] is not None:
+        raise RobotError(
+            f"{file}: model_fingerprint is missing: which URDF the calibration was made with cannot be checked; write it again "
+            "with `proprio calibrate`"
+        )
     if expected is not None and expected != model.fingerprint():
         raise RobotError(
             f"{file}: was made with another URDF than {settings.get('urdf')} (model_fingerprint {expected[:12]}.., "
@@ -475,17 +472,23 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         link_inertia_std=given["link_inertia_std"],
         friction_velocity=given["friction_velocity_rad_s"],
         payload_frame=given["payload_frame"],
-        gravity=given["gravity"],
+        gravity=frozen(given["gravity"]),
         source=source,
         settings=settings,
     )
-    return robot if calibration is None else robot.with_calibration(calibration)
+    if calibration is None:
+        return robot
+    calibrated = robot.with_calibration(calibration)
+    spreads = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
+    spreads |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
+    check_complete(calibration, link_names, drive_trains, spreads, f"{file}: calibration")
+    return calibrated
 
 
 def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, Motor]:
     fields = {
-        "motor": _Field(lambda value, at: _section(value, _MOTOR, at)),
-        "drive_train": _Field(lambda value, at: _section(value, _DRIVE_TRAIN, at)),
+        "motor": _Field(_Nested(nested=lambda value, at: _section(value, _MOTOR, at))),
+        "drive_train": _Field(_Nested(nested=lambda value, at: _section(value, _DRIVE_TRAIN, at))),
     }
     parts = _section(settings, fields | _JOINT, where)
     motor, drive = parts["motor"], parts["drive_train"]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from proprio_ros.errors import RobotError
+from proprio_ros.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.urdf import Joint, Link, UrdfReader
 
@@ -74,7 +75,8 @@ class RobotModel:
         """
         path = Path(path)
         try:
-            text = path.read_bytes()
+            with path.open("rb") as stream:
+                text = stream.read(LONGEST_TEXT + 1)
         except OSError as error:
             raise RobotError(f"{path}: cannot be read ({error.strerror}); give the path of a URDF file") from error
         return cls(*UrdfReader(text, path.name).read())

@@ -14,10 +14,16 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from proprio_ros.errors import RobotError
+from proprio_ros.errors import RobotError, one_line
+from proprio_ros.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen, motion, pseudo_inertia, rotation_from_rpy, transform
 
 JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
+LONGEST_NAME = 255
+"""Characters of the name of a link or a joint."""
+MOST_LINKS = 256
+"""Each link that moves with a driven joint has unknowns of its own; a humanoid with two hands has half as many links."""
+_LARGEST = {"mass": 1e4, "inertia": 1e5, "xyz": 100.0, "rpy": 100.0}  # kg, kg m^2, m, rad
 _ROUNDING = 1e-9  # relative; inertias are printed with eight digits or more
 
 
@@ -88,6 +94,10 @@ class UrdfReader:
 
     def __init__(self, text: str | bytes, source: str) -> None:
         self._source = source
+        if len(text) > LONGEST_TEXT:
+            raise RobotError(
+                f"{source}: has over {LONGEST_TEXT / 1e6:g} MB; give a URDF file, whose meshes lie beside it"
+            )
         try:
             self._robot = ElementTree.fromstring(text)
         except (ElementTree.ParseError, LookupError, ValueError) as error:
@@ -106,6 +116,12 @@ class UrdfReader:
         Raises:
             RobotError: The document describes no physical tree of links.
         """
+        for tag in ("link", "joint"):
+            count = len(self._robot.findall(tag))
+            if count > MOST_LINKS:
+                self._fail(
+                    f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves"
+                )
         links = self._unique("link", [self._link(element) for element in self._robot.findall("link")])
         if not links:
             self._fail("the robot has no <link>")
@@ -118,7 +134,7 @@ class UrdfReader:
         root = self._root(links, joints)
         ordered = self._ordered(root, links, joints)
         return (
-            self._robot.get("name") or "robot",
+            one_line(self._robot.get("name") or "robot", LONGEST_NAME),
             (links[root], *(links[joint.child] for joint in ordered)),
             tuple(ordered),
             root,
@@ -136,6 +152,8 @@ class UrdfReader:
         name = element.get("name")
         if not name:
             self._fail(f"a <{element.tag}> has no name; give it one")
+        if not name.isprintable() or len(name) > LONGEST_NAME:
+            self._fail(f"the name '{one_line(name, 60)}' of a <{element.tag}> is not printable, or too long")
         return name
 
     def _numbers(
@@ -150,6 +168,9 @@ class UrdfReader:
             self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> is no number")
         if not all(math.isfinite(value) for value in values):
             self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> must be finite")
+        largest = _LARGEST.get(element.tag, _LARGEST.get(attribute, math.inf))
+        if max(map(abs, values), default=0.0) > largest:
+            self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> is over {largest:g}: units are kg, m and rad")
         return values
 
     def _number(self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None) -> float:

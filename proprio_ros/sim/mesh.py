@@ -18,6 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.reading import path_problem
 
 MAX_CELLS = 64
 """Cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed."""
@@ -223,7 +224,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
         raise ConfigurationError(
             "a block from a mesh file needs the package meshio: pip install 'proprio_ros[mesh]', or give block.size"
         ) from error
-    if not Path(path).is_file():
+    if path_problem(path) or not Path(path).is_file():
         raise ConfigurationError(f"{path}: no such mesh file")
     try:
         found = meshio.read(path)
@@ -236,6 +237,10 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
             f"{path}: holds no tetrahedra (but {kinds}): mesh the block's inside, with first order"
         )
     corners = np.concatenate(tets).astype(np.int64)
+    if corners.min() < 0 or corners.max() >= len(found.points):
+        raise ConfigurationError(
+            f"{path}: a tetrahedron has a corner that is no node: numbers go from 0 to {len(found.points) - 1}"
+        )
     used, numbers = np.unique(corners, return_inverse=True)
     points = scale * np.asarray(found.points, dtype=np.float64)[used]
     corners = numbers.reshape(corners.shape)

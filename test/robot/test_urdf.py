@@ -85,6 +85,17 @@ BAD_URDF = {
         chain(joint("a", kind="fixed"), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
         "'b' mimics 'a', which is fixed",
     ),
+    "weight of a mountain": (inertial(mass="1e300"), "value='1e300' of <mass> is over 10000: units are kg, m and rad"),
+    "a name that ends a line": (
+        chain(joint("a")).replace('"base"', '"ba&#10;accepted 1 g"'),
+        "the name 'ba\\naccepted 1 g' of a <link> is not printable",
+    ),
+    "a name without end": (chain(joint("a" * 300)), "is not printable, or too long"),
+    "more links than can be read": (
+        chain(*(joint(f"j{n}", "base", f"l{n}") for n in range(300))),
+        "has 300 joints, and 256 are the most",
+    ),
+    "a text without end": ("<robot>" + " " * 2_000_001, "has over 2 MB"),
     "mimics in a circle": (
         chain(joint("a", mimic='<mimic joint="b"/>'), joint("b", "one", "two", mimic='<mimic joint="a"/>')),
         "mimic each other in a circle: a -> b -> a",

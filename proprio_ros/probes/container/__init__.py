@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.base import Baseline, Body, Example, Probe, Recorded, Shapes
-from proprio_ros.settings import Settings, not_negative, probe_file
+from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
     from proprio_ros.identification.estimate import Estimate
@@ -69,20 +69,16 @@ class Container(Probe[ContainerJob]):
     )
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContainerJob:
-        from proprio_ros.probes.container.facts import container_facts
+        from proprio_ros.probes.container.facts import FORMS, container_facts
         from proprio_ros.probes.container.identify import ContainerOptions
 
         defaults = probe_file(self.name, self.file_sections)
         container = container_facts(settings, defaults)
         solving = settings.options(ContainerOptions, "solver.", defaults["solver"])
-        camera = settings.take("sphere.camera", defaults["sphere"].get("camera"))
-        if camera is not None and not isinstance(camera, str):
-            raise ConfigurationError(f"sphere.camera={camera!r} must be a topic (with a slash in front) or a CSV file")
-        std = not_negative(
-            "sphere.camera_std", settings.take("sphere.camera_std", defaults["sphere"].get("camera_std"))
+        camera, std = (
+            settings.take(f"sphere.{key}", defaults["sphere"].get(key), FORMS[f"sphere.{key}"])
+            for key in ("camera", "camera_std")
         )
-        if std == 0.0:
-            raise ConfigurationError("sphere.camera_std must be above 0 m")
         return ContainerJob(container, solving, camera, std)
 
     def check_live(self, facts: ContainerJob) -> None:

@@ -7,7 +7,11 @@ from pathlib import Path
 from proprio_ros.bags import read_point_file, read_points
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.container.problem import SphereTrack
+from proprio_ros.reading import path_problem
 from proprio_ros.records import Run
+
+MOST_PLACES = 2000
+"""Places of the sphere in one run: two seconds at 1 kHz."""
 
 
 def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTrack | None:
@@ -24,12 +28,17 @@ def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTr
     """
     if camera is None:
         return None
-    topic = camera.startswith("/") and not Path(camera).is_file()
+    topic = camera.startswith("/") and (path_problem(camera) or not Path(camera).is_file())
     track = read_points(source, camera) if topic else read_point_file(camera)
     times_s, position = track.of_run(run)
     if not len(times_s):
         raise ConfigurationError(
             f"sphere.camera={camera}: saw nothing while {run.name} was recorded: its stamps must be on the clock of the joint "
             "states"
+        )
+    if len(times_s) > MOST_PLACES:
+        raise ConfigurationError(
+            f"sphere.camera={camera}: saw {len(times_s)} places while {run.name} was recorded, and {MOST_PLACES} are the most that "
+            "are fitted: leave some out"
         )
     return SphereTrack(times_s, position, std)

@@ -3,19 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError, SimulationError
+from proprio_ros.forms import Choice, Form, Number, Numbers, Perhaps, Text, Truth
 from proprio_ros.probes.container.problem import ContainerFacts
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import rotation_from_rpy
-from proprio_ros.settings import Settings, not_negative, number, vector, yes_or_no
+from proprio_ros.settings import Settings, read
 from proprio_ros.sim.sphere import LAWS, Enclosure
 
 DECIDING = ("container.inner_size", "container.centre", "sphere.radius")
 """Facts without a safe default: those of the probe file are the sample recordings'."""
+_PLACE = "[x, y, z] in m"
+_RATIO = Number(lowest=0.0, highest=10.0)
+_INNER = Number(unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 60 mm is 0.06")
+FORMS: dict[str, Form] = {
+    "container.shape": Choice("cylinder: its axis along z", ("box", "cylinder", "sphere")),
+    "container.centre": Numbers(
+        "of the container in `payload.frame`",
+        Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m"),
+        3,
+        example=_PLACE,
+    ),
+    "container.rpy": Numbers(
+        "how it is turned against that frame",
+        Number(unit="rad", lowest=-7.0, highest=7.0),
+        3,
+        example="three angles in rad",
+    ),
+    "container.mass": Perhaps(
+        "of the empty container; null: not known, so `--baseline` is needed",
+        Number(unit="kg", lowest=0.0, highest=10.0, hint="masses are in kg"),
+    ),
+    "container.mass_std": Number("of the scales; counts only where the mass is stated", "kg", 0.0, 10.0),
+    "sphere.radius": Number("", "m", 0.0, 0.5, open=True, hint="lengths are in m"),
+    "sphere.hollow": Truth("a thin shell rolls with more inertia than a solid ball"),
+    "sphere.settled": Truth("it lay still in the lowest place before the current came on; false: anywhere"),
+    "sphere.start": Perhaps(
+        "of its centre from the container's, where that is known",
+        Numbers("", Number(unit="m", lowest=-1.0, highest=1.0), 3, example=_PLACE),
+    ),
+    "sphere.start_std": Number("how well", "m", 0.0, 1.0),
+    "sphere.camera": Perhaps("where a camera saw its centre", Text(what="a topic or a CSV file", longest=4095)),
+    "sphere.camera_std": Number("of each coordinate", "m", 0.0, 1.0, open=True),
+    "contact.law": Choice("ramped, or the paper's, whose damping sets in at once", LAWS),
+    "contact.frequency": Number("of the sphere on a wall", "rad/s", 50.0, 5000.0),
+    "contact.damping_ratio": replace(_RATIO, meaning="0 bounces for ever, 1 not at all; fitted, within"),
+    "contact.damping_ratio_std": _RATIO,
+    "contact.friction": replace(_RATIO, meaning="between sphere and walls; fitted, within"),
+    "contact.friction_std": _RATIO,
+    "contact.traction": Number("how fast slip is lost while it rolls", "1/s", 10.0, 5000.0),
+    "contact.k_e": Number("law paper only, instead of frequency", "N/m", 0.0, 1e7, open=True),
+    "contact.k_d": Number("law paper only, instead of damping_ratio", "N s/m", 0.0, 1e6),
+    "contact.k_f": Number("law paper only, instead of traction", "N s/m", 0.0, 1e6),
+}
+"""What may be stated about a container and its sphere; `container.inner_size` has the form that its shape needs."""
 
 
 def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContainerFacts:
@@ -31,57 +77,31 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
 
     def take(key: str) -> Any:
         section, name = key.split(".")
-        return settings.take(key, defaults[section].get(name))
+        return settings.take(key, defaults[section].get(name), FORMS[key])
 
     shape = take("container.shape")
-    size = take("container.inner_size")
+    size = settings.take("container.inner_size", defaults["container"].get("inner_size"))
     if shape == "cylinder" and isinstance(size, list) and len(size) == 2:
         size = [size[0], size[0], size[1]]
     elif shape == "sphere" and isinstance(size, (int, float)):
         size = [size, size, size]
-    inner_size = vector("container.inner_size", size)
-    alike = {"cylinder": 2, "sphere": 3}.get(str(shape), 1)
+    inner_size = np.array(read("container.inner_size", size, Numbers("", _INNER, 3, example=_PLACE)))
+    alike = {"cylinder": 2, "sphere": 3}.get(shape, 1)
     if np.ptp(inner_size[:alike]) > 0.0:
         form = "[diameter, length]" if shape == "cylinder" else "one diameter"
-        raise ConfigurationError(f"container.inner_size={size!r} does not fit a {shape}: give {form} in m")
-    radius = number("sphere.radius", take("sphere.radius"))
-    if np.any(inner_size <= 0.0) or radius <= 0.0:
-        raise ConfigurationError("container.inner_size and sphere.radius must be positive lengths in m")
-    if np.any(inner_size > 1.0):
-        raise ConfigurationError(
-            f"container.inner_size={inner_size.tolist()} is over 1 m: lengths are in m, so 60 mm is 0.06"
-        )
-    centre = vector("container.centre", take("container.centre"))
-    if np.any(np.abs(centre) > 1.0):
-        raise ConfigurationError(f"container.centre={centre.tolist()} is over 1 m away from the hand: lengths are in m")
-    mass = take("container.mass")
-    mass_std = not_negative("container.mass_std", take("container.mass_std"))
-    if mass is not None and not_negative("container.mass", mass) > 10.0:
-        raise ConfigurationError(f"container.mass={mass:g} is too heavy for a hand: masses are in kg")
+        raise ConfigurationError(f"container.inner_size={list(size)} does not fit a {shape}: give {form} in m")
+    radius, centre = take("sphere.radius"), np.array(take("container.centre"))
+    mass, mass_std = take("container.mass"), take("container.mass_std")
     start = take("sphere.start")
-    settled, hollow = (yes_or_no(key, take(key)) for key in ("sphere.settled", "sphere.hollow"))
-    start_std = not_negative("sphere.start_std", take("sphere.start_std"))
-    contact = {
-        key: take(f"contact.{key}") for key in ("damping_ratio", "damping_ratio_std", "friction", "friction_std")
-    }
-    spread = {key: not_negative(f"contact.{key}", value) for key, value in contact.items()}
-    frequency = number("contact.frequency", take("contact.frequency"))
-    traction = number("contact.traction", take("contact.traction"))
-    if not 50.0 <= frequency <= 5000.0 or not 10.0 <= traction <= 5000.0:
-        raise ConfigurationError(
-            f"contact.frequency={frequency:g} rad/s and contact.traction={traction:g} 1/s must lie between 50 and 5000, 10 and 5000"
-        )
-    k_e, k_d, k_f = (not_negative(f"contact.{key}", take(f"contact.{key}")) for key in ("k_e", "k_d", "k_f"))
-    if k_e == 0.0:
-        raise ConfigurationError("contact.k_e must be above 0 N/m")
-    law = take("contact.law")
-    if law not in LAWS:
-        raise ConfigurationError(f"contact.law={law!r} is unknown: choose one of {', '.join(LAWS)}")
+    settled, hollow, start_std = take("sphere.settled"), take("sphere.hollow"), take("sphere.start_std")
+    spread = {key: take(f"contact.{key}") for key in ("damping_ratio", "damping_ratio_std", "friction", "friction_std")}
+    frequency, traction, law = take("contact.frequency"), take("contact.traction"), take("contact.law")
+    k_e, k_d, k_f = (take(f"contact.{key}") for key in ("k_e", "k_d", "k_f"))
     try:
-        enclosure = Enclosure(str(shape), inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
+        enclosure = Enclosure(shape, inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
     except SimulationError as error:
         raise ConfigurationError(f"{error}: check container.inner_size and sphere.radius") from error
-    place = None if start is None else vector("sphere.start", start)
+    place = None if start is None else np.array(start)
     if place is not None and np.any(np.abs(place) > enclosure.room + 1e-3):
         raise ConfigurationError(
             f"sphere.start={place.tolist()} is outside the container: the sphere's centre can only go "
@@ -90,8 +110,8 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     return ContainerFacts(
         enclosure,
         centre,
-        rotation_from_rpy(vector("container.rpy", take("container.rpy"))),
-        0.03 if mass is None else float(mass),
+        rotation_from_rpy(take("container.rpy")),
+        0.03 if mass is None else mass,
         np.inf if mass is None else mass_std,
         settled,
         place,

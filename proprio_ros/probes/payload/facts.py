@@ -8,8 +8,36 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.settings import Settings, number, vector
-from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+from proprio_ros.forms import Choice, Form, Number, Numbers
+from proprio_ros.settings import Settings, read
+from proprio_ros.sim.payload import SHAPES, PayloadFacts, PayloadShape
+
+FORMS: dict[str, Form] = {
+    "payload.com": Numbers(
+        "centre of mass in `payload.frame`",
+        Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m"),
+        3,
+        example="[x, y, z] in m",
+    ),
+    "payload.com_std": Numbers(
+        "how far the true centre may lie from it; above 0 it is estimated, too",
+        Number(unit="m", lowest=0.0, highest=1.0, hint="lengths are in m"),
+        3,
+        example="[x, y, z] in m",
+    ),
+    "payload.shape": Choice("of uniform density", SHAPES),
+    "payload.size_std_relative": Number(
+        "of the mass's spread (size squared); counts only while shape and size are not stated", "", 0.0, 10.0
+    ),
+    "payload.inertia_per_mass": Numbers(
+        "about the centre of mass; instead of shape and size",
+        Number(unit="m^2", lowest=-1.0, highest=1.0),
+        6,
+        example="[ixx, iyy, izz, ixy, ixz, iyz] in m^2",
+    ),
+}
+"""What may be stated about a payload; `payload.size` has the form that its shape needs."""
+_SIZE = Number(unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 30 mm is 0.03")
 
 
 def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFacts:
@@ -18,31 +46,30 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     Raises:
         ConfigurationError: a value of the wrong form, or a size that cannot be in metres.
     """
-    com = vector("payload.com", settings.take("payload.com", defaults["com"]))
-    if np.any(np.abs(com) > 1.0):
-        raise ConfigurationError(f"payload.com={com.tolist()} is over 1 m away from the hand: lengths are in m")
-    com_std = vector("payload.com_std", settings.take("payload.com_std", defaults["com_std"]))
-    if np.any(com_std < 0.0):
-        raise ConfigurationError("payload.com_std must not be negative")
-    name = settings.take("payload.shape", None)
+
+    def take(key: str, default: Any) -> Any:
+        return settings.take(key, default, None if default is None and key not in settings.left else FORMS[key])
+
+    com, com_std = (np.array(take(f"payload.{key}", defaults[key])) for key in ("com", "com_std"))
+    name = take("payload.shape", None)
     size = settings.take("payload.size", None)
-    per_mass = settings.take("payload.inertia_per_mass", None)
-    size_std = number(
-        "payload.size_std_relative", settings.take("payload.size_std_relative", defaults["size_std_relative"])
-    )
+    per_mass = take("payload.inertia_per_mass", None)
+    size_std = take("payload.size_std_relative", defaults["size_std_relative"])
     if per_mass is not None:
         if name is not None or size is not None:
             raise ConfigurationError("give payload.inertia_per_mass, or payload.shape and payload.size, not both")
         return PayloadFacts(com, com_std, PayloadShape.from_inertia_per_mass(per_mass), 0.0)
     if name is None and size is not None:
-        name = "sphere" if np.ndim(size) == 0 else "box"
-    shape_name = str(name if name is not None else defaults["shape"])
+        name = "box" if isinstance(size, list) else "sphere"
+    shape_name = name if name is not None else read("payload.shape", defaults["shape"], FORMS["payload.shape"])
     if size is None and shape_name != "point":
         # a shape without its size is a guess, and so is the probe file's ball
-        edge = float(defaults["size"])
+        edge = read("payload.size", defaults["size"], _SIZE)
         guess: dict[str, Any] = {"sphere": edge, "cube": edge, "box": [edge] * 3, "cylinder": [edge, edge]}
         shape = PayloadShape.of(shape_name, guess.get(shape_name))
         return PayloadFacts(com, com_std, shape, size_std)
+    if shape_name != "point":
+        size = read("payload.size", size, Numbers("", _SIZE, most=3) if isinstance(size, list) else _SIZE)
     return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0)
 
 

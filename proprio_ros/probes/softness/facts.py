@@ -2,19 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.forms import Choice, Form, Number, Numbers, Perhaps, Text, Whole
 from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts
 from proprio_ros.quantity import Quantity
-from proprio_ros.settings import Settings, not_negative, number, vector
+from proprio_ros.settings import Settings, read
 from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
 from proprio_ros.sim.mesh import read_mesh
 from proprio_ros.sim.quasistatic import CONTACTS
+
+_RATIO = Number("", "", 0.0, HIGHEST_RATIO, hint=f"it must lie between 0 and {HIGHEST_RATIO}")
+FORMS: dict[str, Form] = {
+    "block.mesh": Perhaps(
+        "file with tetrahedra, x along the squeeze", Text(what="the name of a file with tetrahedra", longest=4095)
+    ),
+    "block.mesh_scale": Number("m per unit of length in that file: 0.001 where it is in mm", "", 0.0, 1e3, open=True),
+    "block.mass": Perhaps("does not show in a squeeze, so it is not used", Number(unit="kg", lowest=0.0, highest=1e3)),
+    "block.law": Choice("of elasticity", tuple(LAWS_OF_ELASTICITY)),
+    "block.contact": Choice("bonded: faces that stick", tuple(CONTACTS)),
+    "block.fingers": Whole("that move", "", 1, 2, hint="one finger moves, or two"),
+    "block.gap": Number("how far the fingers together close before they touch; fitted, within", "m", -0.5, 0.5),
+    "block.gap_std": Number("", "m", 0.0, 0.5),
+    "block.poissons_ratio": replace(_RATIO, meaning="before the squeeze"),
+    "block.poissons_ratio_std": Number("", "", 0.0, 1.0),
+    "block.relaxation_s": Number("viscosity over Young's modulus; fitted, within", "s", 0.0, 100.0),
+    "block.relaxation_std_s": Number("", "s", 0.0, 100.0),
+}
+"""What may be stated about a block; `block.size` is one number or three."""
+_SIZE = Number(unit="m", lowest=0.0, highest=0.5, open=True, hint="these are lengths in m, so 30 mm is 0.03")
 
 
 def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
@@ -29,49 +51,28 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     """
 
     def take(name: str) -> Any:
-        return settings.take(f"block.{name}", defaults.get(name))
+        return settings.take(f"block.{name}", defaults.get(name), FORMS[f"block.{name}"])
 
-    path, scale = take("mesh"), number("block.mesh_scale", take("mesh_scale"))
-    if path is not None and not isinstance(path, str):
-        raise ConfigurationError(f"block.mesh={path!r} must be the name of a file with tetrahedra")
-    if scale <= 0.0:
-        raise ConfigurationError(
-            f"block.mesh_scale={scale:g} must be above 0: metres per unit of the mesh, 0.001 for mm"
-        )
+    path, scale = take("mesh"), take("mesh_scale")
     mesh = None if path is None else read_mesh(Path(path).expanduser(), scale)
-    size = take("size")
+    size = settings.take("block.size", defaults.get("size"))
     if mesh is not None:
         size = mesh.size.tolist()
         if max(size) > 0.5:
             raise ConfigurationError(
                 f"block.mesh={path}: is {max(size):g} m long; if it is in mm, state block.mesh_scale=0.001"
             )
-    size = vector("block.size", [size] * 3 if isinstance(size, (int, float)) and not isinstance(size, bool) else size)
-    if np.any(size <= 0.0) or np.any(size > 0.5):
-        raise ConfigurationError(f"block.size={size.tolist()} must be lengths in m above 0, so 30 mm is 0.03")
-    law, contact = take("law"), take("contact")
-    for key, given, choices in (("law", law, LAWS_OF_ELASTICITY), ("contact", contact, CONTACTS)):
-        if given not in choices:
-            raise ConfigurationError(f"block.{key}={given!r} is unknown: choose one of {', '.join(choices)}")
-    fingers = number("block.fingers", take("fingers"))
-    if fingers not in (1.0, 2.0):
-        raise ConfigurationError(f"block.fingers={fingers:g}: one finger moves, or two")
+    three = size if isinstance(size, list) else [size] * 3
+    edges = np.array(read("block.size", three, Numbers("", _SIZE, 3, example="[x, y, z] in m")))
     take("mass")  # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used
-    ratio = Quantity(not_negative("block.poissons_ratio", take("poissons_ratio")), _std(take, "poissons_ratio_std"))
-    if ratio.value > HIGHEST_RATIO:
-        raise ConfigurationError(f"block.poissons_ratio={ratio.value:g} must lie between 0 and {HIGHEST_RATIO}")
     return BlockFacts(
-        size,
-        law,
-        contact,
-        int(fingers),
-        Quantity(number("block.gap", take("gap")), _std(take, "gap_std")),
-        ratio,
-        Quantity(not_negative("block.relaxation_s", take("relaxation_s")), _std(take, "relaxation_std_s")),
+        edges,
+        take("law"),
+        take("contact"),
+        take("fingers"),
+        Quantity(take("gap"), take("gap_std")),
+        Quantity(take("poissons_ratio"), take("poissons_ratio_std")),
+        Quantity(take("relaxation_s"), take("relaxation_std_s")),
         mesh,
         guessed=("block.size",) if mesh is None and "block.size" not in settings.taken else (),
     )
-
-
-def _std(take: Callable[[str], Any], name: str) -> float:
-    return not_negative(f"block.{name}", take(name))

@@ -1,0 +1,191 @@
+"""Every text that a user hands in is parsed here: YAML, JSON and CSV, with limits on its size, its depth and its numbers.
+
+What a parser raises over a text that somebody made up is the parser's own choice, and so is what it needs: lists nested ten
+thousand deep end the interpreter's stack, and a YAML file of a kilobyte can stand for gigabytes. Here they become one sentence.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import stat
+import warnings
+from collections.abc import Iterator
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+from proprio_ros.errors import ProprioError, one_line
+
+LONGEST_TEXT = 2_000_000
+"""Bytes of a YAML or JSON file, and of a URDF; a calibration of forty joints has a tenth of it."""
+LONGEST_VALUE = 10_000
+"""Characters of one VALUE of KEY=VALUE."""
+LONGEST_TABLE = 64_000_000
+"""Bytes of a CSV file: over ten hours at 30 Hz."""
+DEEPEST = 32
+"""Lists and mappings within each other; the deepest file of this package has six."""
+MOST_NODES = 20_000
+"""Keys, values, lists and mappings of a YAML file, those that an alias stands for counted each time."""
+LONGEST_NAME, LONGEST_PATH = 255, 4095
+"""Bytes of a file's name and of a path (Linux: NAME_MAX, PATH_MAX less its final zero)."""
+
+
+class _Refused(ValueError):
+    """What is wrong with a text, in a few words."""
+
+
+def finite(value: object) -> float | None:
+    """A plain number that is finite as a double, or None: a truth value is none, and neither is 10**400."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def path_problem(path: str | Path) -> str:
+    """Why no file can be called so, or an empty string."""
+    text = str(path)
+    if "\0" in text:
+        return "holds a NUL character"
+    try:
+        encoded = os.fsencode(text)
+    except UnicodeEncodeError:
+        return "holds characters that no path has"
+    if len(encoded) > LONGEST_PATH or any(len(part) > LONGEST_NAME for part in encoded.split(b"/")):
+        return f"is too long for a path: a name may have {LONGEST_NAME} bytes"
+    return ""
+
+
+def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) -> str:
+    """The text of a file, without a byte order mark.
+
+    Args:
+        path: of a regular file.
+        error: what is raised, with one sentence.
+        longest: bytes that it may have.
+
+    Raises:
+        ProprioError: of the kind given: it cannot be read, is no text, or is too long.
+    """
+    problem = path_problem(path)
+    if problem:
+        raise error(f"{path}: {problem}")
+    try:
+        if path.exists() and not stat.S_ISREG(path.stat().st_mode):
+            raise error(f"{path}: is no file")
+        with path.open("rb") as stream:
+            data = stream.read(longest + 1)
+    except OSError as reason:
+        raise error(f"{path}: cannot be read ({reason.strerror or reason})") from reason
+    if len(data) > longest:
+        raise error(f"{path}: has over {longest / 1e6:g} MB, and no such file of this package is that long")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        raise error(f"{path}: is no text ({reason.reason} at byte {reason.start})") from reason
+
+
+def json_of(text: str) -> Any:
+    """What a JSON text says.
+
+    Raises:
+        ValueError: it is none, or is nested too deep.
+    """
+    try:
+        content = json.loads(text, parse_int=_whole)
+    except RecursionError:
+        raise _Refused(f"nested more than {DEEPEST} deep") from None
+    _check_depth(content)
+    return content
+
+
+def _whole(digits: str) -> int | float:
+    # Python's whole numbers have no largest one, doubles do; nothing here counts that far
+    return int(digits) if len(digits) <= 18 else float(digits)
+
+
+def _check_depth(content: Any) -> None:
+    level, depth = [content], 0
+    while level:
+        if depth > DEEPEST:
+            raise _Refused(f"nested more than {DEEPEST} deep")
+        level = [inner for outer in level for inner in _within(outer)]
+        depth += 1
+
+
+def _within(value: Any) -> Iterator[Any]:
+    if isinstance(value, dict):
+        yield from value.values()
+    elif isinstance(value, list):
+        yield from value
+
+
+def yaml_of(text: str) -> Any:
+    """What a YAML text says (plain types only).
+
+    Raises:
+        ValueError: it is none, is nested too deep, or stands for more than it should.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer
+    from ruamel.yaml.nodes import MappingNode, SequenceNode
+
+    class Counting(Composer):
+        """Counts while it reads, so that a long text is not read to its end."""
+
+        count = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            self.count += 1
+            if self.count > MOST_NODES:
+                raise _Refused(f"more than {MOST_NODES} values")
+            return super().compose_node(parent, index)
+
+    def weight(node: Any, above: tuple[int, ...]) -> int:
+        """Of a node with all that it stands for; each is looked at once."""
+        if id(node) in above:
+            raise _Refused("an alias stands for what it is part of")
+        if len(above) > DEEPEST:
+            raise _Refused(f"nested more than {DEEPEST} deep")
+        if id(node) not in weights:
+            inner: list[Any] = []
+            if isinstance(node, MappingNode):
+                inner = [part for pair in node.value for part in pair]
+            elif isinstance(node, SequenceNode):
+                inner = list(node.value)
+            weights[id(node)] = 1 + sum(weight(part, (*above, id(node))) for part in inner)
+            if weights[id(node)] > MOST_NODES:
+                raise _Refused(f"its aliases stand for more than {MOST_NODES} values")
+        return weights[id(node)]
+
+    # the scanner looks ahead over all brackets of a line, which takes the square of their number
+    depths = accumulate(1 if bracket in "[{" else -1 for bracket in re.findall(r"[][{}]", text))
+    if max(depths, default=0) > 8 * DEEPEST:
+        raise _Refused(f"nested more than {DEEPEST} deep")
+    weights: dict[int, int] = {}
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Composer = Counting
+    try:
+        # an anchor that is used again warns, and a warning is more than one line
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            constructor, _ = yaml.get_constructor_parser(text)
+            node = constructor.composer.get_single_node()
+            if node is None:
+                return None
+            weight(node, ())
+            return constructor.construct_document(node)
+    except RecursionError:
+        raise _Refused(f"nested more than {DEEPEST} deep") from None
+    # a reader of YAML lets whatever its text leads it to through: of dates that are none, of tags that nobody knows
+    except Exception as reason:
+        problem, mark = getattr(reason, "problem", None), getattr(reason, "problem_mark", None)
+        where = f", line {mark.line + 1}" if problem and mark is not None else ""
+        words = " ".join(str(problem or reason).split())
+        raise _Refused(one_line(words, 160) + where if words else type(reason).__name__) from reason
