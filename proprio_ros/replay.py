@@ -18,6 +18,7 @@ from proprio_ros.motions import Motion, motion_of
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
+from proprio_ros.reading import path_problem
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.report import write_page
 from proprio_ros.resources import paths_of
@@ -240,6 +241,8 @@ class Recordings:
     def __init__(self, paths: Sequence[str | Path]) -> None:
         places: dict[Path, str | Path] = {}
         for path in paths:
+            if problem := path_problem(path):
+                raise ConfigurationError(f"{path}: {problem}")
             place = Path(path).resolve()
             if place in places:
                 raise ConfigurationError(_twice(places[place], path))

@@ -58,6 +58,10 @@ SEARCH: dict[str, Form] = {
     "solver.widest_relative": Number(
         "half width of the widest 95 % interval that is an answer, over the value", "", 0.0, 10.0, open=True
     ),
+    "solver.wide_share": Number(
+        "an interval wider than +- this share of the value is too wide", "", 0.0, 100.0, open=True
+    ),
+    "solver.wide_floor_kg": Number("but not where it is narrower than +- this", "kg", 0.0, 10.0),
     "solver.signals": Choice("what runs that a camera saw are fitted to", ("both", "joint", "camera")),
     "paper.substeps": Whole("Euler steps per 1/60 s frame, 4 to 64 in the paper", "", 1, 1024),
     "paper.iterations": Whole("length of the cosine schedule", "", 1, 10_000),

@@ -150,6 +150,8 @@ def test_more_than_one_mass(robot: Robot) -> None:
                 fit.solution,
                 internal=np.array([fit.solution.internal[fit.solution.best], other]),
                 cost=fit.solution.cost[fit.solution.best] + np.array([0.0, 0.5]),
+                path=np.stack([fit.solution.path[:, fit.solution.best]] * 2, axis=1),
+                path_cost=np.stack([fit.solution.path_cost[:, fit.solution.best]] * 2, axis=1),
             )
             seen.append(replace(fit, solution=solution))
             return conclude(*arguments[:5], seen[0], *arguments[6:])
