@@ -16,6 +16,8 @@ SHORTEST_S = 3.0
 """A shorter motion says nothing about how well it is explained [s]."""
 SLOWEST_HZ = 20.0
 """Below this rate a motion of half a second has no shape."""
+WRAPPED_RAD = 3.0
+"""No arm turns that far between two samples."""
 LONGEST_GAP_S = 0.1
 """Across a longer gap nobody knows how the arm moved [s]."""
 
@@ -103,6 +105,17 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
     if 1.0 / float(np.median(intervals)) < SLOWEST_HZ:
         raise RecordingError(
             f"{name}: joint states come at {1.0 / float(np.median(intervals)):.0f} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+        )
+    lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
+    if lost_s > 0.5 * times_s[-1]:
+        raise RecordingError(
+            f"{name}: {lost_s:.0f} of {times_s[-1] - times_s[0]:.0f} s lie in gaps between joint states"
+        )
+    far = np.abs(np.diff(position, axis=0)).max(axis=0)
+    if far.max() > WRAPPED_RAD:
+        raise RecordingError(
+            f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad from one sample to the next: angles that wrap around "
+            "must be unwrapped first"
         )
     motion = Motion(
         name=name,

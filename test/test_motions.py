@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,17 @@ def test_measured_current_is_taken_before_the_command() -> None:
 def test_what_is_no_motion_is_said(recorded: Recording, joints: list[str], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
         motion_of(recorded, joints=joints)
+
+
+def test_wrapped_angles_and_long_gaps_are_said() -> None:
+    whole = recording(20.0)
+    record = whole.joints
+    wrapped = np.mod(6.0 * record.position + np.pi, 2.0 * np.pi) - np.pi
+    with pytest.raises(RecordingError, match="wrap around"):
+        motion_of(replace(whole, joints=replace(record, position=wrapped)), joints=["a", "b"])
+    times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) > 1000, 60_000_000_000, 0)
+    with pytest.raises(RecordingError, match="in gaps"):
+        motion_of(replace(whole, joints=replace(record, times_ns=times_ns)), joints=["a", "b"])
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ residuals within a stretch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,7 +101,7 @@ class Equations:
     block: NDArray[np.int64]
 
 
-def equations(robot: Robot, motion: Motion, joints: Sequence[str], window_s: float = WINDOW_S) -> Equations:
+def equations(robot: Robot, motion: Motion, joints: Sequence[str]) -> Equations:
     """What one motion says, one row per window and moving joint.
 
     Raises:
@@ -114,7 +114,7 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str], window_s: flo
     columns = [motion.joints.index(name) for name in model.joint_names]
     position, velocity, current = position[:, columns], velocity[:, columns], current[:, columns]
     count = len(columns)
-    width = round(window_s / period_s)
+    width = round(WINDOW_S / period_s)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     regressor = torque_regressor(model, position, velocity, windows, period_s)
     body, body_from_payload = model.frames[robot.payload_frame]
@@ -137,7 +137,7 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str], window_s: flo
     if not len(rows):
         raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
     own = np.eye(count)[joint]
-    middle_s = times_s[windows.starts[rows]] + 0.5 * window_s
+    middle_s = times_s[windows.starts[rows]] + 0.5 * WINDOW_S
     return Equations(
         arm=regressor[rows, joint].reshape(len(rows), count * PARAMETERS),
         payload=payload[rows, joint],
@@ -294,8 +294,6 @@ def fit_motions(
     empty: Sequence[Motion],
     *,
     centre: tuple[FloatArray, FloatArray] | None = None,
-    window_s: float = WINDOW_S,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> MotionFit:
     """Fit arm, friction and payload to motions with and without it.
 
@@ -305,8 +303,6 @@ def fit_motions(
         empty: With an empty hand, at least one.
         centre: The payload's centre of mass in its frame and the standard deviation of each coordinate [m], where that is
             stated; else it may be anywhere within a third of the arm's reach.
-        window_s: Length of a test function.
-        progress: Called with what is going on.
 
     Raises:
         RecordingError: A motion is of no use, or all together are too short.
@@ -314,10 +310,7 @@ def fit_motions(
     motions = [*loaded, *empty]
     joints = motions[0].joints
     held = dict(motions[0].held)
-    parts = []
-    for motion in motions:
-        progress(f"reading the motion of {motion.name}")
-        parts.append(equations(robot, motion, joints, window_s))
+    parts = [equations(robot, motion, joints) for motion in motions]
     terms = terms_of(robot, joints, held, len(motions))
     model = robot.model.lock(list(joints), held, robot.gravity)
     count = len(model.joint_names)
