@@ -114,7 +114,7 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
     far = np.abs(np.diff(position, axis=0)).max(axis=0)
     if far.max() > WRAPPED_RAD:
         raise RecordingError(
-            f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad from one sample to the next: angles that wrap around "
+            f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples: angles that wrap around "
             "must be unwrapped first"
         )
     motion = Motion(
