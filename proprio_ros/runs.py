@@ -126,7 +126,8 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
     for earlier, later in pairwise(intervals):
         if later.onset_ns < earlier.end_ns:
             raise DrivenAtOnce(
-                f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; drive one joint at a time"
+                f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; drive one joint at a time, or give this"
+                " motion, and one with an empty hand as --baseline, to `replay --probe payload`"
             )
     if not intervals:
         stays = "never leaves its rest level for long" if inputs.measured else "is zero throughout"
