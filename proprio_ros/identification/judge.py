@@ -26,12 +26,13 @@ from proprio_ros.identification.fit import (
     error_budget,
     misfit_profile,
     other_suspects,
+    source_label,
     unknown_rows,
     warn_if_uncalibrated,
 )
 from proprio_ros.identification.gates import MOVING_START, Contradiction, Findings, chance_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.identification.problem import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95, shown, spec_for
@@ -271,7 +272,8 @@ def judge(
         name, unit = assessed.name, fit.problem.unknowns[assessed.row].unit
         if useful is not None and useful.exceeded_by(value, std):
             verdict = Verdict.TOO_WIDE
-            found.reasons.insert(0, _too_wide(unit, value, std, useful, budget))
+            calibrated = robot.is_calibrated(joints_of(assessed.runs))
+            found.reasons.insert(0, _too_wide(unit, value, std, useful, budget, calibrated))
         if guesses:
             found.reasons.append(_guessed(guesses, value))
         if apart is not None and apart.sentence:
@@ -314,7 +316,9 @@ def judge(
     )
 
 
-def _too_wide(unit: str, value: float, std: float, useful: Useful, budget: Sequence[tuple[str, float]]) -> Reason:
+def _too_wide(
+    unit: str, value: float, std: float, useful: Useful, budget: Sequence[tuple[str, float]], calibrated: bool
+) -> Reason:
     spec = spec_for(unit, std)
     interval = shown(unit, max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0), spec=spec)
     limit = f"+-{100.0 * useful.share:.0f} % of the value"
@@ -323,8 +327,12 @@ def _too_wide(unit: str, value: float, std: float, useful: Useful, budget: Seque
     return Reason(
         "too_wide",
         f"anything from {interval} explains the recording, wider than {limit}"
-        + (f", mostly because of {budget[0][0]}" if budget else "")
-        + ": calibrate the robot on empty-hand runs, or record more runs",
+        + (f", mostly because of {source_label(budget[0][0])}" if budget else "")
+        + (
+            ": record more runs, with more travel"
+            if calibrated
+            else ": calibrate the robot on empty-hand runs, or record more runs"
+        ),
     )
 
 
