@@ -59,6 +59,7 @@ ROOMS: dict[str, set[str]] = {
         "schema",
         "threads",
         "records",
+        "reading",
         "resources",
         "settings",
         "robot",
