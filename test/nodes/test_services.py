@@ -71,7 +71,10 @@ def test_five_objects_within_a_gram(arm: Calibrated, mass_kg: float) -> None:
     client.masses.clear()
     answer = client.call("/identifier/calibrate_payload", 600.0)
     assert answer.success, answer.message
-    assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true", 5.0)
+    assert wait_for(
+        lambda: bool(client.masses) and math.isfinite(client.masses[-1]) and client.estimates[-1]["final"] == "true",
+        5.0,
+    )
     final = client.estimates[-1]
     low, high = json.loads(final["payload_mass.ci95"])
     assert abs(client.masses[-1] - mass_kg) < 0.001

@@ -31,7 +31,12 @@ def test_an_arm_learns_itself_and_weighs_an_object(tmp_path: Path, monkeypatch: 
         for service in ("calibrate_robot", "calibrate_payload"):
             answer = client.call(f"/identifier/{service}", 600.0)
             assert answer.success, answer.message
-        assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true", 10.0)
+        assert wait_for(
+            lambda: (
+                bool(client.masses) and math.isfinite(client.masses[-1]) and client.estimates[-1]["final"] == "true"
+            ),
+            10.0,
+        )
         final = client.estimates[-1]
         low, high = json.loads(final["payload_mass.ci95"])
         assert abs(client.masses[-1] - MASS_KG) < min(0.002, high - low), final
