@@ -107,9 +107,9 @@ def demo(
         graph.start("virtual", {"robot": robot, "link": link, "object": held, "seed": seed})
         graph.start("driver", {"robot": robot, "port": link})
         graph.start("excitation", {"robot": robot})
-        graph.start(
-            "identifier", {"robot": robot, "data_directory": folder, "calibration": "none", **sequences, **reference}
-        )
+        stated = {"settings": list(example.stated)} if example.stated else {}
+        own = {"robot": robot, "data_directory": folder, "calibration": "none"}
+        graph.start("identifier", {**own, **stated, **sequences, **reference})
         tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
         with _Client(graph, tell) as client:
             _obey_interrupt()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import signal
 import subprocess
@@ -80,7 +81,9 @@ class Graph:
         """Start a node, such as `driver`, in a process and a session of its own, so that Ctrl-C reaches only us."""
         words = [sys.executable, "-m", f"proprio_ros.nodes.{node}", "--ros-args"]
         for name, value in parameters.items():
-            words += ["-p", f"{name}:={text_of(value)}"]
+            # words in a list need quotes to be one each
+            quoted = isinstance(value, (list, tuple)) and all(isinstance(entry, str) for entry in value)
+            words += ["-p", f"{name}:={json.dumps(list(value)) if quoted else text_of(value)}"]
         if namespace:
             words += ["-r", f"__ns:=/{namespace}"]
         with (self.logs / f"{node}.log").open("ab") as log:

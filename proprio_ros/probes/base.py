@@ -91,6 +91,7 @@ class Example:
         now: the sentence when it is in the hand; was: what the truth is called at the end; takes: how long it takes.
         sequences: the identifier's parameters for a short demo.
         reference: whether a weight helps the short calibration.
+        stated: settings that say what the virtual object is, as a user says it of his.
     """
 
     flag: str
@@ -106,6 +107,7 @@ class Example:
     takes: str
     sequences: Mapping[str, str] = field(default_factory=dict)
     reference: bool = False
+    stated: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:

@@ -201,7 +201,7 @@ def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(context: Any, tmp_pat
 
 @pytest.fixture
 def identifier(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    monkeypatch.setattr("proprio_ros.nodes.identifier.prepare_identification", lambda: None)
+    monkeypatch.setattr("proprio_ros.nodes.identifier.prepare_identification", lambda *given: None)
     node = active(IdentifierNode, context, data_directory=str(tmp_path), calibration="none")
     yield node
     node.finish()

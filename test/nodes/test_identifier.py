@@ -67,7 +67,9 @@ class Nodes:
 @pytest.fixture
 def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    monkeypatch.setattr(identifier, "prepare_identification", lambda: None)  # compiles kernels, and none is run here
+    monkeypatch.setattr(
+        identifier, "prepare_identification", lambda *given: None
+    )  # compiles kernels, and none is run here
     made = Nodes()
     yield made
     made.close()

@@ -66,6 +66,7 @@ class Container(Probe[ContainerJob]):
         takes="two minutes",
         sequences={"robot_sequence": "empty_hand_container"},  # the wrist moves it, too
         reference=True,
+        stated=("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01"),
     )
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContainerJob:

@@ -69,6 +69,7 @@ class Softness(Probe[SoftnessJob]):
         was="Young's modulus of the virtual block was",
         takes="under a minute",
         sequences={"robot_sequence": "empty_hand_gripper"},  # nothing that the gripper does moves a weight
+        stated=("block.size=0.03",),
     )
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> SoftnessJob:
