@@ -42,13 +42,14 @@ def test_an_arm_learns_itself_and_weighs_an_object(tmp_path: Path, monkeypatch: 
         assert abs(client.masses[-1] - MASS_KG) < min(0.002, high - low), final
         assert f"calibration: {tmp_path / 'data'}" in answer.message and "calibration.yaml" in final["calibration"]
         # what is refused withdraws what stood: nobody knows what is in the hand now
-        assert client.set("/identifier", "payload_sequence", str(tmp_path / "missing.yaml")).successful
+        assert client.call("/driver/stop").success
         answer = client.call("/identifier/calibrate_payload", 60.0)
-        assert not answer.success
+        assert not answer.success and "the driver is stopped" in answer.message
         assert wait_for(lambda: client.withdrawn == 1 and client.estimates[-1]["verdict"] == "failed", 5.0)
         assert client.estimates[-1]["payload_mass"] == "not determined"
         assert wait_for(lambda: math.isnan(client.payloads[-1].inertia.m), 5.0)
         assert [marker.action for marker in client.markers[-1].markers] == [Marker.DELETEALL]
+        assert client.torque(True).success
         assert wait_for(lambda: any(client.motors[-1].effort), 5.0), "the arm is held"
         for node in ("excitation", "driver"):
             process = graph.processes[node]
