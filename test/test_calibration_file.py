@@ -339,6 +339,7 @@ def test_an_older_file_is_replaced_only_when_that_is_asked_for(
     assert calibrate(empty, output=written, force=True).accepted and written.read_text() != before
 
 
+@pytest.mark.long
 def test_what_it_weighs_is_said_first(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, page = tmp_path / "arm.yaml", tmp_path / "arm.html"
     empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]

@@ -196,6 +196,7 @@ def not_wrong(estimate: Estimate, truth: float) -> bool:
     return estimate.verdict is not Verdict.ACCEPTED or abs(value.value - truth) <= 3.0 * value.std
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "noise"),
     [("xl330_kp100_up_and_down", 0.006), ("xl330_kp100_lift_and_drop", 0.006), ("xl330_kp100_up_and_down", 0.002)],

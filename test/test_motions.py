@@ -122,6 +122,7 @@ def test_a_real_arm_weighs_what_it_carries(capsys: pytest.CaptureFixture[str], u
     np.testing.assert_allclose(centre["value"], [0.03, 0.165, -0.17], atol=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("other", ["ur10e_empty_12", "ur10e_empty_15"])
 def test_a_real_empty_hand_weighs_nothing(capsys: pytest.CaptureFixture[str], ur10e: Path, other: str) -> None:
     code, answer = replayed(capsys, ur10e, other, "--baseline", str(REAL / "ur10e_empty_14"))
@@ -135,6 +136,7 @@ def test_a_real_arm_with_another_unit_is_refused(capsys: pytest.CaptureFixture[s
     assert code == 3 and answer["reason_codes"] == ["arm_unlike_urdf"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.6, 0.75, 1.25, 1.6])
 def test_torque_constants_that_are_wrong_give_no_wrong_mass(
     capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path, factor: float

@@ -397,6 +397,7 @@ def prepare(options: ReplayOptions) -> None:
     setting.probe.prepare(setting.robot, setting.facts)
 
 
+@pytest.mark.long
 def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     options = container_options(bags)
     full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))

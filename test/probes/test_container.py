@@ -120,6 +120,7 @@ def error_and_hit(estimate: Estimate, mass: float) -> tuple[float, bool]:
     return value.value - mass, low <= mass <= high
 
 
+@pytest.mark.long
 def test_the_repositorys_own_recordings(realistic: Level) -> None:
     for folder in realistic.folders("container_sphere_*"):
         off, hit = error_and_hit(realistic.find([folder]), truth_of(folder)["sphere_mass"])

@@ -82,6 +82,7 @@ def explicit(robot: Robot, frames: int, current_A: float, moduli: np.ndarray, ma
     return body.rollout(run, np.array(rows), "starts").q
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cube", CUBES)
 def test_explicit_squeezes_identified_by_the_quasi_static_solver(robot: Robot, table: Response, cube: str) -> None:
     modulus, ratio, mass = CUBES[cube]

@@ -230,6 +230,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, result.bytes)
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("keep", KEEP)
 def test_a_second_of_eight_cells_fits_into_a_gibibyte(keep: str) -> None:
     """3840 steps of 2560 tetrahedra with gradients, all of the process."""
