@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +13,25 @@ from proprio_ros.bags import (
     EFFORT_UNITS,
     is_text_recording,
     look_into,
-    read_recording,
     read_text_recording,
-    without_jumps,
 )
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import plain
 from proprio_ros.identification.gates import MIN_USED, Findings, screen_run, unusable
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.motions import Motion, motion_of
+from proprio_ros.motions import Motion
 from proprio_ros.records import LOST_AFTER_PERIODS, InputRecord, Recording, Run
-from proprio_ros.replay import DEFAULT_ROBOT, TEXT_ROBOT, turning_joints, unit_not_used
+from proprio_ros.replay import (
+    DEFAULT_ROBOT,
+    TEXT_ROBOT,
+    ReplayOptions,
+    bag_recording,
+    runs_or_motion,
+    unit_not_used,
+)
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import DrivenAtOnce, cut_runs
 from proprio_ros.schema import header, reason_codes
 from proprio_ros.threads import one_blas_thread
 
@@ -212,15 +216,8 @@ def _bag_check(
         return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=contents.problem)
 
     def read(unit: str | None) -> Recording:
-        recording = read_recording(
-            path,
-            state_topic=state_topic,
-            command_topic=command_topic,
-            effort_unit=unit,
-            nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
-            joint_order=list(robot.drive_trains),
-        )
-        return without_jumps(recording, list(robot.drive_trains))
+        options = ReplayOptions(state_topic=state_topic, command_topic=command_topic, effort_unit=unit)
+        return bag_recording(path, robot, options)
 
     problem = ""
     try:
@@ -237,11 +234,11 @@ def _bag_check(
     motion: Motion | None = None
     if not problem:
         try:
-            named = replace(recording, name="/".join(path.resolve().parts[-2:]))  # as in a replay
-            try:
-                runs = tuple(_run_check(robot, run) for run in cut_runs(named, joints=list(robot.drive_trains)))
-            except DrivenAtOnce:
-                motion = motion_of(named, joints=turning_joints(robot))
+            found = runs_or_motion(recording, robot, {})
+            if isinstance(found, Motion):
+                motion = found
+            else:
+                runs = tuple(_run_check(robot, run) for run in found)
         except RecordingError as error:
             problem = str(error)
     times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])

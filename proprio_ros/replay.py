@@ -282,10 +282,8 @@ def bag_runs(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str
     Raises:
         RecordingError: it cannot be read, or holds no runs.
     """
-    recording = _bag(path, robot, options)
-    runs = cut_runs(recording, held=held, joints=list(robot.drive_trains))
-    notes = recording.notes + unit_not_used(recording.inputs, options.effort_unit)
-    return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
+    recording = bag_recording(path, robot, options)
+    return _noted(cut_runs(recording, held=held, joints=list(robot.drive_trains)), recording, options)
 
 
 def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]) -> Motion:
@@ -294,12 +292,7 @@ def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[s
     Raises:
         RecordingError: it cannot be read, or nothing moves in it.
     """
-    return motion_of(_bag(path, robot, options), joints=turning_joints(robot), held=held)
-
-
-def turning_joints(robot: Robot) -> list[str]:
-    """The joints that have a motor and turn: those of a motion."""
-    return [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+    return motion_of(bag_recording(path, robot, options), joints=_turning(robot), held=held)
 
 
 def bag_runs_or_motion(
@@ -310,13 +303,29 @@ def bag_runs_or_motion(
     Raises:
         RecordingError: it cannot be read, or holds neither.
     """
+    recording = bag_recording(path, robot, options)
+    found = runs_or_motion(recording, robot, held)
+    return found if isinstance(found, Motion) else _noted(found, recording, options)
+
+
+def runs_or_motion(recording: Recording, robot: Robot, held: Mapping[str, float]) -> tuple[Run, ...] | Motion:
+    """The runs of a recording, or its motion where several joints were driven at once.
+
+    Raises:
+        RecordingError: it holds neither.
+    """
     try:
-        return bag_runs(path, robot, options, held)
+        return cut_runs(recording, held=held, joints=list(robot.drive_trains))
     except DrivenAtOnce:
-        return bag_motion(path, robot, options, held)
+        return motion_of(recording, joints=_turning(robot), held=held)
 
 
-def _bag(path: Path, robot: Robot, options: ReplayOptions) -> Recording:
+def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording:
+    """What one bag holds for a robot, named after it.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
     recording = read_recording(
         path,
         state_topic=options.state_topic,
@@ -327,6 +336,17 @@ def _bag(path: Path, robot: Robot, options: ReplayOptions) -> Recording:
     )
     # a bag's folder is often called after its storage, so the folder above says which one it is
     return replace(without_jumps(recording, list(robot.drive_trains)), name="/".join(path.resolve().parts[-2:]))
+
+
+def _turning(robot: Robot) -> list[str]:
+    """The joints that have a motor and turn: those of a motion."""
+    return [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+
+
+def _noted(runs: Sequence[Run], recording: Recording, options: ReplayOptions) -> tuple[Run, ...]:
+    """Each run with what was noted of the whole recording."""
+    notes = recording.notes + unit_not_used(recording.inputs, options.effort_unit)
+    return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
 
 
 def unit_not_used(inputs: InputRecord | None, effort_unit: str | None) -> tuple[str, ...]:

@@ -332,6 +332,12 @@ def fit_motions(
     joint = np.concatenate([part.joint for part in parts])
     run = np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)])
     block = np.concatenate([part.block + 100_000 * number for number, part in enumerate(parts)])
+    with_payload = int(np.sum(np.unique(block) < 100_000 * len(loaded)))
+    if with_payload < MIN_BLOCKS:
+        raise RecordingError(
+            f"{loaded[0].name}: only {BLOCK_S * with_payload:.0f} s of motion can be used; record {BLOCK_S * MIN_BLOCKS:.0f} s "
+            "at least, better 15, with all joints moving"
+        )
     prior, spread = np.array([t.prior for t in terms]), np.array([t.std for t in terms])
 
     direction = np.concatenate([part.direction for part in parts])
@@ -358,26 +364,10 @@ def fit_motions(
         transmitted = np.abs(matrix[:, :bodies] @ values[:bodies])
         matrix[:, geared] = np.eye(count)[joint] * (transmitted * direction)[:, None]
     scaled, target = matrix * weight[:, None], right * weight
-    normal, side = scaled.T @ scaled, scaled.T @ target
-    values = _solve(normal, side, prior, spread)
+    values, jackknife = _jackknife(scaled, target, block, prior, spread)
     residual = right - matrix @ values
-
-    labels = np.unique(block)
-    with_payload = int(np.sum(labels < 100_000 * len(loaded)))
-    if with_payload < MIN_BLOCKS:
-        raise RecordingError(
-            f"{loaded[0].name}: only {BLOCK_S * with_payload:.0f} s of motion can be used; record {BLOCK_S * MIN_BLOCKS:.0f} s "
-            "at least, better 15, with all joints moving"
-        )
-    deviations = []
-    for label in labels:
-        out = block == label
-        less = normal - scaled[out].T @ scaled[out]
-        deviations.append(_solve(less, side - scaled[out].T @ target[out], prior, spread) - values)
-    moved = np.array(deviations)
-    jackknife = (len(labels) - 1) / len(labels) * moved.T @ moved
     # what the priors leave open, and what the torque constants do: makers' numbers err together, so their errors add up
-    inverse = np.linalg.inv(normal + np.diag(spread**-2.0))
+    inverse = np.linalg.inv(scaled.T @ scaled + np.diag(spread**-2.0))
     arm_over_urdf = _arm_over_urdf(matrix, values, prior, count)
     scale = np.array([relative_torque_std(robot, name) for name in model.joint_names])
     if abs(arm_over_urdf - 1.0) > URDF_SHARE:
@@ -387,16 +377,18 @@ def fit_motions(
     covariance = jackknife + by_prior + np.outer(by_scale, by_scale)
 
     halves = None
+    carrying = run < len(loaded)
     middle = [np.median(block[run == number]) for number in range(len(loaded))]
     late = np.zeros(len(right), dtype=bool)
     for number, at in enumerate(middle):
         late |= (run == number) & (block > at)
     if with_payload >= 2 * MIN_BLOCKS:
-        halves = (
-            _mass_without(late, block, scaled, target, prior, spread),
-            _mass_without(~late & (run < len(loaded)), block, scaled, target, prior, spread),
+        # each against the whole of the empty runs
+        first, second = (
+            _mass_and_std(*_jackknife(scaled[kept], target[kept], block[kept], prior, spread))
+            for kept in (~late, late | ~carrying)
         )
-    carrying = run < len(loaded)
+        halves = (first, second)
     return MotionFit(
         model.joint_names,
         terms,
@@ -433,24 +425,23 @@ def _solve(normal: FloatArray, side: FloatArray, prior: FloatArray, spread: Floa
     return spread * np.linalg.solve(scaled, spread * side + prior / spread)
 
 
-def _mass_without(
-    out: NDArray[np.bool_],
-    block: NDArray[np.int64],
-    scaled: FloatArray,
-    target: FloatArray,
-    prior: FloatArray,
-    spread: FloatArray,
-) -> tuple[float, float]:
-    """Mass [kg] and its standard deviation, without some of the equations."""
-    kept, right, labels = scaled[~out], target[~out], block[~out]
-    normal, side = kept.T @ kept, kept.T @ right
-    value = _solve(normal, side, prior, spread)[0]
-    each = []
-    for label in np.unique(labels):
-        mine = labels == label
-        less = kept[mine]
-        each.append(_solve(normal - less.T @ less, side - less.T @ right[mine], prior, spread)[0] - value)
-    return float(value), float(np.sqrt((len(each) - 1) / len(each) * np.sum(np.square(each))))
+def _jackknife(
+    scaled: FloatArray, target: FloatArray, block: NDArray[np.int64], prior: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The solution, shape (P,), and how it varies when each stretch is left out in turn, as a covariance, shape (P, P)."""
+    normal, side = scaled.T @ scaled, scaled.T @ target
+    values = _solve(normal, side, prior, spread)
+    labels = np.unique(block)
+    moved = np.zeros((len(labels), len(values)))
+    for row, label in enumerate(labels):
+        out = scaled[block == label]
+        left = side - out.T @ target[block == label]
+        moved[row] = _solve(normal - out.T @ out, left, prior, spread) - values
+    return values, (len(labels) - 1) / len(labels) * moved.T @ moved
+
+
+def _mass_and_std(values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    return float(values[0]), float(np.sqrt(covariance[0, 0]))
 
 
 def _rms_by_joint(values: FloatArray, joint: NDArray[np.int64], count: int) -> FloatArray:

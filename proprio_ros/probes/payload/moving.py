@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
-from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
+from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
 from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
 from proprio_ros.motions import Motion
 from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-PULL_LIMIT = 5.0
-"""An unknown that ends so many standard deviations from its prior contradicts the model, whatever the residual says."""
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
 UNEXPLAINED_SHARE = 0.5
@@ -118,7 +116,7 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
     pulls = np.abs(fit.pulls())
     pulls[:10] = 0.0  # the payload's own prior is only there to keep the equations solvable
     worst = int(np.argmax(pulls))
-    if pulls[worst] > PULL_LIMIT:
+    if pulls[worst] > FAR:
         term = fit.terms[worst]
         yield rejected(
             "far_from_prior",
