@@ -165,6 +165,12 @@ def wait_for(ready: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
+def warm_up(probe: str, *settings: str) -> None:
+    """Compile first, as the docs advise: the identifier does it itself, but at low priority, behind all else on a busy machine."""
+    values = [word for setting in settings for word in ("--set", setting)]
+    subprocess.run([sys.executable, "-m", "proprio_ros.cli", "warmup", "--probe", probe, *values], check=True)
+
+
 @contextmanager
 def running(
     folder: Path, *nodes: str, environment: dict[str, str] | None = None, **parameters: dict[str, Any]

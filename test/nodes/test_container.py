@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from domains import free_domain
-from live import LATCHED, Client, replayed_alike, running, wait_for
+from live import LATCHED, Client, replayed_alike, running, wait_for, warm_up
 from visualization_msgs.msg import Marker, MarkerArray
 
 pytestmark = pytest.mark.long
@@ -26,6 +26,7 @@ pytestmark = pytest.mark.long
 SHELL_KG = 0.03
 MASSES_KG = (0.008, 0.03)
 ROBOT_S, OBJECT_S = 600.0, 600.0
+FACTS = ("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01")
 
 
 def container(sphere_kg: float) -> str:
@@ -52,6 +53,7 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("container")
+    warm_up("container", *FACTS)
     domain = pytest.MonkeyPatch()
     domain.setenv("ROS_DOMAIN_ID", free_domain())
     with running(
@@ -60,7 +62,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
         identifier={
             "reference_mass": 0.1,
             "reference_wait": 0.5,
-            "settings": ["container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01"],
+            "settings": list(FACTS),
             "robot_sequence": "empty_hand_container",
             "reference_sequence": "reference_elbow",
         },

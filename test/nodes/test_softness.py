@@ -17,7 +17,7 @@ pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
-from live import LATCHED, Client, replayed_alike, running, wait_for
+from live import LATCHED, Client, replayed_alike, running, wait_for, warm_up
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -52,6 +52,7 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("softness")
+    warm_up("softness", "block.size=0.03")
     domain = pytest.MonkeyPatch()
     domain.setenv("ROS_DOMAIN_ID", free_domain())
     with running(
