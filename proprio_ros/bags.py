@@ -69,7 +69,13 @@ IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
 
 IMPLAUSIBLE_SPEED = 10.0
-"""rad/s or m/s: no joint of an arm gets that fast there and back between three samples; a damaged number does."""
+"""rad/s or m/s: no joint of an arm gets that fast there and back between a few samples; a damaged number does."""
+
+LONGEST_JUMP = 3
+"""Samples in a row that may be damaged: more that agree with each other are a slipped encoder."""
+
+GARBAGE_SHARE = 0.05
+"""Fewer messages than this with impossible numbers are left out; more have another unit."""
 
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
@@ -601,7 +607,7 @@ def _note_gaps(times: TimeArray, topic: _Topic, notes: list[str]) -> None:
 
 
 def _state_rows(
-    path: Path, topic: _Topic, columns: _Columns, driven: Sequence[str], notes: list[str]
+    path: Path, topic: _Topic, columns: _Columns, driven: Sequence[str], expected: Sequence[str], notes: list[str]
 ) -> tuple[TimeArray, tuple[str, ...], dict[str, FloatArray]]:
     """One row per usable message in the order of time, one column per joint that has a position.
 
@@ -619,6 +625,10 @@ def _state_rows(
     names = tuple(name for name, column in zip(columns.names, usable, strict=True) if column)
     values = {quantity: table[np.ix_(order, usable)] for quantity, table in columns.values.items()}
     position = values["position"]
+    garbage = _garbage(values, np.isin(names, expected))
+    if garbage.any():
+        position[garbage] = np.nan
+        notes.append(f"{topic.name}: {_of(garbage)} messages hold numbers that no joint can have and were left out.")
     given = np.isfinite(position)
     if not names:
         raise RecordingError(f"{path}: {topic.name} has no finite position in {len(times)} messages; check the driver")
@@ -649,6 +659,18 @@ def _state_rows(
         )
     _note_gaps(times[rows], topic, notes)
     return times[rows], names, {quantity: table[rows] for quantity, table in values.items()}
+
+
+def _garbage(values: Mapping[str, FloatArray], joints: BoolArray) -> BoolArray:
+    """Messages with numbers from unwritten memory in one of the joints' columns, shape (T,); none where they are not few.
+
+    Where many are far off, the unit is wrong instead, and the reader has to be told that.
+    """
+    bad = np.zeros(len(values["position"]), dtype=bool)
+    for quantity, limit in (("position", IMPLAUSIBLE_POSITION), ("velocity", 1e6), ("effort", 1e9)):
+        if quantity in values:
+            bad |= _any(np.abs(values[quantity][:, joints]) > limit, axis=1)
+    return bad if bad.mean() < GARBAGE_SHARE else np.zeros_like(bad)
 
 
 def _first_of_equal(times: TimeArray, topic: _Topic, notes: list[str]) -> BoolArray:
@@ -812,8 +834,9 @@ def read_recording(
     if inputs is not None:
         used = _any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
-    times, names, values = _state_rows(path, state, columns, driven, notes)
-    _check_positions(path, names, values["position"], [*joint_order, *driven])
+    expected = [*joint_order, *driven]
+    times, names, values = _state_rows(path, state, columns, driven, expected, notes)
+    _check_positions(path, names, values["position"], expected)
     effort, current = _effort_and_current(
         names, values["effort"], effort_unit, nominal_torque_constants, current_per_count_A
     )
@@ -827,7 +850,7 @@ def read_recording(
 
 
 def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
-    """Leave out, with a note, joint states in which a joint jumps away from both its neighbours, as one damaged number would.
+    """Leave out, with a note, joint states in which a joint jumps away and back, as damaged numbers would.
 
     That is all that can be seen of damage in a file without checksums (sqlite3): smaller errors, and those at the ends, cannot.
 
@@ -840,11 +863,19 @@ def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
     if len(position) <= MIN_SAMPLES:
         return recording
     intervals = 1e-9 * np.diff(record.times_ns)
-    step = np.diff(position, axis=0)
     # two messages may be stamped at nearly the same time
-    far = np.abs(step) > IMPLAUSIBLE_SPEED * np.maximum(intervals, np.median(intervals))[:, None]
-    back = far[:-1] & far[1:] & (step[:-1] * step[1:] < 0.0)
-    kept = np.concatenate([[True], ~_any(back, axis=1), [True]])
+    allowed = IMPLAUSIBLE_SPEED * np.maximum(intervals, np.median(intervals))[:, None]
+    far = np.abs(np.diff(position, axis=0)) > allowed
+    jumped = np.zeros(position.shape, dtype=bool)
+    for count in range(1, LONGEST_JUMP + 1):
+        # it leaves, and after that many samples it is where it was, as far as it can have moved meanwhile
+        returned = np.abs(position[count + 1 :] - position[: -count - 1]) <= allowed[: len(allowed) - count] * (
+            count + 1
+        )
+        gone = far[: len(far) - count] & far[count:] & returned
+        for number in range(1, count + 1):
+            jumped[number : number + len(gone)] |= gone
+    kept = ~_any(jumped, axis=1)
     if kept.all():
         return recording
     note = (

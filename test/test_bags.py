@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from proprio_ros.bags import is_text_recording, read_recording, read_text_recording, write_recording
+from proprio_ros.bags import is_text_recording, read_recording, read_text_recording, without_jumps, write_recording
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
 from proprio_ros.runs import cut_runs
@@ -401,6 +401,30 @@ def test_positions_that_are_no_radians(tmp_path: Path, scale: float) -> None:
     messages = [state(time_ns, [scale * q for q in positions(time_ns)]) for time_ns in times()]
     with refused("joint2 stands at -[0-9.]+, .*degrees, millimetres or encoder counts"):
         read(write_bag(tmp_path / "bag", messages + commands()))
+
+
+@pytest.mark.parametrize("where", ["position", "velocity", "effort"])
+def test_numbers_of_unwritten_memory_are_left_out_and_counted(tmp_path: Path, where: str) -> None:
+    messages = [state(time_ns, positions(time_ns), velocity=[0.0] * 5, effort=[0.1] * 5) for time_ns in times(100)]
+    expected = read(write_bag(tmp_path / "clean", messages + commands()))
+    for row in (20, 21, 60):
+        getattr(messages[row].content, where)[1] = -1.1e282
+    recording = read(write_bag(tmp_path / "bag", messages + commands()))
+    assert len(recording.joints.times_ns) == len(expected.joints.times_ns) - 3
+    assert np.isin(recording.joints.times_ns, expected.joints.times_ns).all()
+    assert np.abs(recording.joints.position).max() < 2.0
+    assert any("3 of 100 messages hold numbers that no joint can have" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_a_few_samples_elsewhere_are_damage_and_more_are_a_slipped_encoder(tmp_path: Path, count: int) -> None:
+    messages = [state(time_ns, positions(time_ns)) for time_ns in times(100)]
+    for row in range(50, 50 + count):
+        messages[row].content.position[2] += 1.0
+    recording = read(write_bag(tmp_path / "bag", messages + commands()))
+    left = without_jumps(recording, JOINTS)
+    assert len(left.joints.times_ns) == 100 - (count if count < 4 else 0)
+    assert any("there and back" in note for note in left.notes) == (count < 4)
 
 
 # --- the input -------------------------------------------------------------------------------------------------------
