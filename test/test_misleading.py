@@ -316,6 +316,14 @@ def test_a_value_that_holds_with_the_files_own_numbers_only_is_too_wide(bags: Pa
         assert estimate.interval_first
 
 
+def test_however_wide_an_interval_is_it_is_given(bags: Path) -> None:
+    """The file's numbers do not explain this recording, friction had to be fitted, and 100 g may be anything up to 355 g."""
+    estimate = answer(bags, "payload", "realistic_s00_fixed_reference_100g_joint3_x1", {"payload.shape": "point"})
+    assert estimate.verdict is Verdict.TOO_WIDE and codes(estimate)[0] == "too_wide"
+    low, high = estimate.value("payload_mass").ci95
+    assert low <= 0.1 <= high and high - low > 0.2
+
+
 @pytest.mark.parametrize(
     ("unit", "std", "kept", "spec"),
     [
