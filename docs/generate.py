@@ -44,6 +44,7 @@ ABOUT = {
     "zero lets go of a joint only after a push",
     "/position_command": "goal positions [rad, m], labelled likewise; above the table, one publisher at a time",
     "/driver/status": "`state`: running, stopped, released, disconnected, inactive; at once when it changes",
+    "/motors": "what each servo keeps without power, as JSON by joint: whose arm it is; a calibration is refused on another",
     "/excitation/status": "what the sequence is doing",
     "/excitation/lease": "true, again and again: the sequence is wanted, and ends after 1.5 s of silence; false: no more",
     "/excitation/run": "make the sequence named by the parameter `probe`",

@@ -28,6 +28,7 @@ from rosbags.typesys.store import Typestore
 
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line, printable
 from proprio_ros.forms import FormError, Number, Text, shortly
+from proprio_ros.motors import MotorIdentity, Motors
 from proprio_ros.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of, yaml_of
 from proprio_ros.records import (
     LOST_AFTER_PERIODS,
@@ -51,6 +52,7 @@ CURRENT_PER_COUNT_A = 0.00269
 """Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 
 MIN_SAMPLES = 5
@@ -88,6 +90,9 @@ _DEFINITIONS = {
     "std_msgs/msg/MultiArrayLayout": "MultiArrayDimension[] dim\nuint32 data_offset",
     "std_msgs/msg/Float64MultiArray": "MultiArrayLayout layout\nfloat64[] data",
     "std_msgs/msg/Float32MultiArray": "MultiArrayLayout layout\nfloat32[] data",
+    "diagnostic_msgs/msg/KeyValue": "string key\nstring value",
+    "diagnostic_msgs/msg/DiagnosticStatus": "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\n"
+    "string name\nstring message\nstring hardware_id\nKeyValue[] values",
     "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/PointStamped": "std_msgs/Header header\nPoint point",
     "sensor_msgs/msg/JointState": "std_msgs/Header header\nstring[] name\n"
@@ -928,6 +933,27 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
     return Contents(topics, one_line(state.name), chosen)
 
 
+def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
+    """The motors of the arm whose joint states a bag holds, as its driver told them on ``motors``; empty where it did not.
+
+    Args:
+        path: The bag.
+        state_topic: Of the joint states.
+
+    Raises:
+        RecordingError: The bag cannot be read.
+    """
+    with _open(Path(path)) as bag:
+        try:
+            namespace = _state_topic(bag, state_topic, None).name.rpartition("/")[0]
+        except RecordingError:
+            return {}
+        topics = [t for t in bag.topics if t.size and (t.name, t.msgtype) == (f"{namespace}/motors", STATUS)]
+        entries = [entry for topic in topics for _, message in bag.messages(topic) for entry in message.values]
+    motors = {one_line(str(entry.key)): MotorIdentity.from_text(str(entry.value)) for entry in entries}
+    return {joint: motor for joint, motor in motors.items() if motor is not None}
+
+
 def read_points(path: str | Path, topic: str) -> PointTrack:
     """Read where something was seen from a topic of geometry_msgs/PointStamped.
 
@@ -1045,7 +1071,7 @@ def write_messages(path: str | Path, messages: Sequence[RawMessage], storage: st
 
     Args:
         path: Folder to make; it must not exist. Nothing is left of it when writing fails.
-        messages: Of the types in which recordings come: JointState and Float64MultiArray.
+        messages: Of the types in which recordings come: JointState, Float64MultiArray and DiagnosticStatus.
         storage: 'mcap' or 'sqlite3'.
 
     Raises:

@@ -16,13 +16,15 @@ from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.scalarstring import LiteralScalarString
 
 from proprio_ros import __version__
+from proprio_ros.bags import read_motors
 from proprio_ros.calibration import Calibration
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
 from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.motors import MotorIdentity, other_arm
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.replay import Recordings, ReplayOptions, bag_runs, held_positions, robot_of
 from proprio_ros.resources import paths_of, resource, resource_names, write_in_one_step
@@ -77,12 +79,15 @@ def calibrate_from_bags(
     loads = [*((Path(path), KnownLoad()) for path in paths)]
     loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
+    motors = _motors_of([path for path, _ in loads], options)
     runs = []
     for number, (path, load) in enumerate(loads, start=1):
         progress(f"reading {path} ({number} of {len(loads)})")
         runs += [LoadedRun(run, load) for run in once.checked(path, bag_runs(path, robot, options, held))]
     read = time.perf_counter()
     estimate = calibrate(robot, runs, progress=progress)
+    if estimate.calibration is not None:
+        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors))
     written = None
     if output is not None and estimate.calibration is not None and estimate.verdict.value == "accepted":
         said = "" if estimate.weighable is None else estimate.weighable.sentence()
@@ -96,6 +101,21 @@ def calibrate_from_bags(
     used = {fit.name for fit in estimate.run_fits}
     unused = tuple(recorded_run(robot, each.run) for each in runs if each.run.name not in used)
     return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin, unused=unused)
+
+
+def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, MotorIdentity]:
+    """The motors of the arm that all recordings are of, as far as they say it.
+
+    Raises:
+        RecordingError: They are of several.
+    """
+    motors: dict[str, MotorIdentity] = {}
+    for path in paths:
+        found = read_motors(path, options.state_topic)
+        if differences := other_arm(motors, found):
+            raise RecordingError(f"{path}: another arm than that of the recordings before it: {differences}")
+        motors |= found
+    return motors
 
 
 @one_blas_thread

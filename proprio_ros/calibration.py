@@ -10,6 +10,8 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       residual_scale: 1.02               # residuals over what encoder and stamps explain
       stamp_jitter_s: 0.0003             # standard deviation of the stamps, as the runs show it
       torque_disturbance_N_m: 0.0004     # what differs from run to run
+      motors:                            # whose arm it is, where the recordings say so; without this section nothing is compared
+        joint3: {model: 1020, id: 13, firmware: 46, homing_offset: 0, drive_mode: 0, moving_threshold: 10}
       start_velocity_rad_s: 0.003        # how still the held joint is when its probe begins; all numbers have ranges, see `RANGES`
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
@@ -21,7 +23,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,7 @@ from numpy.typing import NDArray
 from proprio_ros.errors import RobotError, one_line
 from proprio_ros.forms import Form, FormError, Number, Text, Whole, shortly
 from proprio_ros.kinds import KINDS, Key, key_of, name_of
+from proprio_ros.motors import MotorIdentity, Motors
 from proprio_ros.quantity import Quantity
 
 FloatArray = NDArray[np.float64]
@@ -89,6 +92,7 @@ class Calibration:
         torque_disturbance: Standard deviation of a torque that differs from run to run [N m].
         start_velocity: Standard deviation of the velocity at which probes begin [rad/s].
         runs: One mapping per run used: name, joint, current_A, load_kg, samples.
+        motors: Of the arm, by joint, where its recordings say so.
     """
 
     keys: tuple[Key, ...]
@@ -99,6 +103,7 @@ class Calibration:
     torque_disturbance: float = 0.0
     start_velocity: float = 0.01
     runs: tuple[Mapping[str, Any], ...] = ()
+    motors: Motors = field(default_factory=dict)
 
     @functools.cached_property
     def names(self) -> tuple[str, ...]:
@@ -141,6 +146,7 @@ class Calibration:
             "stamp_jitter_s": _short(self.stamp_jitter_s),
             "torque_disturbance_N_m": _short(self.torque_disturbance),
             "start_velocity_rad_s": _short(self.start_velocity),
+            **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
             "unknowns": {
                 name_of(key): {"value": _short(known.value, 15), "std": _short(known.std, 15), "unit": _unit(key)}
                 for key, known in self.quantities.items()
@@ -169,6 +175,13 @@ class Calibration:
                 raise RobotError(f"{where}: runs: {number}: expected {', '.join(_RUN)}, got {shortly(run)}")
             for name, form in _RUN.items():
                 _read(run[name], form, f"{where}: runs: {number}: {name}")
+        motors = {}
+        for joint, entry in (_part(section, "motors", Mapping, where) if "motors" in section else {}).items():
+            at = f"{where}: motors: {one_line(str(joint), 80)}"
+            try:
+                motors[str(joint)] = MotorIdentity.from_settings(entry)
+            except FormError as error:
+                raise RobotError(f"{at}: {error}") from None
         keys, values, stds = [], [], []
         for name, entry in unknowns.items():
             at = f"{where}: unknowns: {one_line(str(name), 80)}"
@@ -210,6 +223,7 @@ class Calibration:
             torque_disturbance,
             start_velocity,
             tuple(runs),
+            motors,
         )
 
 

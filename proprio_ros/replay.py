@@ -10,11 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.bags import TextRecording, is_text_recording, read_recording, read_text_recording, without_jumps
+from proprio_ros.bags import (
+    TextRecording,
+    is_text_recording,
+    read_motors,
+    read_recording,
+    read_text_recording,
+    without_jumps,
+)
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.motions import Motion, motion_of
+from proprio_ros.motors import other_arm, other_firmware
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
@@ -334,8 +342,31 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=list(robot.drive_trains),
     )
+    recording = without_jumps(recording, list(robot.drive_trains))
+    notes = recording.notes + check_motors(path, robot, options.state_topic)
     # a bag's folder is often called after its storage, so the folder above says which one it is
-    return replace(without_jumps(recording, list(robot.drive_trains)), name="/".join(path.resolve().parts[-2:]))
+    return replace(recording, notes=notes, name="/".join(path.resolve().parts[-2:]))
+
+
+def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str, ...]:
+    """Whether a bag is of the arm that was calibrated, as far as both say whose it is.
+
+    Returns:
+        A note where the same motors have other firmware now.
+
+    Raises:
+        RecordingError: It is of another arm, or cannot be read.
+    """
+    if robot.calibration is None or not robot.calibration.motors:
+        return ()
+    motors = read_motors(path, state_topic)
+    if differences := other_arm(robot.calibration.motors, motors):
+        raise RecordingError(
+            f"{path}: another arm than that of {robot.source.name}, or its motors were set anew: {differences}: calibrate this "
+            "arm, or name its own calibration"
+        )
+    updated = other_firmware(robot.calibration.motors, motors)
+    return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",) if updated else ()
 
 
 def _turning(robot: Robot) -> list[str]:

@@ -31,7 +31,7 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, configured_robot, held_positions, probe_asked_for, robot_of
+from proprio_ros.replay import ReplayOptions, check_motors, configured_robot, held_positions, probe_asked_for, robot_of
 from proprio_ros.resources import private_folder, write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
@@ -316,6 +316,7 @@ def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, opti
             nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
             joint_order=list(robot.drive_trains),
         )
+        about_motors = check_motors(bag, robot, options.state_topic)
     except RecordingError as error:
         raise RecordingError(str(error).removeprefix(f"{bag}: ")) from error
     finally:
@@ -326,7 +327,7 @@ def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, opti
             f"the joint states are of {', '.join(recorded)}, and {robot.name} has {', '.join(robot.drive_trains)}: name the robot"
             " with --robot, or their topic with --state-topic"
         )
-    return recording.notes
+    return recording.notes + about_motors
 
 
 def as_parameters(sentence: str) -> str:

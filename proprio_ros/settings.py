@@ -52,9 +52,6 @@ SEARCH: dict[str, Form] = {
     "solver.integrator": Choice("semi_implicit: the paper's equation (2)", ("rk4", "semi_implicit")),
     # a run of a second takes 1e4 steps of the shortest; at the longest, no integrator knows what an arm does
     "solver.step_s": Number("longest step of the simulation", "s", 1e-4, 0.02),
-    "solver.widest_interval_kg": Number(
-        "half width of the widest 95 % interval that is an answer", "kg", 0.0, 10.0, open=True
-    ),
     "solver.widest_relative": Number(
         "half width of the widest 95 % interval that is an answer, over the value", "", 0.0, 10.0, open=True
     ),

@@ -24,11 +24,13 @@ ROOMS: dict[str, set[str]] = {
     "quantity": {"errors"},
     # the unknowns that fits may have, with their units and what to call them
     "kinds": set(),
-    "calibration": {"errors", "quantity", "kinds", "forms"},
+    # whose arm it is
+    "motors": {"forms"},
+    "calibration": {"errors", "quantity", "kinds", "forms", "motors"},
     "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading"},
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
-    "bags": {"errors", "records", "forms", "reading"},
+    "bags": {"errors", "records", "forms", "reading", "motors"},
     "runs": {"errors", "records"},
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
@@ -56,6 +58,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "replay": {
         "errors",
+        "motors",
         "schema",
         "threads",
         "records",
@@ -73,6 +76,8 @@ ROOMS: dict[str, set[str]] = {
     },
     "calibrating": {
         "errors",
+        "bags",
+        "motors",
         "schema",
         "threads",
         "resources",
@@ -143,12 +148,13 @@ ROOMS: dict[str, set[str]] = {
         "report",
         "nodes",
     },
-    "bus": {"errors", "records", "robot", "realtime"},
+    "bus": {"errors", "records", "robot", "realtime", "motors"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
     "excitation": {"errors", "reading", "records", "resources", "robot"},
     "nodes": {
         "errors",
+        "motors",
         "progress",
         "quantity",
         "records",

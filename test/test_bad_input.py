@@ -170,7 +170,7 @@ def test_forms() -> None:
         "solver.starts_kg=[]",
         "solver.starts_kg=0.1",
         "solver.starts_kg=" + json.dumps([0.1] * 1000),
-        "solver.widest_interval_kg=NaN",
+        "solver.wide_floor_kg=NaN",
         "solver.integrator=null",
         "paper.iterations=1e12",
         "held.joint1=" + "9" * 400,

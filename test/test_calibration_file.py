@@ -174,6 +174,11 @@ def triangle(below: str = "0", diagonal: str = "1") -> str:
         (renamed("link_mass[link5]", "link_mass[link9]"), "the robot has no such link"),
         (renamed("coulomb[joint3]", "coulomb[joint2]"), r"coulomb\[joint3\] missing"),
         (lambda c: c.pop("model_fingerprint"), "model_fingerprint is missing"),
+        (lambda c: c["calibration"].update(motors=[]), "motors is missing or no"),
+        (
+            lambda c: c["calibration"].update(motors={"joint3": {"id": 13}}),
+            "motors: joint3: expected model, id, firmware",
+        ),
         (lambda c: c["calibration"]["runs"].append("a bag"), "runs: 2: expected name, joint"),
         (lambda c: c["calibration"]["runs"][0].update(samples="many"), "runs: 1: samples: expected a whole number"),
         (

@@ -12,6 +12,7 @@ import pytest
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
 from proprio_ros.motions import motion_of
+from proprio_ros.probes.payload import moving
 from proprio_ros.records import InputRecord, JointRecord, Recording
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings_real"
@@ -129,6 +130,18 @@ def test_a_real_empty_hand_weighs_nothing(capsys: pytest.CaptureFixture[str], ur
     assert code == 0, answer["reasons"]
     mass = answer["estimates"][0]
     assert mass["value"] < 0.05 and mass["ci95"][0] == 0.0 and mass["ci95"][1] < 0.1
+
+
+def test_a_wide_interval_is_given_and_not_accepted(
+    capsys: pytest.CaptureFixture[str], ur10e: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a weighing with one joint: `too_wide` means the same."""
+    monkeypatch.setattr(moving, "WIDEST_SHARE", 1e-3)
+    monkeypatch.setattr(moving, "WIDEST_OF_ARM", 0.0)
+    code, answer = replayed(capsys, ur10e, "ur10e_loaded_14", "--baseline", str(REAL / "ur10e_empty_14"))
+    assert code == 3 and answer["verdict"] == "too_wide" and answer["reason_codes"] == ["too_wide"]
+    low, high = answer["estimates"][0]["ci95"]
+    assert low < 2.805 < high
 
 
 def test_a_real_arm_with_another_unit_is_refused(capsys: pytest.CaptureFixture[str], ur10e: Path) -> None:

@@ -33,6 +33,7 @@ from proprio_ros.bus.control_table import (
     servo_model,
 )
 from proprio_ros.errors import BusError, PortLostError, RobotError
+from proprio_ros.motors import MotorIdentity, Motors
 from proprio_ros.robot import Robot
 
 REPLY_TIMEOUT_S = 0.020
@@ -229,6 +230,7 @@ class DynamixelBus:
         self.servos = tuple(servos)
         self.baud_rate = baud_rate
         self.warnings: list[str] = []
+        self.motors: Motors = {}
         self._by_id = {servo.id: servo for servo in self.servos}
         self._reply_timeout_s = reply_timeout_s
         self._want_fast = fast_sync_read
@@ -378,6 +380,7 @@ class DynamixelBus:
             BusError: Naming all that are missing or of another model.
         """
         wrong, slow = [], False
+        motors: dict[str, MotorIdentity] = {}
         for servo in self.servos:
             try:
                 number = self.ping(servo.id)
@@ -389,7 +392,15 @@ class DynamixelBus:
             if number != servo.model.number:
                 wrong.append(f"servo {servo.id} ({servo.joint}) is a {model_name(number)}, not a {servo.model.name}")
                 continue
-            slow |= self.read(servo.id, "firmware_version") < servo.model.fast_sync_read_firmware
+            motors[servo.joint] = MotorIdentity(
+                model=number,
+                id=servo.id,
+                firmware=self.read(servo.id, "firmware_version"),
+                homing_offset=self.read(servo.id, "homing_offset"),
+                drive_mode=self.read(servo.id, "drive_mode"),
+                moving_threshold=self.read(servo.id, "moving_threshold"),
+            )
+            slow |= motors[servo.joint].firmware < servo.model.fast_sync_read_firmware
         if wrong:
             advice = (
                 "check power, cables, ids and baud rate"
@@ -397,6 +408,7 @@ class DynamixelBus:
                 else "correct the robot file"
             )
             raise BusError(f"{self.port_name} at {self.baud_rate} bit/s: {'; '.join(wrong)}: {advice}")
+        self.motors = motors
         self._fast = self._want_fast and self._sdk_is_fast and not slow
 
     def prepare(self, *, watchdog_s: float, position_d_gain: int) -> None:

@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 from proprio_ros.bus.driver import ArmDriver, ArmSample, BusState, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.motors import Motors
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
@@ -65,6 +66,7 @@ class DriverNode(ManagedNode):
         self._ended = threading.Event()
         self._hold_at_end = False
         self._told: tuple[str, ...] = ()
+        self._told_motors: Motors = {}
 
     @property
     def pause_s(self) -> float:
@@ -109,6 +111,8 @@ class DriverNode(ManagedNode):
         self._current = self.create_publisher(Float64MultiArray, "applied_current", STREAM)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._told_motors = {}  # a new publisher has told nobody
+        self._motors = self.create_publisher(DiagnosticStatus, "motors", LATCHED)
         self._senders = {"current_command": Senders(), "position_command": Senders()}
         self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
         self.create_subscription(Float64MultiArray, "position_command", self._on_position, FROM_MANY)
@@ -258,6 +262,12 @@ class DriverNode(ManagedNode):
         self._told = self._states_of(driver)
         statuses = self._statuses(driver)
         self._status.publish(statuses[0])
+        motors = driver.bus.motors
+        if motors != self._told_motors:
+            self._told_motors = motors
+            values = {joint: motor.as_text() for joint, motor in motors.items()}
+            name = f"{self._diagnosed}: motors"
+            self._motors.publish(messages.status("ok", name, "whose arm this is", values, self._hardware_id))
         self._diagnostics.publish(messages.diagnostics(self.get_clock().now().nanoseconds, statuses))
 
     def _statuses(self, driver: ArmDriver) -> list[DiagnosticStatus]:

@@ -174,6 +174,7 @@ class IdentifierNode(ManagedNode):
         self._closing = False
         self._topics: dict[str, Any] = {}
         self._joints: list[bytes] = []
+        self._motors = b""
         self._session: Session | None = None
         self._unsaved: list[Session] = []
         self._live: LiveEstimate | None = None
@@ -233,6 +234,8 @@ class IdentifierNode(ManagedNode):
         ):  # fmt: skip
             listener = self._listener(self.resolve_topic_name(topic), role, kind)
             self.listen(kind, topic, listener, STREAM, raw=True, only_newest=lambda: self._job is None)
+        self._motors_topic = self.resolve_topic_name("motors")
+        self.create_subscription(DiagnosticStatus, "motors", self._on_motors, LATCHED, raw=True)
         self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
         self._topics = self._stated_topics()
         if self._topics["command_topic"]:
@@ -381,6 +384,17 @@ class IdentifierNode(ManagedNode):
                 self._add_live(live, role, now_ns, deserialize_message(data, kind))
 
         return listen
+
+    def _on_motors(self, data: bytes) -> None:
+        """Said once, when the driver finds them."""
+        self._motors = bytes(data)
+
+    def _told_motors(self) -> list[RawMessage]:
+        """What the driver said of its motors; nothing where none of ours runs any more."""
+        if not self._motors or not self.count_publishers(self._motors_topic):
+            return []
+        now_ns = self.get_clock().now().nanoseconds
+        return [RawMessage(self._motors_topic, _type_of(DiagnosticStatus), now_ns, self._motors)]
 
     def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
         if role == "joint_states":
@@ -641,6 +655,8 @@ class IdentifierNode(ManagedNode):
             raise JobError(f"not begun: {as_parameters(str(error))}") from error
         if self._live is not None:
             self._live.reset()
+        for told in self._told_motors():
+            session.add(*told)
         self._session = session
         failure = ""
         try:
@@ -675,7 +691,7 @@ class IdentifierNode(ManagedNode):
             while True:
                 time.sleep(CHECK_S)
                 try:
-                    notes = check_input(folder, list(heard), robot, options)
+                    notes = check_input(folder, [*heard, *self._told_motors()], robot, options)
                     break
                 except RecordingError:
                     if time.monotonic() > deadline:

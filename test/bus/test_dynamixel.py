@@ -16,6 +16,7 @@ import pytest
 from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode, servo_model
 from proprio_ros.bus.dynamixel import TRIES, BusServo, DynamixelBus, Goal, servos_of
 from proprio_ros.errors import BusError, PortLostError, RobotError
+from proprio_ros.motors import MotorIdentity, other_arm
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.protocol import crc16
 from proprio_ros.virtual.servo import REBOOT_S, VirtualServo
@@ -92,6 +93,13 @@ def test_old_firmware_is_read_the_plain_way(desk: Desk, plain: DynamixelBus) -> 
     plain.handshake()
     assert plain.fast is False
     assert set(plain.read_states().states) == JOINTS
+
+
+def test_whose_arm_it_is(desk: Desk, plain: DynamixelBus) -> None:
+    desk.servos[13]["homing_offset"] = -120
+    plain.handshake()
+    assert plain.motors["joint13"] == MotorIdentity(1020, 13, 46, -120, 0, 10)
+    assert other_arm(plain.motors, plain.motors) == ""
 
 
 def test_the_wrong_baud_rate(desk: Desk) -> None:

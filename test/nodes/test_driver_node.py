@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+from proprio_ros.motors import MotorIdentity
 from proprio_ros.nodes.driver import DriverNode
 from proprio_ros.nodes.messages import labelled, values_of
 from proprio_ros.nodes.runtime import LATCHED
@@ -46,9 +47,11 @@ class Bench:
         self.node: Any = DriverNode(context=self.context, parameter_overrides=overrides)
         self.other = Node("other", context=self.context)
         self.statuses: list[dict[str, str]] = []
+        self.motors: list[dict[str, str]] = []
         self.diagnostics: list[dict[str, str]] = []
         listen = self.other.create_subscription
         listen(DiagnosticStatus, "/driver/status", lambda m: self.statuses.append(values_of(m)), LATCHED)
+        listen(DiagnosticStatus, "/motors", lambda m: self.motors.append(values_of(m)), LATCHED)
         listen(DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.append(values_of(m.status[0])), 10)
         self.owner = self.other.create_publisher(Float64MultiArray, "/current_command", 10)
         self.stranger = self.other.create_publisher(Float64MultiArray, "/current_command", 10)
@@ -222,6 +225,13 @@ def test_a_change_of_state_is_published_at_once(bench: Bench) -> None:
     assert bench.statuses[0]["state"] == bench.diagnostics[0]["state"] == "stopped"
     assert bench.call(SetBool, "/driver/torque", SetBool.Request(data=True)).success
     bench.until(lambda: bench.state == "running")
+
+
+def test_whose_arm_it_is_is_said_once(bench: Bench) -> None:
+    bench.until(lambda: bool(bench.motors))
+    (told,) = bench.motors
+    assert set(told) == set(bench.node._order)
+    assert MotorIdentity.from_text(told["joint3"]) == MotorIdentity(1020, 13, 46, 0, 0, 10)
 
 
 def test_publishers_are_told_apart_by_their_numbers() -> None:

@@ -16,10 +16,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import rclpy
 from domains import free_domain
+from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker
 
+from proprio_ros.bags import RawMessage, read_motors, write_messages
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.motors import MotorIdentity
 from proprio_ros.nodes import driver, identifier, messages
 from proprio_ros.probes import probe_named
 from proprio_ros.replay import ReplayOptions
@@ -137,6 +140,20 @@ def test_a_calibration_of_another_arm_is_not_used(
     assert nodes.identifier(data_directory=tmp_path)._calibration is None
     with pytest.raises(RobotError, match=r"the parameter calibration .* holds no calibration"):
         nodes.identifier(data_directory=tmp_path, calibration=newest)
+
+
+def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = nodes.identifier("arm1", data_directory=tmp_path)
+    elbow = MotorIdentity(1020, 13, 46, 7, 0, 10)
+    node._on_motors(serialize_message(messages.status("ok", "motors", "", {"joint3": elbow.as_text()}, "")))
+    assert node._told_motors() == []  # no driver of ours runs
+    monkeypatch.setattr(node, "count_publishers", lambda topic: int(topic == "/arm1/motors"))
+    state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
+    states = RawMessage("/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state))
+    write_messages(tmp_path / "bag", [states, *node._told_motors()])
+    assert read_motors(tmp_path / "bag") == {"joint3": elbow}
 
 
 def test_what_cannot_be_recorded_is_said_before_anything_moves(

@@ -30,6 +30,7 @@ from proprio_ros.probes.container.problem import (
 from proprio_ros.records import Run
 from proprio_ros.replay import ReplayOptions, bag_runs, replay
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.schema import reason_codes
 from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import Enclosure, SphereRun
@@ -252,12 +253,14 @@ def test_runs_of_two_spheres_contradict(realistic: Level) -> None:
     assert estimate.value("sphere_mass").reason
 
 
-def test_too_wide_an_interval_is_no_answer(realistic: Level) -> None:
+def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Level) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     facts = container_facts(Settings(told(folder)), probe_file("container"))
-    options = ContainerOptions(widest_interval_kg=1e-4)
+    options = ContainerOptions(wide_share=1e-3, wide_floor_kg=0.0)
     estimate = find_sphere(realistic.robot, runs_of(folder, realistic.robot), facts, options, realistic.baseline())
-    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "can only be determined to +-" in estimate.reasons[0]
+    assert estimate.verdict is Verdict.TOO_WIDE and reason_codes(estimate.reasons)[0] == "too_wide"
+    low, high = estimate.value("sphere_mass").ci95
+    assert low <= 0.012 <= high
 
 
 # --- what is stated --------------------------------------------------------------------------------------------------

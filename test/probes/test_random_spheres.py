@@ -88,7 +88,7 @@ def test_a_camera_beside_the_encoder(robot: Robot, signals: str) -> None:
         run, seen = recorded(case, SEED)
         noise = np.random.default_rng([SEED, 7]).normal(scale=1e-3, size=seen.shape)
         track = SphereTrack(run.times_s, seen + noise, 1e-3)
-        options = ContainerOptions(signals=signals, widest_interval_kg=0.2)
+        options = ContainerOptions(signals=signals)
         estimate = find_sphere(robot, [run], FACTS, options, tracks=[track])
         value = estimate.value("sphere_mass")
         assert estimate.verdict is not Verdict.REJECTED, estimate.reasons

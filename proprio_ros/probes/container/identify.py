@@ -26,7 +26,6 @@ from proprio_ros.identification.fit import (
     other_suspects,
     rivals,
     solve_load,
-    source_label,
     summary,
     unknown_rows,
 )
@@ -101,7 +100,6 @@ class ContainerOptions:
     Attributes:
         integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
         starts_kg: first guesses of the sphere's mass.
-        widest_interval_kg: half width of the 95 % interval beyond which no number is given.
         wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
         signals: what runs that a camera saw are fitted to: ``"both"``, ``"joint"`` or ``"camera"``.
     """
@@ -109,7 +107,6 @@ class ContainerOptions:
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
     starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
-    widest_interval_kg: float = 0.02
     wide_share: float = 0.5
     wide_floor_kg: float = 0.005
     signals: str = "both"
@@ -546,14 +543,6 @@ def _conclude(
                 "the container seems lighter than empty",
                 f"the container seems {-1e3 * mass:.1f} g lighter than it was empty: was the baseline empty, and held in the same "
                 "place?",
-            )
-        if Z95 * std > options.widest_interval_kg:
-            yield not_identifiable(
-                "interval_too_wide",
-                "the interval is too wide to state a mass",
-                f"the sphere's mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of "
-                f"{source_label(budget[0][0])}: "
-                + ("record more runs, tilted further" if known else "calibrate the robot on empty-hand runs"),
             )
         if others := rivals(fit, "sphere_mass", mass, std, DISTINCT):
             yield not_identifiable(

@@ -27,7 +27,6 @@ from proprio_ros.identification.fit import (
     other_suspects,
     rivals,
     solve_load,
-    source_label,
     summary,
 )
 from proprio_ros.identification.gates import (
@@ -73,11 +72,9 @@ class WeighingOptions(SearchOptions):
     """How to solve, and when to refuse.
 
     Attributes:
-        widest_interval_kg: half width of the 95 % interval beyond which no number is given.
         wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
     """
 
-    widest_interval_kg: float = 0.1
     wide_share: float = 0.5
     wide_floor_kg: float = 0.005
 
@@ -250,14 +247,6 @@ def _conclude(
                 "too little travel to separate friction from weight",
                 f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to separate friction from weight: "
                 "calibrate the robot on empty-hand runs, or probe with more current",
-            )
-        if fit is opened and Z95 * std > options.widest_interval_kg:
-            yield not_identifiable(
-                "interval_too_wide",
-                "the interval is too wide to state a mass",
-                f"the mass can only be determined to +-{1e3 * Z95 * std:.0f} g, mostly because of "
-                f"{source_label(budget[0][0]) if budget else 'encoder noise'}: calibrate the robot on empty-hand runs, or probe "
-                "with more travel",
             )
         if others := rivals(fit, "payload_mass", mass, std, 0.02):
             yield not_identifiable(

@@ -10,6 +10,7 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
 from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.motions import Motion
 from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
@@ -24,7 +25,7 @@ URDF_RATIO = 1.35
 APART_SIGMAS = 4.0
 """Two halves of a recording that differ by more did not carry the same."""
 WIDEST_SHARE, WIDEST_OF_ARM = 0.5, 0.02
-"""No mass is given whose half width is more than this share of it and of the arm's own mass."""
+"""A mass whose half width is more than this share of it and of the arm's own mass is ``too_wide``."""
 
 
 @dataclass(frozen=True)
@@ -131,13 +132,20 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
             f"the hand with its load seems {shown('kg', -mass, spec='.0f')} lighter than with nothing in it: are the "
             "recordings mixed up?",
         )
-    if half > max(WIDEST_SHARE * abs(mass), WIDEST_OF_ARM * fit.arm_kg):
-        yield not_identifiable(
-            "interval_too_wide",
-            "the interval is too wide to state a mass",
+
+
+def _too_wide(fit: MotionFit) -> tuple[Reason, ...]:
+    """Why an answer that nothing else speaks against is not accepted; empty where it is."""
+    mass, half = float(fit.values[0]), fit.quantile * float(fit.std[0])
+    if half <= max(WIDEST_SHARE * abs(mass), WIDEST_OF_ARM * fit.arm_kg):
+        return ()
+    return (
+        Reason(
+            "too_wide",
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
             f"the hand, longer than the {BLOCK_S * fit.blocks:.0f} s used here, and record the empty hand in the same motion",
-        )
+        ),
+    )
 
 
 def _estimate(
@@ -149,6 +157,7 @@ def _estimate(
     centre_is_stated: bool = False,
 ) -> Estimate:
     withheld = "" if refusal is None else refusal.withheld
+    wide = _too_wide(fit) if fit is not None and refusal is None else ()
     if fit is None or withheld:
         values = [Value("payload_mass", "kg", None, reason=withheld)]
     else:
@@ -160,8 +169,8 @@ def _estimate(
     return Estimate(
         probe="payload",
         robot=robot.name,
-        verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
-        reasons=() if refusal is None else tuple(refusal.reasons),
+        verdict=refusal.verdict if refusal is not None else Verdict.TOO_WIDE if wide else Verdict.ACCEPTED,
+        reasons=wide if refusal is None else tuple(refusal.reasons),
         values=tuple(values),
         fit=None
         if fit is None

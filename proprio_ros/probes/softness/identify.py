@@ -240,8 +240,8 @@ def _conclude(
             )
         if modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
             yield not_identifiable(
-                "interval_too_wide",
-                "the interval is too wide to state a modulus",
+                "one_sided",
+                "the recording bounds the modulus on one side at most",
                 f"Young's modulus can only be determined to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of "
                 f"{source_label(budget[0][0])}: "
                 + (
