@@ -28,7 +28,7 @@ from rosbags.typesys.store import Typestore
 
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line, printable
 from proprio_ros.forms import FormError, Number, Text, shortly
-from proprio_ros.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of, yaml_of
+from proprio_ros.reading import LONGEST_TABLE, LONGEST_TEXT, finite, json_of, path_problem, text_of, yaml_of
 from proprio_ros.records import (
     LOST_AFTER_PERIODS,
     MEASURED_EFFORT,
@@ -77,6 +77,7 @@ FOREIGN_CLOCK_NS = 500_000_000
 
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/msg/String": "string data",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/msg/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
     "std_msgs/msg/MultiArrayLayout": "MultiArrayDimension[] dim\nuint32 data_offset",
@@ -133,8 +134,8 @@ class _Bag:
         """Recorder's time [ns] and message, of one topic, in the order of time; at least one."""
         return [(time_ns, _deserialise(raw, topic.msgtype)) for time_ns, raw in self._raw(topic)]
 
-    def _raw(self, topic: _Topic) -> list[tuple[int, bytes]]:
-        """The same with the messages as they were recorded."""
+    def _raw(self, topic: _Topic, most: int = MOST_BYTES_OF_ONE) -> list[tuple[int, bytes]]:
+        """The same with the messages as they were recorded, of at most so many bytes each."""
         messages: list[tuple[int, bytes]] = []
         size = 0
         for reader in self._readers:
@@ -145,10 +146,10 @@ class _Bag:
                 _require_cdr(self.path, connection)
             for _, time_ns, raw in reader.messages(connections=wanted):
                 size += len(raw)
-                if len(raw) > MOST_BYTES_OF_ONE or size > MOST_BYTES or len(messages) == MOST_MESSAGES:
+                if len(raw) > most or size > MOST_BYTES or len(messages) == MOST_MESSAGES:
                     raise RecordingError(
                         f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
-                        f"{MOST_BYTES / 1e6:g} MB together and {MOST_BYTES_OF_ONE / 1e3:g} kB each; cut the bag with "
+                        f"{MOST_BYTES / 1e6:g} MB together and {most / 1e3:g} kB each; cut the bag with "
                         "`ros2 bag convert`"
                     )
                 messages.append((time_ns, bytes(raw)))
@@ -895,6 +896,30 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
             return Contents(topics, one_line(state.name), None, str(error))
     chosen = None if inputs is None or inputs == state else one_line(inputs.name)
     return Contents(topics, one_line(state.name), chosen)
+
+
+def read_description(path: str | Path) -> str:
+    """The URDF that a robot's driver published on ``/robot_description`` and the recorder kept.
+
+    Args:
+        path: The bag.
+
+    Raises:
+        RecordingError: The bag cannot be read, or holds no description, or several that differ.
+    """
+    with _open(Path(path)) as bag:
+        typed = [topic for topic in bag.topics if topic.msgtype == "std_msgs/msg/String" and topic.size]
+        topics = _called(typed, "robot_description")
+        if not topics:
+            raise RecordingError(
+                f"{path}: no /robot_description (std_msgs/String) in the bag; it holds: {_listed(bag.topics)}; give a URDF file"
+            )
+        texts = {
+            str(_deserialise(raw, topic.msgtype).data) for topic in topics for _, raw in bag._raw(topic, LONGEST_TEXT)
+        }
+    if len(texts) > 1:
+        raise RecordingError(f"{path}: {len(texts)} descriptions that differ on {_listed(topics)}; give a URDF file")
+    return texts.pop()
 
 
 def read_points(path: str | Path, topic: str) -> PointTrack:

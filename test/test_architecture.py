@@ -25,7 +25,8 @@ ROOMS: dict[str, set[str]] = {
     # the unknowns that fits may have, with their units and what to call them
     "kinds": set(),
     "calibration": {"errors", "quantity", "kinds", "forms"},
-    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading"},
+    # a bag may hold the robot's description
+    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading", "bags"},
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading"},
@@ -134,6 +135,8 @@ ROOMS: dict[str, set[str]] = {
         "quantity",
         "schema",
         "settings",
+        "resources",
+        "robot",
         "identification",
         "probes",
         "replay",
