@@ -68,6 +68,12 @@ _TOGETHER = 8192  # messages that are decoded at once
 IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
 
+IMPLAUSIBLE_READING = 1e6
+"""No velocity in counts and no effort in mA is larger; a damaged number is."""
+
+MOST_GARBAGE = 0.05
+"""Part of the messages that may hold such numbers; where more do, they are of another unit."""
+
 IMPLAUSIBLE_SPEED = 10.0
 """rad/s or m/s: no joint of an arm gets that fast there and back between three samples; a damaged number does."""
 
@@ -670,6 +676,28 @@ def _check_positions(path: Path, names: Sequence[str], position: FloatArray, exp
             )
 
 
+def _without_garbage(
+    times: TimeArray,
+    names: Sequence[str],
+    values: dict[str, FloatArray],
+    expected: Sequence[str],
+    topic: _Topic,
+    notes: list[str],
+) -> tuple[TimeArray, dict[str, FloatArray]]:
+    """Leave out the few rows whose numbers no joint and no sensor has; where they are many, the publisher means them."""
+    absurd = np.zeros(len(times), dtype=bool)
+    for quantity, table in values.items():
+        columns = np.isin(names, expected) if quantity == "position" else np.ones(len(names), dtype=bool)
+        limit = IMPLAUSIBLE_POSITION if quantity == "position" else IMPLAUSIBLE_READING
+        absurd |= _any((np.abs(table) > limit)[:, columns] & np.isfinite(table[:, columns]), axis=1)
+    if not absurd.any() or absurd.mean() > MOST_GARBAGE or len(times) - absurd.sum() < MIN_SAMPLES:
+        return times, values
+    notes.append(
+        f"{topic.name}: {_of(absurd)} messages hold numbers that no joint has, and were left out: is the file damaged?"
+    )
+    return times[~absurd], {quantity: table[~absurd] for quantity, table in values.items()}
+
+
 def _known_or_none(values: FloatArray) -> FloatArray | None:
     values = np.where(np.isfinite(values), values, np.nan)
     return None if bool(np.isnan(values).all()) else values
@@ -771,6 +799,7 @@ def read_recording(
     nominal_torque_constants: Mapping[str, float],
     joint_order: Sequence[str],
     current_per_count_A: float = CURRENT_PER_COUNT_A,
+    states_only: bool = False,
 ) -> Recording:
     """Read joint states and input currents from a ROS 2 bag.
 
@@ -785,6 +814,7 @@ def read_recording(
         nominal_torque_constants: By joint; the ones with which effort was published [N m/A or N/A].
         joint_order: Joints in the order of an unlabelled current command.
         current_per_count_A: Current of one raw count [A].
+        states_only: Whether to leave the input out, whatever there is of it.
 
     Returns:
         The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
@@ -801,7 +831,7 @@ def read_recording(
     notes: list[str] = []
     with _open(path) as bag:
         state = _state_topic(bag, state_topic, command_topic)
-        command = _input_topic(bag, command_topic, state)
+        command = None if states_only else _input_topic(bag, command_topic, state)
         columns = _joint_state_columns(bag, state, ["position", "velocity", "effort"])
         notes += columns.notes
         inputs = None
@@ -814,6 +844,7 @@ def read_recording(
         used = _any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     times, names, values = _state_rows(path, state, columns, driven, notes)
+    times, values = _without_garbage(times, names, values, [*joint_order, *driven], state, notes)
     _check_positions(path, names, values["position"], [*joint_order, *driven])
     effort, current = _effort_and_current(
         names, values["effort"], effort_unit, nominal_torque_constants, current_per_count_A
@@ -822,7 +853,7 @@ def read_recording(
     record = JointRecord(
         times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported
     )
-    if inputs is None:
+    if inputs is None and not states_only:
         inputs = _measured(path, state, record, reported is not None, effort_unit)
     return Recording(path.resolve().name, record, inputs, tuple(notes))
 

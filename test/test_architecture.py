@@ -100,8 +100,12 @@ ROOMS: dict[str, set[str]] = {
         "calibrating",
     },
     # what is in a bag, before any fit
+    # what a recording shows of itself
+    "plausibility": {"records", "motions", "robot", "identification"},
     "checking": {
         "errors",
+        "quantity",
+        "plausibility",
         "schema",
         "threads",
         "records",

@@ -319,6 +319,8 @@ def nested_settings(model: RobotModel, overrides: Mapping[str, Any]) -> dict[str
     for key, value in overrides.items():
         if key not in paths:
             raise RobotError(_unknown_override(key, paths, model.independent_joints))
+        if value is None:
+            raise RobotError(f"robot setting {key}: expected a value, got null")
         addition: Any = copy.deepcopy(value)
         for part in reversed(paths[key]):
             addition = {part: addition}
