@@ -77,8 +77,7 @@ def command_line() -> str:
     from proprio_ros.cli import _parser
 
     parser = _parser()
-    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    helps = {choice.dest: choice.help for choice in commands._choices_actions}
+    commands = dict(_commands(parser))
     parts = [
         NOTE,
         "# Command line",
@@ -86,16 +85,31 @@ def command_line() -> str:
         "3 rejected, not identifiable or too wide, "
         "130 interrupted. `proprio --version` prints the version; every command explains itself with `--help`.",
         _table(
-            ("command", "does"), [(f"[`proprio {name}`](#proprio-{name})", helps[name]) for name in commands.choices]
+            ("command", "does"),
+            [
+                (f"[`proprio {name}`](#proprio-{name.replace(' ', '-')})", about)
+                for name, (about, _) in commands.items()
+            ],
         ),
     ]
-    for name, command in commands.choices.items():
+    for name, (_, command) in commands.items():
         parts += [f"## proprio {name}", command.description or "", f"```\n{_usage(name, command)}\n```"]
         options = [action for action in command._actions if action.dest != "help"]
         parts.append(_table(("argument", "default", "meaning"), [_option(action) for action in options]))
         if command.epilog:
             parts.append(command.epilog)
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _commands(
+    parser: argparse.ArgumentParser, before: str = ""
+) -> Iterator[tuple[str, tuple[Any, argparse.ArgumentParser]]]:
+    """Name, help and parser of every command; of a command with commands of its own, those."""
+    for group in [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]:
+        helps = {choice.dest: choice.help for choice in group._choices_actions}
+        for name, command in group.choices.items():
+            inner = dict(_commands(command, f"{before}{name} "))
+            yield from inner.items() if inner else [(f"{before}{name}", (helps[name], command))]
 
 
 def _invocation(action: argparse.Action) -> str:
@@ -345,7 +359,9 @@ def settings() -> str:
         "that "
         "was held and not recorded, and `robot.KEY` any key of the robot file.",
         "## Robot file",
-        "An uncertain number is `{value: .., std: ..}`; a plain one is known exactly.",
+        "An uncertain number is `{value: .., std: ..}`; a plain one is known exactly; `null` is left out, and what is left out has "
+        "its default. `proprio robot new` writes a file with every key. The nominal torque constant may be left out where the "
+        "drive train's is stated.",
     ]
     for title, fields in (
         ("The robot", robot_file._ROBOT),
@@ -408,6 +424,10 @@ def _default(value: Any, required: Any) -> str:
         return "required"
     if value is None or value == "" or value == float("inf"):
         return ""
+    if hasattr(value, "described"):
+        return str(value.described())
+    if getattr(value, "std", 0.0):
+        return f"`{{value: {value.value:g}, std: {value.std:g}}}`"
     return f"`{_yaml(getattr(value, 'value', list(value) if isinstance(value, tuple) else value))}`"
 
 

@@ -29,7 +29,7 @@ from rosbags.typesys.store import Typestore
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line, printable
 from proprio_ros.forms import FormError, Number, Text, shortly
 from proprio_ros.motors import MotorIdentity, Motors
-from proprio_ros.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of, yaml_of
+from proprio_ros.reading import LONGEST_TABLE, LONGEST_TEXT, finite, json_of, path_problem, text_of, yaml_of
 from proprio_ros.records import (
     LOST_AFTER_PERIODS,
     MEASURED_EFFORT,
@@ -85,6 +85,7 @@ FOREIGN_CLOCK_NS = 500_000_000
 
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/msg/String": "string data",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/msg/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
     "std_msgs/msg/MultiArrayLayout": "MultiArrayDimension[] dim\nuint32 data_offset",
@@ -144,8 +145,8 @@ class _Bag:
         """Recorder's time [ns] and message, of one topic, in the order of time; at least one."""
         return [(time_ns, _deserialise(raw, topic.msgtype)) for time_ns, raw in self._raw(topic)]
 
-    def _raw(self, topic: _Topic) -> list[tuple[int, bytes]]:
-        """The same with the messages as they were recorded."""
+    def _raw(self, topic: _Topic, most: int = MOST_BYTES_OF_ONE) -> list[tuple[int, bytes]]:
+        """The same with the messages as they were recorded, of at most so many bytes each."""
         messages: list[tuple[int, bytes]] = []
         size = 0
         for reader in self._readers:
@@ -156,10 +157,10 @@ class _Bag:
                 _require_cdr(self.path, connection)
             for _, time_ns, raw in reader.messages(connections=wanted):
                 size += len(raw)
-                if len(raw) > MOST_BYTES_OF_ONE or size > MOST_BYTES or len(messages) == MOST_MESSAGES:
+                if len(raw) > most or size > MOST_BYTES or len(messages) == MOST_MESSAGES:
                     raise RecordingError(
                         f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
-                        f"{MOST_BYTES / 1e6:g} MB together and {MOST_BYTES_OF_ONE / 1e3:g} kB each; cut the bag with "
+                        f"{MOST_BYTES / 1e6:g} MB together and {most / 1e3:g} kB each; cut the bag with "
                         "`ros2 bag convert`"
                     )
                 messages.append((time_ns, bytes(raw)))
@@ -797,6 +798,7 @@ def read_recording(
     nominal_torque_constants: Mapping[str, float],
     joint_order: Sequence[str],
     current_per_count_A: float = CURRENT_PER_COUNT_A,
+    states_only: bool = False,
 ) -> Recording:
     """Read joint states and input currents from a ROS 2 bag.
 
@@ -811,6 +813,7 @@ def read_recording(
         nominal_torque_constants: By joint; the ones with which effort was published [N m/A or N/A].
         joint_order: Joints in the order of an unlabelled current command.
         current_per_count_A: Current of one raw count [A].
+        states_only: Whether to leave the input out, whatever there is of it.
 
     Returns:
         The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
@@ -827,7 +830,7 @@ def read_recording(
     notes: list[str] = []
     with _open(path) as bag:
         state = _state_topic(bag, state_topic, command_topic)
-        command = _input_topic(bag, command_topic, state)
+        command = None if states_only else _input_topic(bag, command_topic, state)
         columns = _joint_state_columns(bag, state, ["position", "velocity", "effort"])
         notes += columns.notes
         inputs = None
@@ -849,7 +852,7 @@ def read_recording(
     record = JointRecord(
         times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported
     )
-    if inputs is None:
+    if inputs is None and not states_only:
         inputs = _measured(path, state, record, reported is not None, effort_unit)
     return Recording(path.resolve().name, record, inputs, tuple(notes))
 
@@ -952,6 +955,30 @@ def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
         entries = [entry for topic in topics for _, message in bag.messages(topic) for entry in message.values]
     motors = {one_line(str(entry.key)): MotorIdentity.from_text(str(entry.value)) for entry in entries}
     return {joint: motor for joint, motor in motors.items() if motor is not None}
+
+
+def read_description(path: str | Path) -> str:
+    """The URDF that a robot's driver published on ``/robot_description`` and the recorder kept.
+
+    Args:
+        path: The bag.
+
+    Raises:
+        RecordingError: The bag cannot be read, or holds no description, or several that differ.
+    """
+    with _open(Path(path)) as bag:
+        typed = [topic for topic in bag.topics if topic.msgtype == "std_msgs/msg/String" and topic.size]
+        topics = _called(typed, "robot_description")
+        if not topics:
+            raise RecordingError(
+                f"{path}: no /robot_description (std_msgs/String) in the bag; it holds: {_listed(bag.topics)}; give a URDF file"
+            )
+        texts = {
+            str(_deserialise(raw, topic.msgtype).data) for topic in topics for _, raw in bag._raw(topic, LONGEST_TEXT)
+        }
+    if len(texts) > 1:
+        raise RecordingError(f"{path}: {len(texts)} descriptions that differ on {_listed(topics)}; give a URDF file")
+    return texts.pop()
 
 
 def read_points(path: str | Path, topic: str) -> PointTrack:

@@ -26,9 +26,9 @@ from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.motors import MotorIdentity, other_arm
 from proprio_ros.probes.payload.facts import payload_facts
-from proprio_ros.replay import Recordings, ReplayOptions, bag_runs, held_positions, robot_of
-from proprio_ros.resources import paths_of, resource, resource_names, write_in_one_step
-from proprio_ros.robot import Robot, nested_settings
+from proprio_ros.replay import DEFAULT_ROBOT, Recordings, ReplayOptions, bag_runs, held_positions, robot_of
+from proprio_ros.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
+from proprio_ros.robot import Robot, is_description, nested_settings, with_recorded_torque
 from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, probe_file
 from proprio_ros.threads import one_blas_thread
@@ -61,7 +61,7 @@ def calibrate_from_bags(
     options = options or ReplayOptions()
     paths = paths_of(paths)
     if output is not None:
-        _check_writable(Path(output), force)
+        check_new_yaml(Path(output), force)
     started = time.perf_counter()
     if not paths and not references:
         raise ConfigurationError("no recording given: name at least one bag with an empty hand")
@@ -70,9 +70,9 @@ def calibrate_from_bags(
             raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
     settings = Settings(options.settings)
     overrides = settings.take_prefix("robot.")
-    robot = robot_of(options.robot, None)
-    if overrides:
-        robot = robot.with_overrides(overrides)
+    if options.effort_unit == "N.m":
+        overrides = with_recorded_torque(options.robot or DEFAULT_ROBOT, overrides)
+    robot = robot_of(options.robot, None, overrides)
     held = held_positions(robot, settings)
     facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
     settings.refuse_rest()
@@ -133,9 +133,7 @@ def plan_probes(
     options = options or ReplayOptions()
     settings = Settings(options.settings)
     overrides = settings.take_prefix("robot.")
-    robot = robot_of(options.robot, options.calibration)
-    if overrides:
-        robot = robot.with_overrides(overrides)
+    robot = robot_of(options.robot, options.calibration, overrides)
     facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
     settings.refuse_rest()
     return robot, plan(robot, masses_kg, facts, count, progress=progress)
@@ -190,14 +188,6 @@ def _reference_to(source: Path, output: Path) -> str:
     name = source.stem
     if name in resource_names("robots") and resource("robots", name).resolve() == source.resolve():
         return name
+    if is_description(str(source)) and not source.is_file():
+        return str(source)  # robot_descriptions:NAME
     return os.path.relpath(source.resolve(), output.resolve().parent)
-
-
-def _check_writable(path: Path, force: bool) -> None:
-    """Refuse an impossible output, and one that is there already, before the work is done."""
-    if path.suffix not in (".yaml", ".yml"):
-        raise ConfigurationError(f"--output {path}: name a .yaml file")
-    if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
-        raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
-    if path.exists() and not force:
-        raise ConfigurationError(f"--output {path}: the file exists; --force replaces it (in Python: force=True)")

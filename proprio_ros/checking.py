@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from proprio_ros.bags import (
+    CURRENT_PER_COUNT_A,
     EFFORT_UNITS,
     is_text_recording,
     look_into,
+    read_recording,
     read_text_recording,
 )
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import plain
+from proprio_ros.identification.foretold import mass_from_motion, mass_from_run
 from proprio_ros.identification.gates import MIN_USED, Findings, screen_run, unusable
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.motions import Motion
+from proprio_ros.motions import SLOWEST_HZ, Motion, motion_of
+from proprio_ros.plausibility import EffortUnit, Finding, effort_per_torque, effort_units, findings, moving
+from proprio_ros.quantity import shown
 from proprio_ros.records import LOST_AFTER_PERIODS, InputRecord, Recording, Run
 from proprio_ros.replay import (
     DEFAULT_ROBOT,
@@ -31,9 +36,14 @@ from proprio_ros.replay import (
     unit_not_used,
 )
 from proprio_ros.resources import paths_of
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import Robot, is_description, load_robot, with_recorded_torque
 from proprio_ros.schema import header, reason_codes
 from proprio_ros.threads import one_blas_thread
+
+UNUSABLE_EFFORT = ("unsigned_register", "effort_stale", "constant_effort")
+"""Findings after which no torque can be made of a measured effort."""
+DOUBTFUL_EFFORT = (*UNUSABLE_EFFORT, "effort_without_sign")
+"""Findings after which an effort is not compared with gravity: a joint that only ever lifts has one sign, too."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,7 @@ class RunCheck:
         samples: Joint states while it was driven.
         problem: Why it is not usable, or an empty string.
         notes: What else a reader should know.
+        mass_half_width_kg: About half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing.
     """
 
     name: str
@@ -58,6 +69,7 @@ class RunCheck:
     samples: int
     problem: str = ""
     notes: tuple[str, ...] = ()
+    mass_half_width_kg: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -72,6 +84,43 @@ class RunCheck:
             "problem": self.problem or None,
             "problem_code": reason_codes([self.problem])[0] if self.problem else None,
             "notes": list(self.notes),
+            "mass_half_width_kg": self.mass_half_width_kg,
+        }
+
+
+@dataclass(frozen=True)
+class MotionCheck:
+    """What a motion of several joints determines, were it made once more with an empty hand.
+
+    Attributes:
+        joints: That moved.
+        mass_half_width_kg: About half the 95 % interval of a light object's mass.
+        mass_half_width_per_kg: What every kg of the object adds to it, since torque constants are not known better; None where
+            nobody stated them.
+    """
+
+    joints: tuple[str, ...]
+    duration_s: float
+    mass_half_width_kg: float
+    mass_half_width_per_kg: float | None
+
+    def sentence(self) -> str:
+        """For the terminal."""
+        if self.mass_half_width_per_kg is None:
+            more = "as much of the mass as the torque constants are uncertain"
+        else:
+            more = f"{100.0 * self.mass_half_width_per_kg:.0f} % of the mass, which is how well the torque constants are known"
+        return (
+            "beside the same motion with an empty hand it tells a light object's mass to about "
+            f"+-{_grams(self.mass_half_width_kg)} (95 %), and {more}"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "joints": self.joints,
+            "duration_s": self.duration_s,
+            "mass_half_width_kg": self.mass_half_width_kg,
+            "mass_half_width_per_kg": self.mass_half_width_per_kg,
         }
 
 
@@ -91,6 +140,12 @@ class BagCheck:
         problem: Why no run could be looked for, or an empty string.
         notes: Every repair made while reading.
         motion: What was recorded where several joints were driven at once; then there are no runs.
+        moves, still: The joints that move, and those that do not.
+        findings: What the recording shows of itself.
+        effort_units: How the effort would compare with what gravity needs if it were in one unit or another.
+        effort_per_N_m: The effort over what gravity needs, by joint, in the publisher's unit.
+        tells: What a motion determines.
+        record: What to record instead, or beside it.
     """
 
     bag: str
@@ -107,6 +162,13 @@ class BagCheck:
     problem: str = ""
     notes: tuple[str, ...] = ()
     motion: Motion | None = None
+    moves: tuple[str, ...] = ()
+    still: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    effort_units: tuple[EffortUnit, ...] = ()
+    effort_per_N_m: Mapping[str, float] = field(default_factory=dict)
+    tells: MotionCheck | None = None
+    record: tuple[str, ...] = ()
 
     @property
     def usable(self) -> int:
@@ -133,6 +195,13 @@ class BagCheck:
                 "usable_runs": self.usable,
                 "problem": self.problem or None,
                 "notes": self.notes,
+                "moves": self.moves,
+                "still": self.still,
+                "findings": [finding.as_json() for finding in self.findings],
+                "effort_units": [unit.as_json() for unit in self.effort_units],
+                "effort_per_N_m": dict(self.effort_per_N_m),
+                "tells": None if self.tells is None else self.tells.as_json(),
+                "record": self.record,
             }
         )
         return dict(record)
@@ -142,7 +211,11 @@ class BagCheck:
         found = len(self.runs) + (self.motion is not None)
         lines = [f"{self.bag}: {self.usable} of {found} run{'s' * (found != 1)} usable"]
         if self.joints:
-            lost = f"{self.gaps} gaps, the longest {1e3 * self.longest_gap_s:.0f} ms" if self.gaps else "no gaps"
+            lost = (
+                f"{self.gaps} gap{'s' * (self.gaps != 1)}, the longest {1e3 * self.longest_gap_s:.0f} ms"
+                if self.gaps
+                else "no gaps"
+            )
             states = f"{self.state_topic or 'in a text file'}, {', '.join(self.joints)}"
             lines.append(f"  joint states: {states}; {self.duration_s:.2f} s at {self.rate_Hz:.1f} Hz, {lost}")
         if self.input:
@@ -151,6 +224,8 @@ class BagCheck:
         for run in self.runs:
             moved = f"{1e3 * run.current_A:+.0f} mA for {run.duration_s:.2f} s, travel {run.travel:+.3f} {run.unit}"
             judged = f"not usable, {run.problem}" if run.problem else "usable"
+            if not run.problem and run.mass_half_width_kg is not None:
+                judged += f"; alone it tells a light object's mass to about +-{_grams(run.mass_half_width_kg)}"
             lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
             lines += [f"    note: {note}" for note in run.notes]
         if self.motion is not None:
@@ -158,8 +233,48 @@ class BagCheck:
                 f"  a motion of {len(self.motion.moved)} joints at once, {self.motion.times_s[-1]:.1f} s: tells the payload's mass "
                 "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`)"
             )
+        if self.tells is not None:
+            lines.append(f"  {self.tells.sentence()}")
+        if self.moves or self.still:
+            still = f"; still: {', '.join(self.still)}" if self.still else ""
+            lines.append(f"  moves: {', '.join(self.moves) or 'nothing'}{still}")
+        lines += [f"  seen: {finding.sentence}" for finding in self.findings]
+        lines += self._effort_lines()
         lines += [f"  problem: {self.problem}"] * bool(self.problem)
+        lines += [f"  record: {advice}" for advice in self.record]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    def _effort_lines(self) -> list[str]:
+        if not self.effort_per_N_m:
+            return []
+        joints = ", ".join(self.effort_per_N_m)
+        parts = []
+        for unit in self.effort_units:
+            ends = [_short(edge) for edge in (min(unit.ratio.values()), max(unit.ratio.values()))]
+            parts.append(
+                f"{' to '.join(dict.fromkeys(ends))} in {unit.unit}" + (" (plausible)" if unit.plausible else "")
+            )
+        lines = [
+            f"  effort over the torque that gravity needs by the URDF, of {joints}: {'; '.join(parts)}; an empty hand gives 1, a "
+            "load more; nothing is chosen by it"
+        ]
+        if len(self.effort_units) == 1:
+            constants = ", ".join(_short(1.0 / abs(value)) for value in self.effort_per_N_m.values())
+            lines.append(
+                f"  were it a current and the hand empty, the torque constants would be {constants} N m per unit of it"
+            )
+        if all(value < 0.0 for value in self.effort_per_N_m.values()):
+            lines.append("  the effort has the sign of the torque that gravity makes, not of what holds against it")
+        return lines
+
+
+def _short(value: float) -> str:
+    """Two digits, without an exponent where people would write none."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _grams(mass_kg: float) -> str:
+    return shown("kg", float(f"{mass_kg:.2g}"), spec="g")
 
 
 def as_json(robot: str, checks: Sequence[BagCheck]) -> dict[str, Any]:
@@ -200,7 +315,9 @@ def check_bags(
     if not given:
         raise ConfigurationError("no recording given: name at least one bag")
     only_text = all(is_text_recording(path) for path in given)
-    described = load_robot(str(robot) if robot is not None else TEXT_ROBOT if only_text else DEFAULT_ROBOT)
+    name = str(robot) if robot is not None else TEXT_ROBOT if only_text else DEFAULT_ROBOT
+    # a URDF alone is enough to look: what needs torque constants is then not said
+    described = load_robot(name, with_recorded_torque(name, {}))
     topics = (state_topic, command_topic, effort_unit)
     return described.name, [
         _text_check(described, path) if is_text_recording(path) else _bag_check(described, path, *topics)
@@ -224,10 +341,14 @@ def _bag_check(
         recording = read(effort_unit)
     except RecordingError as error:
         problem = str(error)
-        if contents.inputs is not None or effort_unit is not None:
-            return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=problem)
-        try:
-            recording = read("raw")  # only for the positions: no run is cut from a current of an unstated unit
+        try:  # only to look at: no run is cut from a current of an unstated unit
+            recording = read_recording(
+                path,
+                state_topic=state_topic,
+                nominal_torque_constants={},
+                joint_order=list(robot.drive_trains),
+                states_only=True,
+            )
         except RecordingError as worse:
             return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=str(worse))
     runs: tuple[RunCheck, ...] = ()
@@ -241,6 +362,13 @@ def _bag_check(
                 runs = tuple(_run_check(robot, run) for run in found)
         except RecordingError as error:
             problem = str(error)
+    slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
+    moved = moving(recording.joints, slides)
+    seen = (*findings(recording, slides), *_of_robot(robot, recording, effort_unit))
+    if recording.inputs is None or recording.inputs.measured:
+        runs = tuple(_with_effort(run, seen) for run in runs)
+    per_torque, units = _effort(recording, robot, seen)
+    tells = _motion_check(robot, recording, motion)
     times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])
     intervals = np.diff(times_s)
     period = float(np.median(intervals))
@@ -259,7 +387,118 @@ def _bag_check(
         problem,
         recording.notes + (() if motion is not None else unit_not_used(recording.inputs, effort_unit)),
         motion,
+        moved,
+        tuple(name for name in recording.joints.names if name not in moved),
+        seen,
+        units,
+        per_torque,
+        tells,
+        _advice(robot, recording, moved, seen, runs, tells, 1.0 / period),
     )
+
+
+def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tuple[Finding, ...]:
+    """What the robot that was named leaves open."""
+    if not set(recording.joints.names) & set(robot.model.independent_joints):
+        return (
+            Finding(
+                "other_robot",
+                f"none of these joints is one of {robot.name}: name the robot with --robot NAME, FILE or URDF",
+                recording.joints.names,
+            ),
+        )
+    if is_description(str(robot.source)) and effort_unit != "N.m":
+        return (
+            Finding(
+                "no_torque_constants",
+                f"{robot.source.name} states no torque constants: write a file with `proprio robot new` and state them there, or "
+                "--effort-unit N.m where effort is torque",
+            ),
+        )
+    return ()
+
+
+def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
+    """A run driven by a measured effort, of which no torque can be made, is of no use."""
+    for finding in seen:
+        if finding.code in UNUSABLE_EFFORT and run.joint in finding.joints and not run.problem:
+            return replace(run, problem=finding.sentence, mass_half_width_kg=None)
+    return run
+
+
+def _effort(
+    recording: Recording, robot: Robot, seen: Sequence[Finding]
+) -> tuple[dict[str, float], tuple[EffortUnit, ...]]:
+    """Effort over what gravity needs, by joint, and how plausible units are by it."""
+    try:
+        per_torque = effort_per_torque(recording, robot)
+    except RobotError:  # a body without mass, as of a robot whose file leaves that joint out
+        per_torque = {}
+    for finding in seen:
+        if finding.code in DOUBTFUL_EFFORT:
+            per_torque = {name: value for name, value in per_torque.items() if name not in finding.joints}
+    if not per_torque:
+        return {}, ()
+    stated = {} if is_description(str(robot.source)) else robot.drive_trains
+    constants = {name: drive.torque_constant.value for name, drive in stated.items()}
+    return per_torque, effort_units(per_torque, constants, CURRENT_PER_COUNT_A)
+
+
+def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> MotionCheck | None:
+    """What a motion determines; also of one whose currents are not known, since none is looked at."""
+    turning = [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+    if motion is None:
+        if recording.inputs is not None or set(turning) - set(recording.joints.names):
+            return None
+        nothing = InputRecord(recording.joints.times_ns[:1], tuple(turning), np.zeros((1, len(turning))), "nothing")
+        try:
+            motion = motion_of(replace(recording, inputs=nothing), joints=turning)
+        except RecordingError:
+            return None
+        if len(motion.moved) < 2:
+            return None
+    # a joint that was not recorded stands somewhere, which matters little
+    held = {**dict.fromkeys(robot.model.independent_joints, 0.0), **motion.held}
+    try:
+        width_kg, per_kg = mass_from_motion(robot, replace(motion, held=held))
+    except (RecordingError, RobotError):
+        return None
+    stated = not is_description(str(robot.source))
+    return MotionCheck(motion.moved, float(motion.times_s[-1]), width_kg, per_kg if stated else None)
+
+
+def _advice(
+    robot: Robot,
+    recording: Recording,
+    moved: Sequence[str],
+    seen: Sequence[Finding],
+    runs: Sequence[RunCheck],
+    tells: MotionCheck | None,
+    rate_Hz: float,
+) -> tuple[str, ...]:
+    """What to record instead, or beside it."""
+    advice = []
+    record = recording.joints
+    if recording.inputs is None and record.reported_effort is None:
+        advice.append(
+            "what the motors gave, too: their torque or current as effort in /joint_states, or commands in /applied_effort or "
+            "/current_command"
+        )
+    if any(finding.code in DOUBTFUL_EFFORT for finding in seen):
+        advice.append("effort as it was measured, with its sign, read anew for each joint state")
+    if rate_Hz < SLOWEST_HZ:
+        advice.append(f"at 50 Hz or more: {rate_Hz:.0f} Hz is too slow for a motion")
+    if not moved:
+        advice.append("a motion: nothing moves here")
+    elif tells is not None:
+        short = tells.duration_s < 15.0
+        advice.append(
+            "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
+            + (" and both for 15 s or longer" if short else "")
+        )
+    elif any(not run.problem for run in runs) and not robot.is_calibrated():
+        advice.append("runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold")
+    return tuple(advice)
 
 
 def _unit_of(inputs: InputRecord | None, types: dict[str, str], effort_unit: str | None) -> str | None:
@@ -285,7 +524,13 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         problem = str(error)
     unit = "m" if slides else "rad"
     notes = (*run.notes, *(reason.removeprefix(f"{run.name}: ") for reason in found.reasons))
-    return RunCheck(run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes)
+    try:
+        width_kg = None if problem or slides else mass_from_run(robot, run)
+    except RobotError:
+        width_kg = None
+    return RunCheck(
+        run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes, width_kg
+    )
 
 
 def _unusable_closing(run: PreparedRun) -> str:

@@ -200,6 +200,29 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--json", action="store_true", help="print one JSON object")
     plan.set_defaults(command=_plan)
 
+    robot = commands.add_parser(
+        "robot",
+        help="a robot file for another arm",
+        description="Robot files say what an arm's motors are, and how well each number is known.",
+    )
+    robot_commands = robot.add_subparsers(required=True, metavar="COMMAND")
+    new = robot_commands.add_parser(
+        "new",
+        help="write a robot file to fill in, from a URDF",
+        description="Write a robot file with every joint of a URDF that a motor could drive, and every key with its default, its "
+        "unit and what it is for. What must be stated says so; everything else has a wide default.",
+        epilog="Exit code: 0 written, 2 bad input.",
+    )
+    new.add_argument(
+        "urdf",
+        metavar="URDF",
+        help="URDF file, a bag that holds /robot_description, or robot_descriptions:NAME of the package of that name",
+    )
+    new.add_argument("--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`")
+    new.add_argument("--force", action="store_true", help="replace an older file of that name")
+    new.add_argument("--json", action="store_true", help="print one JSON object")
+    new.set_defaults(command=_robot_new)
+
     table = commands.add_parser(
         "table",
         help="compute anew how a soft block answers a squeeze",
@@ -258,7 +281,9 @@ def _choices(groups: Iterable[Sequence[str]]) -> tuple[str, ...]:
 
 def _add_robot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--robot", metavar="NAME|FILE", help="robot of config/robots, or a robot file (default open_manipulator_x)"
+        "--robot",
+        metavar="NAME|FILE|URDF",
+        help="robot of config/robots, a robot file, or a URDF alone (default open_manipulator_x)",
     )
 
 
@@ -407,6 +432,25 @@ def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
     else:
         _print("\n".join(check.as_text() for check in checks))
     return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
+
+
+def _robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
+    from proprio_ros.resources import check_new_yaml, write_in_one_step
+    from proprio_ros.robot.new_file import new_robot_file
+
+    output = Path(options.output)
+    check_new_yaml(output, options.force)
+    new = new_robot_file(options.urdf, output)
+    write_in_one_step(output, new.text, "--output")
+    if options.json:
+        content = {**schema.header("robot"), "robot": new.name, "output": str(output), "joints": list(new.joints),
+                   "payload_frame": new.payload_frame, "to_state": list(new.to_state)}  # fmt: skip
+        print(json.dumps(content, indent=1))
+        return EXIT_OK
+    _print(f"{output}: {new.name}, joints {', '.join(new.joints)}")
+    _print(f"  state: {', '.join(dict.fromkeys(key.rpartition('.')[2] for key in new.to_state))} (marked in the file)")
+    _print(f"  check: payload_frame, {new.payload_frame} is a guess")
+    return EXIT_OK
 
 
 def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:

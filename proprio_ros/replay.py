@@ -30,7 +30,7 @@ from proprio_ros.reading import path_problem
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.report import write_page
 from proprio_ros.resources import paths_of
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import Robot, is_description, load_robot, with_recorded_torque
 from proprio_ros.runs import DrivenAtOnce, cut_runs
 from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, number
@@ -85,7 +85,7 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     settings = Settings(options.settings)
     texts = [Path(path) for path in paths if is_text_recording(path)]
     robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else None)
-    robot = configured_robot(robot_name, options.calibration, settings)
+    robot = configured_robot(robot_name, options.calibration, settings, options.effort_unit)
     held = held_positions(robot, settings)
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
@@ -133,7 +133,17 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
         "calibration": None if robot.calibration is None else calibration_used(robot.source),
     }
     recorded = [*(recorded_run(robot, run) for run in runs), *(recorded_run(robot, run, True) for run in baseline)]
-    return replace(estimate, timing_s=timing, origin=origin, recorded=tuple(recorded))
+    notes = (*estimate.notes, *_guessed_frame(robot, options.settings))
+    return replace(estimate, notes=notes, timing_s=timing, origin=origin, recorded=tuple(recorded))
+
+
+def _guessed_frame(robot: Robot, settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """A note where nobody said which link holds the objects."""
+    if not is_description(str(robot.source)) or not {"payload.frame", "robot.payload_frame"}.isdisjoint(settings):
+        return ()
+    return (
+        f"{robot.payload_frame} is taken as the link that holds the object, a guess: --set payload.frame=LINK states it",
+    )
 
 
 def compile_for(options: ReplayOptions) -> None:
@@ -144,7 +154,7 @@ def compile_for(options: ReplayOptions) -> None:
     """
     probe = probe_asked_for(options)
     settings = Settings(options.settings)
-    robot = configured_robot(options.robot, options.calibration, settings)
+    robot = configured_robot(options.robot, options.calibration, settings, options.effort_unit)
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
     probe.compile(robot, facts)
@@ -183,25 +193,25 @@ def write_report(estimate: Estimate, path: Path, *, command: str = "", sources: 
     write_page(estimate, path, probe_named(estimate.probe).sections(estimate), command=command, sources=sources)
 
 
-def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
-    """The robot of a name or file, with its calibration where there is one.
+def robot_of(name: str | None, calibration: str | Path | None, overrides: Mapping[str, Any] | None = None) -> Robot:
+    """The robot of a name or file, with its calibration where there is one, and with dotted settings that replace some of its own.
 
     Raises:
         RobotError: either cannot be read, or the calibration is of another robot.
     """
     if calibration is None:
-        return load_robot(name or DEFAULT_ROBOT)
+        return load_robot(name or DEFAULT_ROBOT, overrides)
     if Path(calibration).suffix not in (".yaml", ".yml"):
         raise RobotError(
             f"--calibration {calibration}: expected the .yaml file that `proprio calibrate --output` wrote"
         )
-    robot = load_robot(calibration)
+    robot = load_robot(calibration, overrides)
     if robot.calibration is None:
         raise RobotError(
             f"--calibration {calibration}: holds no calibration; write it with `proprio calibrate --output`"
         )
     if name is not None:
-        asked = load_robot(name)
+        asked = load_robot(name, with_recorded_torque(name, {}))
         if asked.model.fingerprint() != robot.model.fingerprint():
             raise RobotError(
                 f"--calibration {calibration} is of {robot.name}, whose URDF is not that of --robot {name}: calibrate that robot"
@@ -209,16 +219,24 @@ def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
     return robot
 
 
-def configured_robot(name: str | None, calibration: str | Path | None, settings: Settings) -> Robot:
+def configured_robot(
+    name: str | None, calibration: str | Path | None, settings: Settings, effort_unit: str | None = None
+) -> Robot:
     """The robot as the user's ``robot.`` settings and ``payload.frame`` have it.
+
+    Args:
+        name: as for `load_robot`.
+        calibration: what ``proprio calibrate`` wrote.
+        settings: the two are taken out of them.
+        effort_unit: a URDF alone is enough where torque was recorded.
 
     Raises:
         ConfigurationError, RobotError: a setting does not fit it, or as for `robot_of`.
     """
     overrides = settings.take_prefix("robot.")
-    robot = robot_of(name, calibration)
-    if overrides:
-        robot = robot.with_overrides(overrides)
+    if calibration is None and effort_unit == "N.m":
+        overrides = with_recorded_torque(name or DEFAULT_ROBOT, overrides)
+    robot = robot_of(name, calibration, overrides)
     frame = settings.take("payload.frame", None)
     if frame is not None:
         links = [link.name for link in robot.model.links]
@@ -344,6 +362,17 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
     )
     recording = without_jumps(recording, list(robot.drive_trains))
     notes = recording.notes + check_motors(path, robot, options.state_topic)
+    if (
+        options.effort_unit == "N.m"
+        and is_description(str(robot.source))
+        and recording.inputs is not None
+        and not recording.inputs.measured
+        and not recording.inputs.source.endswith("applied_effort")
+    ):
+        raise RecordingError(
+            f"{path}: {recording.inputs.source} are currents, and {robot.source.name} states no torque constants: write a file "
+            "with `proprio robot new`, or state each with --set robot.joints.JOINT.motor.nominal_torque_constant_N_m_per_A=VALUE"
+        )
     # a bag's folder is often called after its storage, so the folder above says which one it is
     return replace(recording, notes=notes, name="/".join(path.resolve().parts[-2:]))
 

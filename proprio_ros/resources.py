@@ -136,6 +136,20 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
         ) from error
 
 
+def check_new_yaml(path: Path, force: bool) -> None:
+    """Refuse an impossible output, and one that is there already, before the work is done.
+
+    Raises:
+        ConfigurationError: it is no .yaml file, cannot be written, or is there and may not be replaced.
+    """
+    if path.suffix not in (".yaml", ".yml"):
+        raise ConfigurationError(f"--output {path}: name a .yaml file")
+    if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
+        raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
+    if path.exists() and not force:
+        raise ConfigurationError(f"--output {path}: the file exists; --force replaces it (in Python: force=True)")
+
+
 def _umask() -> int:
     """The user's umask, without setting it: other threads may be making files."""
     with suppress(OSError, ValueError, IndexError), open("/proc/self/status", encoding="ascii") as status:

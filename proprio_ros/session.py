@@ -271,7 +271,7 @@ def setting_of(options: ReplayOptions) -> Setting:
 
 def robot_of_settings(options: ReplayOptions, settings: Settings) -> Robot:
     """The robot, with what the settings say of it."""
-    robot = configured_robot(options.robot, options.calibration, settings)
+    robot = configured_robot(options.robot, options.calibration, settings, options.effort_unit)
     held_positions(robot, settings)
     return robot
 

@@ -27,7 +27,8 @@ ROOMS: dict[str, set[str]] = {
     # whose arm it is
     "motors": {"forms"},
     "calibration": {"errors", "quantity", "kinds", "forms", "motors"},
-    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading"},
+    # a bag may hold the robot's description
+    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading", "bags"},
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading", "motors"},
@@ -104,8 +105,12 @@ ROOMS: dict[str, set[str]] = {
         "calibrating",
     },
     # what is in a bag, before any fit
+    # what a recording shows of itself
+    "plausibility": {"records", "motions", "robot", "identification"},
     "checking": {
         "errors",
+        "quantity",
+        "plausibility",
         "schema",
         "threads",
         "records",
@@ -139,6 +144,8 @@ ROOMS: dict[str, set[str]] = {
         "quantity",
         "schema",
         "settings",
+        "resources",
+        "robot",
         "identification",
         "probes",
         "replay",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from proprio_ros.resources import resource
 
 jsonschema = pytest.importorskip("jsonschema")
 ROOT = Path(__file__).resolve().parents[1]
+REAL = ROOT.parent / "shared" / "recordings_real"
 
 
 def strict(schema: Any) -> Any:
@@ -78,6 +80,11 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
         ),
         "plan": (["plan", "--mass", "0.05", "--count", "2", "--calibration", calibration], 0),
         "check": (["check", ball, bag("friction_s00_fixed_random_a_joint3"), bag("realistic_s00_squeeze_light")], 0),
+        "robot": (
+            ["robot", "new", str(ROOT / "urdf" / "open_manipulator_x.urdf"), "--force", "--output",
+             str(Path(tempfile.gettempdir()) / "proprio_new_robot.yaml")], 0,
+        ),
+        "check of a motion": (["check", str(REAL / "omx_empty_1")], 0),
         "unusable": (["check", bag("friction_s00_fixed_random_a_joint3")], 3),
         "no bag": (["replay", "nowhere", "--probe", "payload"], 2),
         "no bag to check": (["check", "nowhere"], 2),
@@ -88,6 +95,8 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
 @pytest.mark.parametrize("name", sorted(outputs("")))
 def test_outputs(name: str, validator: Any, calibration: str, capsys: pytest.CaptureFixture[str]) -> None:
     arguments, code = outputs(calibration)[name]
+    if str(REAL) in arguments[1] and not REAL.exists():
+        pytest.skip("needs the real recordings")
     result = printed(capsys, [*arguments, "--json"], code)
     validator.validate(result)
     assert result["version"] == __version__

@@ -1,9 +1,11 @@
 """A robot as numbers: the tree of links from its URDF, and the drive train of each joint from its YAML file.
 
-`geometry` is at the bottom; `urdf` reads links and joints, `tree` places and merges them, `drive_train` is what moves them,
-`robot_file` puts all of it into a `Robot`, and `kinematics` asks that how high it stands.
+`geometry` is at the bottom; `urdf` reads links and joints, `tree` places and merges them, `description` finds the URDF,
+`drive_train` is what moves them, `wide` is what holds of a number that nobody stated, `robot_file` puts all of it into a `Robot`,
+`new_file` writes one to fill in, and `kinematics` asks that how high it stands.
 """
 
+from proprio_ros.robot.description import is_description
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
 from proprio_ros.robot.geometry import (
     inertia_about_origin,
@@ -13,7 +15,7 @@ from proprio_ros.robot.geometry import (
     rotation_from_rpy,
     transform,
 )
-from proprio_ros.robot.robot_file import Robot, load_robot, nested_settings
+from proprio_ros.robot.robot_file import Robot, bare_settings, load_robot, nested_settings, with_recorded_torque
 from proprio_ros.robot.tree import ReducedModel, RobotModel
 from proprio_ros.robot.urdf import JOINT_KINDS, Joint, Link
 
@@ -27,7 +29,9 @@ __all__ = [
     "ReducedModel",
     "Robot",
     "RobotModel",
+    "bare_settings",
     "inertia_about_origin",
+    "is_description",
     "load_robot",
     "motion",
     "nested_settings",
@@ -35,4 +39,5 @@ __all__ = [
     "rotation_about",
     "rotation_from_rpy",
     "transform",
+    "with_recorded_torque",
 ]

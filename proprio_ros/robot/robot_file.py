@@ -19,10 +19,11 @@ from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
 from proprio_ros.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.resources import resource, resource_names
+from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, is_bag, is_description, read_model
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
-from proprio_ros.robot.urdf import Joint
+from proprio_ros.robot.wide import Wide, largest_torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,32 +198,31 @@ def _quantity(form: Number) -> _Nested:
     return _Nested(form.meaning, nested=quantity, of=form)
 
 
+NOMINAL = "nominal_torque_constant_N_m_per_A"
 _MOTOR = {
     "model": _Field(Text("name of the model"), ""),
     "id": _Field(Whole("its number on the bus", "", 0, 252), None),
-    "nominal_torque_constant_N_m_per_A": _Field(
-        Number("what published efforts are made with", "N m/A", 0.0, 1e3, open=True)
-    ),
+    NOMINAL: _Field(Number("what published efforts are made with", "N m/A", 0.0, 1e3, open=True)),
     "supply_voltage_V": _Field(Number("0: the supply does not limit the current", "V", 0.0, 1e3), 0.0),
     "back_emf_V_s_per_rad": _Field(Number("voltage that the motor makes per speed", "V s/rad", 0.0, 1e3), 0.0),
     "resistance_ohm": _Field(Number("of the winding", "ohm", 0.0, 1e4), 0.0),
     "current_limit_A": _Field(Number("the driver never commands more", "A", 0.0, 1e3, open=True), math.inf),
-    "encoder_resolution_rad": _Field(Number("one count", "rad", 0.0, 1.0)),
-    "encoder_noise_rad": _Field(Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.0),
+    "encoder_resolution_rad": _Field(Number("one count", "rad", 0.0, 1.0), 0.0015),
+    "encoder_noise_rad": _Field(Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.001),
     "encoder_once_per_turn_rad": _Field(
-        Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.0
+        Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.002
     ),
 }
 _DRIVE_TRAIN = {
-    # friction has no default: one that was forgotten would be taken as exactly zero and bias every mass
-    "torque_constant_N_m_per_A": _Field(_quantity(RANGES["torque_constant"])),
-    "coulomb_N_m": _Field(_quantity(RANGES["coulomb"])),
-    "viscous_N_m_s_per_rad": _Field(_quantity(RANGES["viscous"])),
-    "load_friction": _Field(_quantity(RANGES["load_friction"])),
-    "armature_kg_m2": _Field(_quantity(RANGES["armature"])),
-    "zero_rad": _Field(_quantity(RANGES["zero"]), Quantity(0.0)),
-    "stribeck": _Field(_quantity(RANGES["stribeck"]), Quantity(0.0)),
-    "stribeck_velocity_rad_s": _Field(_quantity(RANGES["stribeck_velocity"]), Quantity(0.1)),
+    # what is left out is not known exactly: friction that was forgotten would bias every mass
+    "torque_constant_N_m_per_A": _Field(_quantity(RANGES["torque_constant"]), Wide("nominal", 0.15)),
+    "coulomb_N_m": _Field(_quantity(RANGES["coulomb"]), Wide("largest torque", 0.1)),
+    "viscous_N_m_s_per_rad": _Field(_quantity(RANGES["viscous"]), Wide("largest torque", 0.05)),
+    "load_friction": _Field(_quantity(RANGES["load_friction"]), Quantity(0.0, 0.1)),
+    "armature_kg_m2": _Field(_quantity(RANGES["armature"]), Wide("largest torque", 0.01)),
+    "zero_rad": _Field(_quantity(RANGES["zero"]), Quantity(0.0, 0.01)),
+    "stribeck": _Field(_quantity(RANGES["stribeck"]), Quantity(0.0, 0.3)),
+    "stribeck_velocity_rad_s": _Field(_quantity(RANGES["stribeck_velocity"]), Quantity(0.1, 0.05)),
 }
 _JOINT = {
     "usable_velocity_rad_s": _Field(Number("faster samples are left out", "rad/s", 0.0, 1e3, open=True), math.inf),
@@ -245,15 +245,15 @@ _ROBOT = {
         ),
         STANDARD_GRAVITY,
     ),
-    "arm_scale": _Field(_quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0)),
-    "delay_s": _Field(_quantity(RANGES["delay"]), Quantity(0.0)),
-    "stamp_jitter_s": _Field(NOISE["stamp_jitter_s"], 0.0),
-    "onset_jitter_s": _Field(Number("standard deviation of the delay from run to run", "s", 0.0, 0.1), 0.0),
-    "torque_disturbance_N_m": _Field(NOISE["torque_disturbance_N_m"], 0.0),
+    "arm_scale": _Field(_quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0, 0.1)),
+    "delay_s": _Field(_quantity(RANGES["delay"]), Quantity(0.0, 0.01)),
+    "stamp_jitter_s": _Field(NOISE["stamp_jitter_s"], 0.001),
+    "onset_jitter_s": _Field(Number("standard deviation of the delay from run to run", "s", 0.0, 0.1), 0.001),
+    "torque_disturbance_N_m": _Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
     "start_velocity_rad_s": _Field(NOISE["start_velocity_rad_s"], 0.01),
-    "link_mass_std": _Field(Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.0),
-    "link_com_std_m": _Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.0),
-    "link_inertia_std": _Field(Number("relative inertia about it", "", 0.0, 10.0), 0.0),
+    "link_mass_std": _Field(Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05),
+    "link_com_std_m": _Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.005),
+    "link_inertia_std": _Field(Number("relative inertia about it", "", 0.0, 10.0), 0.2),
     # a tenth of a rad/s would take the place of the friction that it smooths
     "friction_velocity_rad_s": _Field(
         Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
@@ -319,6 +319,8 @@ def nested_settings(model: RobotModel, overrides: Mapping[str, Any]) -> dict[str
     for key, value in overrides.items():
         if key not in paths:
             raise RobotError(_unknown_override(key, paths, model.independent_joints))
+        if value is None:
+            raise RobotError(f"robot setting {key}: expected a value, got null")
         addition: Any = copy.deepcopy(value)
         for part in reversed(paths[key]):
             addition = {part: addition}
@@ -354,6 +356,8 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     """One YAML file with all that it extends merged in, and the path of its URDF made absolute."""
     if path in below:
         raise RobotError(f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}")
+    if is_description(str(path)):
+        return bare_settings(str(path))
     try:
         text = text_of(path, RobotError)
     except RobotError as error:
@@ -363,8 +367,8 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     except ValueError as error:
         raise RobotError(f"{path}: not YAML ({error})") from error
     settings = dict(_as_mapping(content, path.name))
-    if "urdf" in settings:
-        settings["urdf"] = str(_urdf_path(_PATH.read(settings["urdf"], f"{path.name}: urdf"), path))
+    if settings.get("urdf") is not None:
+        settings["urdf"] = _urdf_source(_PATH.read(settings["urdf"], f"{path.name}: urdf"), path)
     if "extends" in settings:
         base = _read_settings(
             _located(_PATH.read(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
@@ -375,16 +379,19 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     return settings
 
 
-def _urdf_path(text: str, source: Path) -> Path:
+def _urdf_source(text: str, source: Path) -> str:
+    """Where the description lies that a robot file names: an absolute path, or a name of the package robot_descriptions."""
+    if text.startswith(PACKAGE):
+        return text
     beside = source.parent / text
     problem = path_problem(beside)
     if problem:
         raise RobotError(f"{source.name}: urdf: {one_line(text, 60)} {problem}")
     beside = beside.resolve()
-    if beside.is_file():
-        return beside
+    if beside.is_file() or (beside.is_dir() and is_bag(beside)):
+        return str(beside)
     if text.removesuffix(".urdf") in resource_names("urdf"):
-        return resource("urdf", text)
+        return str(resource("urdf", text))
     raise RobotError(
         f"{source.name}: urdf: there is no {beside}; give a path relative to {source.parent}, or an absolute one"
     )
@@ -400,12 +407,12 @@ def _located(name_or_path: str, folder: Path) -> Path:
     problem = path_problem(path) or ("" if path.name.isprintable() else "holds characters that are not printable")
     if problem:
         raise RobotError(f"robot {one_line(name_or_path, 60)} {problem}; {_choices()}")
-    if path.suffix == ".urdf":
-        template = resource("robots", "open_manipulator_x")
-        raise RobotError(
-            f"{name_or_path} is a bare URDF, which says nothing of motors: write "
-            f"{path.with_suffix('.yaml').name} with 'urdf: {path.name}', payload_frame and joints, starting from {template}"
-        )
+    if name_or_path.startswith(PACKAGE):
+        return Path(name_or_path)
+    if is_description(name_or_path):
+        if not path.is_file():
+            raise RobotError(f"there is no URDF {path}; {_choices()}")
+        return path.resolve()
     if path.suffix in (".yaml", ".yml"):
         if not path.is_file():
             raise RobotError(f"there is no robot file {path}; {_choices()}")
@@ -415,9 +422,85 @@ def _located(name_or_path: str, folder: Path) -> Path:
     return resource("robots", name_or_path)
 
 
+def bare_settings(source: str) -> dict[str, Any]:
+    """What a description alone says of a robot: its joints that turn have motors of which nothing is known.
+
+    Raises:
+        RobotError: there is no such description, or a link that moves has no mass.
+    """
+    model = read_model(source)
+    check_masses(model, Path(source).name)
+    return {
+        "name": model.name,
+        "urdf": source,
+        "payload_frame": hand_link(model),
+        "joints": {name: {} for name in model.independent_joints if model.joint(name).kind != "prismatic"},
+    }
+
+
+def _stated(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Without keys that are null: those are left out, as a new robot file leaves them."""
+
+    def kept(value: Any, depth: int) -> Any:
+        if not isinstance(value, Mapping) or depth == 0:
+            return value
+        return {key: kept(inner, depth - 1) for key, inner in value.items() if inner is not None}
+
+    joints = settings.get("joints")
+    result = {key: value for key, value in settings.items() if value is not None}
+    if isinstance(joints, Mapping):
+        result["joints"] = {name: {} if joint is None else kept(joint, 2) for name, joint in joints.items()}
+    return result
+
+
+def _part(settings: Any, key: str) -> Mapping[str, Any]:
+    part = settings.get(key) if isinstance(settings, Mapping) else None
+    return part if isinstance(part, Mapping) else {}
+
+
+def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) -> None:
+    """Name all that is missing at once.
+
+    Raises:
+        RobotError: something is.
+    """
+    missing = [key for key, entry in _ROBOT.items() if entry.default is _REQUIRED and key not in settings]
+    without: dict[str, list[str]] = {}
+    for name, joint in _part(settings, "joints").items():
+        if NOMINAL not in _part(joint, "motor") and "torque_constant_N_m_per_A" not in _part(joint, "drive_train"):
+            without.setdefault(f"motor.{NOMINAL}", []).append(name)
+        slides = name in model.independent_joints and model.joint(name).kind == "prismatic"
+        if slides and isinstance(joint, Mapping) and "transmission_m_per_rad" not in joint:
+            without.setdefault("transmission_m_per_rad (how far the joint slides per rad of the motor)", []).append(
+                name
+            )
+    missing += [f"{key} of {_few(joints)}" for key, joints in without.items()]
+    if not missing:
+        return
+    if is_description(str(source)):
+        raise RobotError(
+            f"{source.name}: states no {'; '.join(missing)}: --set robot.joints.JOINT.{next(iter(without))}=VALUE, or write a file "
+            "with `proprio robot new`, or --effort-unit N.m where torque was recorded"
+        )
+    raise RobotError(f"{source.name}: missing: {'; '.join(missing)}; state each")
+
+
+def _few(names: Sequence[str], longest: int = 60) -> str:
+    """As many names as fit, and how many more there are."""
+    count = len(names)
+    while count > 1 and len(", ".join(names[:count])) > longest:
+        count -= 1
+    return ", ".join(names[:count]) + (f" and {len(names) - count} more" if count < len(names) else "")
+
+
 def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
     """A robot from merged settings; the model is read from the URDF unless it is given."""
     file = source.name
+    settings = _stated(settings)
+    if model is None and "urdf" in settings:
+        model = read_model(settings["urdf"])
+    if model is not None:
+        _check_stated(settings, source, model)
     given = _section(
         {key: value for key, value in settings.items() if key not in ("urdf", "joints")},
         # listed for the message about unknown keys; read below
@@ -425,9 +508,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         file,
     )
     if model is None:
-        if "urdf" not in settings:
-            raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
-        model = RobotModel.from_urdf(settings["urdf"])
+        raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
     expected = given["model_fingerprint"]
     if expected is None and given["calibration"] is not None:
         raise RobotError(
@@ -452,9 +533,14 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
                 f"{file}: joints: {model.name} has no joint {name!r} that a motor could drive; "
                 f"choose from: {', '.join(model.independent_joints)}"
             )
-        drive_trains[name], motors[name] = _drive_train(joint_settings, model.joint(name), f"{file}: joints: {name}")
+        drive_trains[name], motors[name] = _drive_train(joint_settings, model, name, f"{file}: joints: {name}")
     if not drive_trains:
         raise RobotError(f"{file}: joints is missing or empty; state the drive train of at least one joint")
+    disturbance = given["torque_disturbance_N_m"]
+    if isinstance(disturbance, Wide):
+        # of the weakest joint: what differs from run to run goes with friction
+        weakest = min(largest_torque(model, name, drive.transmission) for name, drive in drive_trains.items())
+        disturbance = disturbance.at(0.0, weakest).std
     calibration = given["calibration"]
     robot = Robot(
         name=given["name"],
@@ -465,7 +551,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         arm_scale=given["arm_scale"],
         stamp_jitter_s=given["stamp_jitter_s"],
         onset_jitter_s=given["onset_jitter_s"],
-        torque_disturbance=given["torque_disturbance_N_m"],
+        torque_disturbance=disturbance,
         start_velocity=given["start_velocity_rad_s"],
         link_mass_std=given["link_mass_std"],
         link_com_std=given["link_com_std_m"],
@@ -485,18 +571,26 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
     return calibrated
 
 
-def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, Motor]:
+def _drive_train(settings: Any, model: RobotModel, name: str, where: str) -> tuple[DriveTrain, Motor]:
+    joint = model.joint(name)
     fields = {
         "motor": _Field(_Nested(nested=lambda value, at: _section(value, _MOTOR, at))),
-        "drive_train": _Field(_Nested(nested=lambda value, at: _section(value, _DRIVE_TRAIN, at))),
+        "drive_train": _Field(_Nested(nested=lambda value, at: _section(value, _DRIVE_TRAIN, at)), {}),
     }
+    settings = _as_mapping(settings, where)
+    stated = _part(settings, "drive_train").get("torque_constant_N_m_per_A")
+    if stated is not None and NOMINAL not in _part(settings, "motor"):
+        # who states the torque constant alone publishes no efforts that another one was made with
+        value = stated.get("value") if isinstance(stated, Mapping) else stated
+        settings = _merged(settings, {"motor": {NOMINAL: value}})
     parts = _section(settings, fields | _JOINT, where)
-    motor, drive = parts["motor"], parts["drive_train"]
+    motor = parts["motor"]
+    largest = largest_torque(model, name, parts["transmission_m_per_rad"] or 1.0)
+    drive = {
+        key: value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
+        for key, value in (parts["drive_train"] or _section({}, _DRIVE_TRAIN, where)).items()
+    }
     transmission = parts["transmission_m_per_rad"]
-    if joint.kind == "prismatic" and transmission is None:
-        raise RobotError(
-            f"{where}: transmission_m_per_rad is missing; state how far the joint slides per rad of the motor"
-        )
     if joint.kind != "prismatic" and transmission is not None:
         raise RobotError(
             f"{where}: transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
@@ -541,15 +635,41 @@ def _drive_train(settings: Any, joint: Joint, where: str) -> tuple[DriveTrain, M
     )
 
 
-def load_robot(name_or_path: str | Path) -> Robot:
+def load_robot(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Robot:
     """Read a robot.
 
     Args:
         name_or_path: Name of a robot that comes with the package (a file of ``config/robots`` without its suffix), or
-            the path of a YAML file. The keys are explained in ``config/robots/open_manipulator_x.yaml``.
+            the path of a YAML file, whose keys are explained in ``config/robots/open_manipulator_x.yaml``; or a description
+            alone (a URDF file, or ``robot_descriptions:NAME``), whose torque constants the overrides must state.
+        overrides: As for `Robot.with_overrides`; they may state what a file leaves open.
 
     Raises:
         RobotError: There is no such robot, or its file or its URDF is wrong.
     """
     path = _located(str(name_or_path), Path())
-    return _robot(_read_settings(path), path)
+    settings = _read_settings(path)
+    if not overrides or settings.get("calibration") is not None or settings.get("urdf") is None:
+        robot = _robot(settings, path)
+        return robot.with_overrides(overrides) if overrides else robot
+    model = read_model(settings["urdf"])
+    return _robot(_merged(settings, nested_settings(model, overrides)), path, model)
+
+
+def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides for a description alone whose motors' torque was recorded, so that no torque constant is needed.
+
+    Torque then counts as current of 1 N m/A, known to a tenth: boards that estimate their motors' torque were seen to err by that.
+
+    Args:
+        name_or_path: As for `load_robot`.
+        overrides: What the user states beside that.
+    """
+    path = _located(str(name_or_path), Path())
+    if not is_description(str(path)):
+        return dict(overrides)
+    unit: dict[str, Any] = {}
+    for name in bare_settings(str(path))["joints"]:
+        unit[f"joints.{name}.motor.{NOMINAL}"] = 1.0
+        unit[f"joints.{name}.drive_train.torque_constant_N_m_per_A"] = {"value": 1.0, "std": 0.1}
+    return unit | dict(overrides)

@@ -82,13 +82,17 @@ class RobotModel:
         return cls(*UrdfReader(text, path.name).read())
 
     @classmethod
-    def from_urdf_string(cls, text: str) -> RobotModel:
+    def from_urdf_string(cls, text: str, source: str = "URDF") -> RobotModel:
         """Read URDF text, such as the content of ``/robot_description``.
+
+        Args:
+            text: The document.
+            source: What messages call it.
 
         Raises:
             RobotError: As for `from_urdf`.
         """
-        return cls(*UrdfReader(text, "URDF").read())
+        return cls(*UrdfReader(text, source).read())
 
     @functools.cached_property
     def independent_joints(self) -> tuple[str, ...]:

@@ -40,18 +40,30 @@ name: arm
 urdf: arm.urdf
 payload_frame: hand
 start_velocity_rad_s: 1.0e-4
+arm_scale: 1.0
+link_mass_std: 0.0
+link_com_std_m: 0.0
+link_inertia_std: 0.0
+delay_s: 0.0
+onset_jitter_s: 0.0
+stamp_jitter_s: 0.0
+torque_disturbance_N_m: 0.0
 joints:
   wrist:
     motor:
       nominal_torque_constant_N_m_per_A: {TORQUE_CONSTANT}
       encoder_resolution_rad: {COUNT_RAD}
       encoder_noise_rad: {NOISE_RAD}
+      encoder_once_per_turn_rad: 0.0
     drive_train:
       torque_constant_N_m_per_A: {TORQUE_CONSTANT}
       coulomb_N_m: 0.0
       viscous_N_m_s_per_rad: {VISCOUS}
       load_friction: 0.0
       armature_kg_m2: {ARMATURE}
+      zero_rad: 0.0
+      stribeck: 0.0
+      stribeck_velocity_rad_s: 0.1
 """
 
 

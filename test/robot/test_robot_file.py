@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ import pytest
 
 from proprio_ros.errors import RobotError
 from proprio_ros.resources import resource_names
-from proprio_ros.robot import load_robot
+from proprio_ros.robot import bare_settings, load_robot, with_recorded_torque
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from small_urdf import THREE
+from small_urdf import INERTIAL, THREE, chain, joint, link
 
 MINIMAL = """\
 name: arm
@@ -90,11 +91,6 @@ BAD_FILES = {
         "sdt: 0.02",
         "coulomb_N_m: unknown key 'sdt'; did you mean 'std'? valid keys: value, std",
     ),
-    "missing friction": (
-        "      coulomb_N_m: {value: 0.1, std: 0.02}\n",
-        "",
-        "joints: a: drive_train: coulomb_N_m is missing",
-    ),
     "missing value": ("{value: 0.1, std: 0.02}", "{std: 0.02}", "coulomb_N_m: value is missing"),
     "text for a number": (
         "load_friction: 0",
@@ -106,7 +102,7 @@ BAD_FILES = {
     "negative std": ("std: 0.02", "std: -0.02", "coulomb_N_m: std: must not be negative, got -0.02"),
     "negative friction": ("value: 0.1", "value: -0.1", "coulomb_N_m: value: must not be negative"),
     "zero torque constant": ("A: 2.0,", "A: 0.0,", "nominal_torque_constant_N_m_per_A: must be positive, got 0.0"),
-    "perfect encoder": ("0.001", "0", "encoder_resolution_rad and encoder_noise_rad are both 0"),
+    "perfect encoder": ("0.001", "0, encoder_noise_rad: 0", "encoder_resolution_rad and encoder_noise_rad are both 0"),
     "voltage without resistance": (
         "{nominal",
         "{supply_voltage_V: 12, nominal",
@@ -129,7 +125,7 @@ BAD_FILES = {
         "frame: hand",
         "payload_frame: arm has no link 'hand'; links: base, one, two, three",
     ),
-    "no frame": ("payload_frame: two\n", "", "arm.yaml: payload_frame is missing; state it"),
+    "no frame": ("payload_frame: two\n", "", "arm.yaml: missing: payload_frame; state each"),
     "no urdf": ("urdf: arm.urdf\n", "", "arm.yaml: urdf is missing"),
     "urdf not there": ("arm.urdf", "leg.urdf", "urdf: there is no"),
     "flat gravity": (
@@ -169,13 +165,132 @@ def test_wrong_robot_names_are_refused(folder: Path) -> None:
         load_robot("scara")
     with pytest.raises(RobotError, match="there is no robot file"):
         load_robot(folder / "leg.yaml")
-    with pytest.raises(RobotError, match=r"bare URDF.*write .*arm\.yaml with 'urdf: arm\.urdf'"):
+    with pytest.raises(RobotError, match="there is no URDF"):
+        load_robot(folder / "leg.urdf")
+
+
+def test_what_a_file_leaves_out_is_not_known_exactly(folder: Path) -> None:
+    """The joint's effort limit is 1 N m, but holding two links of 1 kg at the axis takes nothing: friction is a part of 1 N m."""
+    text = MINIMAL[: MINIMAL.index("    drive_train")]
+    (folder / "arm.yaml").write_text(text)
+    robot = load_robot(folder / "arm.yaml")
+    drive = robot.drive_trains["a"]
+    assert (drive.torque_constant.value, drive.torque_constant.std) == pytest.approx((2.0, 0.3))
+    assert (drive.coulomb.std, drive.viscous.std, drive.armature.std) == pytest.approx((0.1, 0.05, 0.01))
+    open_numbers = (drive.load_friction, drive.zero, drive.stribeck, robot.delay, robot.arm_scale)
+    assert all(number.std > 0.0 for number in open_numbers)
+    spreads = (
+        robot.stamp_jitter_s,
+        robot.onset_jitter_s,
+        robot.torque_disturbance,
+        robot.link_mass_std,
+        robot.link_com_std,
+    )
+    assert all(spread > 0.0 for spread in (*spreads, robot.link_inertia_std, drive.encoder_noise))
+    # null is left out, too: a new robot file has it where something must be stated
+    (folder / "arm.yaml").write_text(MINIMAL.replace("1e-2", "null"))
+    assert load_robot(folder / "arm.yaml").drive_trains["a"].armature.std == pytest.approx(0.01)
+
+
+def test_the_pendulum_is_exact_because_its_file_says_so() -> None:
+    robot = load_robot("pendulum")
+    drive = robot.drive_trains["pivot"]
+    numbers = (drive.torque_constant, drive.coulomb, drive.viscous, drive.load_friction, drive.armature, drive.zero)
+    assert all(number.std == 0.0 for number in (*numbers, drive.stribeck, robot.delay, robot.arm_scale))
+    spreads = (
+        robot.stamp_jitter_s,
+        robot.onset_jitter_s,
+        robot.torque_disturbance,
+        robot.link_mass_std,
+        robot.link_com_std,
+    )
+    assert not any((*spreads, robot.link_inertia_std, drive.encoder_once_per_turn))
+
+
+def test_all_that_is_missing_is_said_at_once(folder: Path) -> None:
+    (folder / "arm.yaml").write_text("name: arm\nurdf: arm.urdf\njoints: {a: {motor: {id: 1}}, b: null}\n")
+    with pytest.raises(RobotError) as caught:
+        load_robot(folder / "arm.yaml")
+    assert str(caught.value) == (
+        "arm.yaml: missing: payload_frame; motor.nominal_torque_constant_N_m_per_A of a, b; state each"
+    )
+    names = [f"joint_with_a_long_name_{n}" for n in range(9)]
+    links = "".join(link(name) for name in ("base", *(f"l{n}" for n in range(9))))
+    joints = [joint(name, "base", f"l{n}") for n, name in enumerate(names)]
+    (folder / "arm.urdf").write_text(chain(*joints, links=links))
+    with pytest.raises(RobotError) as caught:
         load_robot(folder / "arm.urdf")
+    assert "joint_with_a_long_name_0, joint_with_a_long_name_1 and 7 more" in str(caught.value)
+    assert "--effort-unit N.m" in str(caught.value) and " ... " not in str(caught.value)
+
+
+def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Path) -> None:
+    stated = {f"joints.{name}.drive_train.torque_constant_N_m_per_A": {"value": 3.0, "std": 0.2} for name in "ab"}
+    robot = load_robot(folder / "arm.urdf", stated)
+    assert robot.drive_trains["b"].nominal_torque_constant == 3.0
+    assert robot.drive_trains["b"].torque_constant.std == 0.2
+    assert (robot.name, robot.payload_frame) == ("arm", "three")
+    torque = load_robot(folder / "arm.urdf", with_recorded_torque(folder / "arm.urdf", {}))
+    assert torque.drive_trains["a"].nominal_torque_constant == 1.0
+    assert torque.drive_trains["a"].torque_constant.std == pytest.approx(0.1)
+    # a calibration's file extends it like any other
+    (folder / "mine.yaml").write_text(
+        "extends: arm.urdf\njoints: {a: {motor: {nominal_torque_constant_N_m_per_A: 2}},"
+        " b: {motor: {nominal_torque_constant_N_m_per_A: 2}}}\n"
+    )
+    assert load_robot(folder / "mine.yaml").drive_trains["a"].torque_constant.value == 2.0
+
+
+def test_links_that_move_without_mass_are_named(folder: Path) -> None:
+    links = link("base") + link("one", "") + link("two") + link("three", "")
+    (folder / "arm.urdf").write_text(
+        chain(joint("a"), joint("b", "base", "two"), joint("c", "two", "three"), links=links)
+    )
+    with pytest.raises(RobotError, match=r"arm\.urdf: no <inertial> in links that move: one, three; state mass"):
+        load_robot(folder / "arm.urdf")
+
+
+def test_what_does_not_move_need_not_be_there(folder: Path) -> None:
+    """Meshes of nowhere, simulators' blocks, transmissions and tool frames: as in any URDF of a real arm."""
+    more = (
+        '<gazebo reference="two"><material>Blue</material></gazebo>'
+        '<transmission name="t"><type>x</type><joint name="a"/></transmission>'
+    )
+    mesh = '<visual><geometry><mesh filename="package://nowhere/two.dae"/></geometry></visual>'
+    text = THREE.replace("</robot>", more + "</robot>").replace('<link name="two">', f'<link name="two">{mesh}')
+    text = text.replace('<link name="three">' + INERTIAL, '<link name="three">')
+    (folder / "arm.urdf").write_text(text)
+    assert set(bare_settings(str(folder / "arm.urdf"))["joints"]) == {"a", "b"}
+
+
+def test_descriptions_by_name(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "robot_descriptions", None)
+        with pytest.raises(RobotError, match="pip install robot_descriptions"):
+            load_robot("robot_descriptions:arm")
+    package = types.ModuleType("robot_descriptions")
+    package.__path__ = []
+    arm, mjcf = types.ModuleType("robot_descriptions.arm_description"), types.ModuleType("only_mjcf")
+    arm.URDF_PATH = str(folder / "arm.urdf")
+    monkeypatch.setitem(sys.modules, "robot_descriptions", package)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.arm_description", arm)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.only_description", mjcf)
+    (folder / "arm.yaml").write_text(MINIMAL.replace("arm.urdf", "robot_descriptions:arm"))
+    assert load_robot(folder / "arm.yaml").model.independent_joints == ("a", "b")
+    for name, words in (("leg", "no such description"), ("only", "has no URDF"), ("os.path", "no name of a")):
+        with pytest.raises(RobotError, match=words):
+            load_robot(f"robot_descriptions:{name}")
+
+
+def test_xacro_is_to_be_expanded(folder: Path) -> None:
+    (folder / "arm.urdf.xacro").write_text(THREE)
+    with pytest.raises(RobotError, match=r"expand it first: xacro .*arm\.urdf\.xacro > arm\.urdf"):
+        load_robot(folder / "arm.urdf.xacro")
 
 
 def test_sliding_joint_needs_its_transmission(folder: Path) -> None:
     (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
-    with pytest.raises(RobotError, match="transmission_m_per_rad is missing"):
+    with pytest.raises(RobotError, match=r"missing: transmission_m_per_rad .* of a; state"):
         load_robot(folder / "arm.yaml")
     (folder / "arm.yaml").write_text(MINIMAL + "    transmission_m_per_rad: 0.02\n")
     assert load_robot(folder / "arm.yaml").drive_trains["a"].transmission == 0.02
@@ -277,7 +392,7 @@ def test_overrides_by_dotted_keys(folder: Path) -> None:
         ("joints.a.drive_train.coulomb_N_m", "much", "coulomb_N_m: expected a number, got 'much'"),
         ("joints.a.drive_train.coulomb_N_m", -0.1, "must not be negative"),
         ("payload_frame", "hand", "arm has no link 'hand'"),
-        ("joints.b.motor.id", 3, "joints: b: motor: nominal_torque_constant_N_m_per_A is missing"),
+        ("joints.b.motor.id", 3, "arm.yaml: missing: motor.nominal_torque_constant_N_m_per_A of b"),
     ],
 )
 def test_bad_overrides_are_refused(folder: Path, key: str, value: object, message: str) -> None:

@@ -1,0 +1,117 @@
+"""Where a robot's description comes from: a URDF file, a bag that holds ``/robot_description``, or the package robot_descriptions.
+
+The last one has the URDFs of some hundred robots and is not installed with this package.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+from proprio_ros.errors import RobotError, one_line
+from proprio_ros.reading import path_problem
+from proprio_ros.robot.tree import RobotModel
+
+PACKAGE = "robot_descriptions:"
+"""What a source begins with that names a robot of the package robot_descriptions."""
+_BAGS = (".mcap", ".db3")
+
+
+def is_description(text: str) -> bool:
+    """Whether a source names a description alone, which says nothing of motors."""
+    return text.startswith(PACKAGE) or Path(text).suffix in (".urdf", ".xacro")
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path may be a bag: a folder, or a file of one."""
+    return path.suffix in _BAGS or path.is_dir()
+
+
+def read_model(source: str) -> RobotModel:
+    """The tree of links that a source describes.
+
+    Args:
+        source: a path, or ``robot_descriptions:NAME``.
+
+    Raises:
+        RobotError: there is no such description, or it is no physical tree.
+        RecordingError: a bag cannot be read, or holds no description.
+    """
+    if source.startswith(PACKAGE):
+        return RobotModel.from_urdf(_packaged(source.removeprefix(PACKAGE)))
+    path = Path(source)
+    problem = path_problem(path)
+    if problem:
+        raise RobotError(f"{one_line(source, 60)}: {problem}")
+    if is_bag(path):
+        from proprio_ros.bags import read_description  # only here: it brings the readers of bags along
+
+        return RobotModel.from_urdf_string(read_description(path), f"/robot_description of {path.name}")
+    if path.suffix == ".xacro":
+        raise RobotError(
+            f"{path.name}: holds xacro macros; expand it first: xacro {path} > {path.name.split('.')[0]}.urdf"
+        )
+    return RobotModel.from_urdf(path)
+
+
+def _packaged(name: str) -> Path:
+    """The URDF of a robot of the package robot_descriptions, which may fetch it."""
+    where = f"{PACKAGE}{one_line(name, 60)}"
+    if not re.fullmatch(r"[A-Za-z0-9_]{1,100}", name):
+        raise RobotError(f"{where}: no name of a description, such as {PACKAGE}ur10e")
+    try:
+        importlib.import_module("robot_descriptions")
+    except ImportError as error:
+        raise RobotError(
+            f"{where}: the package is not installed: pip install robot_descriptions, or give a .urdf file"
+        ) from error
+    module = f"robot_descriptions.{name.removesuffix('_description')}_description"
+    try:
+        found = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise RobotError(f"{where}: needs {error.name}, which is not installed") from error
+        raise RobotError(
+            f"{where}: the package has no such description; `python -m robot_descriptions list` names them"
+        ) from error
+    except Exception as error:  # it clones a repository when it is imported: git and the network fail as they like
+        raise RobotError(f"{where}: cannot be fetched ({one_line(str(error), 120)})") from error
+    path = getattr(found, "URDF_PATH", None)
+    if not path:
+        raise RobotError(f"{where}: has no URDF there; take another description of that robot, or give a .urdf file")
+    return Path(path)
+
+
+def hand_link(model: RobotModel) -> str:
+    """A guess at the link in which objects are held: the last one behind the most joints that turn, and no finger's."""
+    turning: dict[str, int] = {model.root: 0}
+    depth: dict[str, int] = {model.root: 0}
+    slid: set[str] = set()
+    for joint in model.joints:
+        turns = joint.kind in ("revolute", "continuous") and joint.independent
+        turning[joint.child] = turning[joint.parent] + turns
+        depth[joint.child] = depth[joint.parent] + 1
+        if joint.kind == "prismatic" or joint.mimic is not None or joint.parent in slid:
+            slid.add(joint.child)
+    hands = [name for name in turning if name not in slid]
+    return max(hands, key=lambda name: (turning[name], depth[name]))
+
+
+def check_masses(model: RobotModel, source: str) -> None:
+    """Every joint must move something that has mass.
+
+    Raises:
+        RobotError: some do not; all are named.
+    """
+    mass = {link.name: float(link.pseudo_inertia[3, 3]) for link in model.links}
+    carried = {joint.child: mass[joint.child] for joint in model.joints if joint.independent}
+    body = {link: link for link in carried}
+    for joint in model.joints:
+        if not joint.independent and joint.parent in body:
+            body[joint.child] = body[joint.parent]
+            carried[body[joint.parent]] += mass[joint.child]
+    bare = [name for name, total in carried.items() if total <= 0.0]
+    if bare:
+        shown = ", ".join(bare[:6]) + (f" and {len(bare) - 6} more" if len(bare) > 6 else "")
+        raise RobotError(f"{source}: no <inertial> in links that move: {shown}; state mass, centre and inertia of each")

@@ -1,0 +1,181 @@
+"""A robot file to fill in, from a URDF: every key with its default, its unit and what it is for, from the forms it is read with."""
+
+from __future__ import annotations
+
+import math
+import os
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from proprio_ros.forms import Text, Truth
+from proprio_ros.quantity import Quantity
+from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
+from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT, NOMINAL, _Field
+from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
+from proprio_ros.robot.wide import Wide, largest_torque
+
+STATE = "STATE THIS"
+CHECK = "CHECK THIS"
+_COLUMN = 52  # where comments begin
+_WRITTEN_BY_CALIBRATE = ("model_fingerprint", "calibration")
+
+
+@dataclass(frozen=True)
+class NewFile:
+    """A robot file to fill in.
+
+    Attributes:
+        name: of the robot.
+        text: of the file.
+        joints: that it lists.
+        payload_frame: a guess at the link in which objects are held, to be checked.
+        to_state: dotted keys that must be stated before the file can be loaded.
+    """
+
+    name: str
+    text: str
+    joints: tuple[str, ...]
+    payload_frame: str
+    to_state: tuple[str, ...]
+
+
+def new_robot_file(source: str, output: Path) -> NewFile:
+    """Write down what a URDF says of a robot, and what must be stated beside it.
+
+    Args:
+        source: URDF file, bag with ``/robot_description``, or ``robot_descriptions:NAME``.
+        output: where the file will be, since it names its URDF by the way to it.
+
+    Raises:
+        RobotError, RecordingError: the description cannot be read, or links that move have no mass; these are named.
+    """
+    model = read_model(source)
+    check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)
+    frame = hand_link(model)
+    values = {"name": model.name, "payload_frame": frame}
+    lines = _head(model.name)
+    for key, entry in _ROBOT.items():
+        if key in _WRITTEN_BY_CALIBRATE:
+            continue
+        words = {"payload_frame": f"{CHECK}, a guess: "}.get(key, "") + _words(entry)
+        lines.append(_line(0, key, values.get(key, _default(entry, model)), words))
+        if key == "name":
+            lines.append(
+                _line(0, "urdf", _way(source, output), "its description: a .urdf file, a bag, robot_descriptions:NAME")
+            )
+    lines += ["", "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held", "joints:"]
+    to_state = []
+    for number, name in enumerate(model.independent_joints):
+        lines += _joint(model, name, explained=number == 0)
+        to_state.append(f"joints.{name}.motor.{NOMINAL}")
+        if model.joint(name).kind == "prismatic":
+            to_state.append(f"joints.{name}.transmission_m_per_rad")
+    return NewFile(model.name, "\n".join(lines) + "\n", model.independent_joints, frame, tuple(to_state))
+
+
+def _head(name: str) -> list[str]:
+    words = (
+        f"Robot file of {name}, written by `proprio robot new`. What says {STATE} must be stated before it can be used; what says "
+        f"{CHECK} is a guess. Everything else has a default, wide enough to hold on most arms: state what you know, and `proprio "
+        "calibrate` learns the rest. An uncertain number is {value: .., std: ..}; a plain number is known exactly; null is left "
+        "out, and what is left out has its default. Everything under `joints` counts at the motor's output shaft, gear included."
+    )
+    return [*(f"# {line}" for line in textwrap.wrap(words, 118)), ""]
+
+
+def _joint(model: RobotModel, name: str, explained: bool) -> list[str]:
+    """All keys of one joint; what they are for stands at the first joint only."""
+    joint = model.joint(name)
+    slides = joint.kind == "prismatic"
+
+    def line(indent: int, key: str, entry: _Field, value: Any = ..., mark: str = "") -> str:
+        words = mark + _words(entry) if explained or mark else ""
+        return _line(indent, key, _default(entry, model, name) if value is ... else value, words)
+
+    limits = (
+        ""
+        if math.isinf(joint.effort_limit)
+        else f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
+    )
+    lines = [f"  {_yaml(name)}:  # {joint.kind}{limits}", "    motor:"]
+    for key, entry in _MOTOR.items():
+        if key == NOMINAL:
+            words = f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
+            lines.append(_line(6, key, None, STATE + words))
+        else:
+            lines.append(line(6, key, entry))
+    lines.append("    drive_train:")
+    for key, entry in _DRIVE_TRAIN.items():
+        # what is a part of something not yet stated is left to the reader of the file
+        later = isinstance(entry.default, Wide) and (slides or entry.default.of == "nominal")
+        mark = f"null: {entry.default.described()}; " if later else ""
+        lines.append(line(6, key, entry, None if later else ..., mark if explained else ""))
+    for key, entry in _JOINT.items():
+        if slides or key == "usable_velocity_rad_s":
+            mark = f"{STATE}: " if key == "transmission_m_per_rad" else ""
+            lines.append(line(4, key, entry, mark=mark))
+    return lines
+
+
+def _default(entry: _Field, model: RobotModel, joint: str = "") -> Any:
+    """What holds where the key is left out, as the file writes it."""
+    default = entry.default
+    if isinstance(default, Wide):
+        names = (
+            [joint] if joint else [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
+        )
+        spread = default.at(0.0, min(largest_torque(model, name) for name in names or model.independent_joints)).std
+        if not joint:
+            return float(f"{spread:.2g}")
+        default = Quantity(0.0, float(f"{spread:.2g}"))
+    if isinstance(default, Quantity):
+        return {"value": default.value, "std": default.std}
+    if default is STANDARD_GRAVITY:
+        return list(default)
+    return None if default == "" or default == math.inf or not isinstance(default, (int, float, bool)) else default
+
+
+def _words(entry: _Field) -> str:
+    """What a key is for, with its range and unit."""
+    form = getattr(entry.form, "of", None) or entry.form
+    if isinstance(form, Truth):
+        return form.meaning
+    if isinstance(form, Text):
+        return form.described() if not form.meaning else f"{form.meaning}; {form.described()}"
+    return f"{form.meaning} ({form.described()})"
+
+
+def _way(source: str, output: Path) -> str:
+    """How the file names its description: by the way from one to the other where that is short."""
+    if source.startswith(PACKAGE):
+        return source
+    folder, path = output.resolve().parent, Path(source).resolve()
+    return os.path.relpath(path, folder) if path.is_relative_to(folder) else str(path)
+
+
+def _line(indent: int, key: str, value: Any, words: str) -> str:
+    text = f"{' ' * indent}{key}: {_yaml(value)}"
+    return f"{text:{_COLUMN}s}  # {words}" if words else text
+
+
+def _yaml(value: Any) -> str:
+    """A plain value on one line."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_yaml(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_yaml, value)) + "]"
+    if isinstance(value, str):
+        plain = value.replace("_", "").replace("/", "").replace(".", "").replace("-", "").isalnum()
+        plain = (
+            plain
+            and value[0].isalpha()
+            and value.lower() not in ("null", "true", "false", "yes", "no", "on", "off", "y", "n")
+        )
+        return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return f"{value:g}" if "e" not in f"{value:g}" else f"{value:.12f}".rstrip("0")

@@ -1,0 +1,147 @@
+"""`proprio robot new`: a file with every key from a URDF, from a bag's description, and what it takes to fill it in."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from proprio_ros.bags import _types
+from proprio_ros.cli import main
+from proprio_ros.errors import RecordingError
+from proprio_ros.reading import yaml_of
+from proprio_ros.robot import load_robot
+from proprio_ros.robot.description import hand_link, read_model
+from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from small_urdf import THREE, chain, joint, link
+
+UR10E = Path(__file__).resolve().parents[3] / "shared" / "recordings_real" / "models" / "ur10e.urdf"
+MARKED = "nominal_torque_constant_N_m_per_A: null"
+
+
+def written(folder: Path, urdf: str = THREE) -> str:
+    (folder / "arm.urdf").write_text(urdf)
+    assert main(["robot", "new", str(folder / "arm.urdf"), "--output", str(folder / "new.yaml")]) == 0
+    return (folder / "new.yaml").read_text()
+
+
+def test_every_key_is_there_with_its_default(tmp_path: Path) -> None:
+    text = written(tmp_path)
+    content = yaml_of(text)
+    assert set(content) == {*_ROBOT, "urdf", "joints"} - {"calibration", "model_fingerprint"}
+    assert set(content["joints"]) == {"a", "b"}, "c is fixed"
+    assert set(content["joints"]["b"]["motor"]) == set(_MOTOR)
+    assert set(content["joints"]["b"]["drive_train"]) == set(_DRIVE_TRAIN)
+    # units and meanings come from the forms that read the file
+    for entry in (*_MOTOR.values(), *_DRIVE_TRAIN.values()):
+        form = getattr(entry.form, "of", None) or entry.form
+        assert form.meaning in text and form.described() in text
+
+
+def test_filled_in_it_holds_what_would_hold_without_it(tmp_path: Path) -> None:
+    text = written(tmp_path)
+    assert text.count("# STATE THIS") == 2 and "CHECK THIS" in text
+    (tmp_path / "new.yaml").write_text(text.replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0"))
+    (tmp_path / "short.yaml").write_text(
+        "name: arm\nurdf: arm.urdf\npayload_frame: three\njoints:\n"
+        "  a: {motor: {nominal_torque_constant_N_m_per_A: 2}}\n  b: {motor: {nominal_torque_constant_N_m_per_A: 2}}\n"
+    )
+    full, short = load_robot(tmp_path / "new.yaml"), load_robot(tmp_path / "short.yaml")
+    assert full.drive_trains == short.drive_trains and full.motors == short.motors
+    for name in ("delay", "arm_scale", "stamp_jitter_s", "torque_disturbance", "link_com_std", "payload_frame"):
+        assert getattr(full, name) == getattr(short, name), name
+
+
+def test_until_then_all_that_is_missing_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slide = chain(joint("a"), joint("finger", "one", "two", kind="prismatic"), joint("c", "two", "three", kind="fixed"))
+    written(tmp_path, slide)
+    assert main(["plan", "--mass", "0.1", "--robot", str(tmp_path / "new.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "proprio: new.yaml: missing: motor.nominal_torque_constant_N_m_per_A of a, finger; transmission_m"
+    )
+    assert "_per_rad (how far the joint slides per rad of the motor) of finger; state each" in said
+
+
+def test_an_older_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written(tmp_path)
+    (tmp_path / "new.yaml").write_text("mine")
+    words = ["robot", "new", str(tmp_path / "arm.urdf"), "--output", str(tmp_path / "new.yaml")]
+    assert main(words) == 2 and (tmp_path / "new.yaml").read_text() == "mine"
+    assert "--force" in capsys.readouterr().err
+    assert main([*words, "--force", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["joints"] == ["a", "b"] and said["payload_frame"] == "three" and len(said["to_state"]) == 2
+    assert main(["robot", "new", str(tmp_path / "leg.urdf"), "--output", str(tmp_path / "leg.yaml")]) == 2
+    assert not (tmp_path / "leg.yaml").exists()
+
+
+def test_names_that_yaml_would_take_for_something_else(tmp_path: Path) -> None:
+    names = ("on", "1", 'a: "b"', "#c")
+    links = "".join(link(name) for name in ("base", "l0", "l1", "l2", "l3"))
+    quoted = [name.replace('"', "&quot;") for name in names]
+    text = written(tmp_path, chain(*(joint(name, "base", f"l{n}") for n, name in enumerate(quoted)), links=links))
+    assert list(yaml_of(text)["joints"]) == list(names)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_brings_its_description(tmp_path: Path, storage: StoragePlugin) -> None:
+    """As a recorder keeps a latched topic: one message, or the same again after each start of the recorder."""
+    text = THREE.replace("<robot", f"<!-- {'x' * 300_000} --><robot", 1)
+    bag(tmp_path / "bag", storage, [text, text])
+    assert main(["robot", "new", str(tmp_path / "bag"), "--output", str(tmp_path / "new.yaml")]) == 0
+    content = (tmp_path / "new.yaml").read_text().replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0")
+    (tmp_path / "new.yaml").write_text(content)
+    robot = load_robot(tmp_path / "new.yaml")
+    (tmp_path / "arm.urdf").write_text(THREE)
+    assert robot.model.fingerprint() == read_model(str(tmp_path / "arm.urdf")).fingerprint()
+
+
+def test_a_bag_without_one_description(tmp_path: Path) -> None:
+    bag(tmp_path / "two", StoragePlugin.MCAP, [THREE, THREE.replace("arm", "leg")])
+    with pytest.raises(RecordingError, match="2 descriptions that differ"):
+        read_model(str(tmp_path / "two"))
+    bag(tmp_path / "none", StoragePlugin.MCAP, ["hello"], "/chatter")
+    with pytest.raises(RecordingError, match=r"no /robot_description .* it holds: /chatter"):
+        read_model(str(tmp_path / "none"))
+
+
+def bag(path: Path, storage: StoragePlugin, texts: list[str], topic: str = "/robot_description") -> None:
+    types = _types()
+    with Writer(path, version=9, storage_plugin=storage) as writer:
+        connection = writer.add_connection(topic, "std_msgs/msg/String", typestore=types)
+        for number, text in enumerate(texts):
+            message = types.types["std_msgs/msg/String"](data=text)
+            writer.write(connection, 10**9 + number, types.serialize_cdr(message, "std_msgs/msg/String"))
+
+
+def test_the_guessed_hand_is_no_finger(tmp_path: Path) -> None:
+    finger = '<mimic joint="left"/>'
+    text = chain(
+        joint("a"),
+        joint("tool", "one", "hand", kind="fixed"),
+        joint("left", "hand", "two", kind="prismatic"),
+        joint("right", "hand", "three", kind="prismatic", mimic=finger),
+        joint("tip", "two", "tip", kind="fixed"),
+        links="".join(link(name) for name in ("base", "one", "hand", "two", "three", "tip")),
+    )
+    (tmp_path / "arm.urdf").write_text(text)
+    assert hand_link(read_model(str(tmp_path / "arm.urdf"))) == "hand"
+    assert hand_link(load_robot("open_manipulator_x").model) == "end_effector_link"
+
+
+@pytest.mark.skipif(not UR10E.exists(), reason="needs the real recordings")
+def test_a_real_arms_urdf(tmp_path: Path) -> None:
+    """Its meshes do not exist, it has blocks of a simulator, and its tool frame has no mass."""
+    assert main(["robot", "new", str(UR10E), "--output", str(tmp_path / "ur10e.yaml")]) == 0
+    content = yaml_of((tmp_path / "ur10e.yaml").read_text())
+    assert len(content["joints"]) == 6 and content["payload_frame"] == "ee_link"
+    # 330 N m by its URDF
+    assert content["joints"]["shoulder_lift_joint"]["drive_train"]["coulomb_N_m"] == {"value": 0, "std": 33}
+    assert not set(_JOINT) & {"transmission_m_per_rad"} & set(content["joints"]["elbow_joint"])
