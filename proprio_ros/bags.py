@@ -51,6 +51,9 @@ EFFORT_UNITS = ("N.m", "A", "mA", "raw")
 CURRENT_PER_COUNT_A = 0.00269
 """Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
 
+REGISTER, LARGEST_COUNT = 65536, 4096
+"""Values of a register of 16 bits, and what no motor's current, duty or load in counts exceeds."""
+
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
@@ -758,6 +761,24 @@ def _commands(
     return InputRecord(times[latest], columns.names, current[latest], printable(topic.name))
 
 
+def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> FloatArray:
+    """The same with negative counts of a 16-bit register that were read as unsigned, and lie far above all others."""
+    negative = (effort >= REGISTER - LARGEST_COUNT) & (effort < REGISTER)
+    with np.errstate(invalid="ignore"):
+        others = np.abs(np.where(negative, 0.0, effort))
+        whole = np.isnan(effort) | (effort == np.round(effort))
+    columns = _any(negative, axis=0) & _all(np.isnan(others) | (others <= LARGEST_COUNT), axis=0) & _all(whole, axis=0)
+    if not columns.any():
+        return effort
+    which = ", ".join(name for name, column in zip(names, columns, strict=True) if column)
+    notes.append(
+        f"effort of {which}: {_of(negative & columns)} values of {REGISTER - LARGEST_COUNT} to {REGISTER - 1} beside small ones are "
+        f"negative numbers of a 16-bit register that was read as unsigned; {REGISTER} was subtracted from them."
+    )
+    result: FloatArray = np.where(negative & columns, effort - REGISTER, effort)
+    return result
+
+
 def _effort_and_current(
     names: Sequence[str], recorded: FloatArray, unit: str | None, nominal: Mapping[str, float], per_count_A: float
 ) -> tuple[FloatArray | None, FloatArray | None]:
@@ -845,6 +866,7 @@ def read_recording(
     expected = [*joint_order, *driven]
     times, names, values = _state_rows(path, state, columns, driven, expected, notes)
     _check_positions(path, names, values["position"], expected)
+    values["effort"] = _signed(names, values["effort"], notes)
     effort, current = _effort_and_current(
         names, values["effort"], effort_unit, nominal_torque_constants, current_per_count_A
     )

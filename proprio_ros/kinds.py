@@ -61,6 +61,7 @@ KINDS: dict[str, Kind] = {
     "payload_com_x": Kind("m", "centre of mass of the payload, x"),
     "payload_com_y": Kind("m", "centre of mass of the payload, y"),
     "payload_com_z": Kind("m", "centre of mass of the payload, z"),
+    "equivalent_pendulum_length": Kind("m", "length of the equivalent pendulum"),
     "shape_scale": Kind("1", "payload's spread over its shape's"),
     "container_mass": Kind("kg", "container mass"),
     "sphere_mass": Kind("kg", "sphere mass"),

@@ -1,4 +1,4 @@
-"""Motions taken from a recording: several joints move at once, under whatever controller, and the motors' currents are known."""
+"""Motions taken from a recording: joints move under whatever controller, and the motors' currents are known."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ SLOWEST_HZ = 20.0
 """Below this rate a motion of half a second has no shape."""
 WRAPPED_RAD = 3.0
 """No arm turns that far between two samples."""
+LARGEST_STEP_RAD = 1.0
+"""Angles whose steps are smaller than this once they are unwrapped did wrap around."""
 LONGEST_GAP_S = 0.1
 """Across a longer gap nobody knows how the arm moved [s]."""
 
@@ -111,6 +113,12 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         raise RecordingError(
             f"{name}: {lost_s:.0f} of {times_s[-1] - times_s[0]:.0f} s lie in gaps between joint states"
         )
+    turned = np.unwrap(position, axis=0)
+    wrapped = np.abs(turned - position).max(axis=0) > 1.0
+    if wrapped.any() and np.abs(np.diff(turned, axis=0)).max() < LARGEST_STEP_RAD:
+        whole = [joint for joint, column in zip(joints, wrapped, strict=True) if column]
+        notes.append(f"{name}: the angle of {', '.join(whole)} wraps around; it was unwrapped")
+        position = turned
     far = np.abs(np.diff(position, axis=0)).max(axis=0)
     if far.max() > WRAPPED_RAD:
         raise RecordingError(
@@ -130,8 +138,29 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         }
         | dict(held or {}),
         source=source,
-        notes=tuple(notes),
+        notes=(*notes, *_repeats_command(recording, joints, source)),
     )
     if not motion.moved:
         raise RecordingError(f"{name}: no joint moved by more than {MOVED_RAD} rad")
     return motion
+
+
+def _repeats_command(recording: Recording, joints: Sequence[str], source: str) -> tuple[str, ...]:
+    """A note on joints whose measured current is the command, as simulators and some drivers publish it."""
+    record, inputs = recording.joints, recording.inputs
+    if source != "measured current" or inputs is None or inputs.measured or record.current is None:
+        return ()
+    row = np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1
+    alike = []
+    for joint in set(joints) & set(inputs.names):
+        measured = record.current[row >= 0, record.column(joint)]
+        commanded = inputs.current_A[row[row >= 0], inputs.column(joint)]
+        same = np.isclose(measured, commanded, rtol=1e-6, atol=1e-9)
+        if len(np.unique(commanded)) > 20 and np.mean(same) > 0.99:
+            alike.append(joint)
+    if not alike:
+        return ()
+    return (
+        f"{recording.name}: the measured effort of {', '.join(sorted(alike))} is the command to the last digit, so nobody measured it: "
+        "what the motor did instead is not known",
+    )

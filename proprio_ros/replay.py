@@ -110,11 +110,13 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
         sources.extend([Path(path)] * (len(runs) - len(sources)))
     if motions and runs:
         raise RecordingError(
-            f"{motions[0].name}: several joints were driven at once, but not in {runs[0].name}: replay them apart"
+            f"{motions[0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].name} holds probes: "
+            "replay them apart"
         )
     if motions and not probe.takes_motions:
         raise RecordingError(
-            f"{motions[0].name}: several joints were driven at once; --probe {probe.name} wants one at a time"
+            f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at a "
+            "time, from rest with a constant current"
         )
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
@@ -324,7 +326,7 @@ def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[s
 def bag_runs_or_motion(
     path: Path, robot: Robot, options: ReplayOptions, held: Mapping[str, float]
 ) -> tuple[Run, ...] | Motion:
-    """The runs of one bag, or its motion where several joints were driven at once.
+    """The runs of one bag, or its motion where several joints were driven at once, or one under a controller.
 
     Raises:
         RecordingError: it cannot be read, or holds neither.
@@ -335,7 +337,7 @@ def bag_runs_or_motion(
 
 
 def runs_or_motion(recording: Recording, robot: Robot, held: Mapping[str, float]) -> tuple[Run, ...] | Motion:
-    """The runs of a recording, or its motion where several joints were driven at once.
+    """The runs of a recording, or its motion where several joints were driven at once, or one under a controller.
 
     Raises:
         RecordingError: it holds neither.

@@ -33,6 +33,8 @@ CODES = {
     "hardly_pressed": "the block was hardly pressed",
     "not_calibrated": "what the robot's file leaves open counts as uncertainty",
     "no_empty_motion": "a motion of several joints came without one of the empty hand",
+    "torque_scale_open": "the scale of the motor's torque is not known well enough to state a mass",
+    "within_friction": "the motor's torque lies within friction and says little about the load",
     "changed_midway": "the two halves of a recording say different values",
     "other": "a reason without a code of its own",
 }

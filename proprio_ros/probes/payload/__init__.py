@@ -87,11 +87,14 @@ class Payload(Probe[PayloadJob]):
 
         if recorded.motions:
             from proprio_ros.probes.payload.moving import weigh_in_motion
+            from proprio_ros.probes.payload.one_joint import weigh_one_joint
 
             if facts.paper is not None:
                 raise RecordingError(
-                    f"{recorded.motions[0].name}: several joints were driven at once; the paper's method knows one"
+                    f"{recorded.motions[0].name}: is a motion under a controller; the paper's method knows one joint driven from rest"
                 )
+            if len(recorded.motions[0].joints) == 1:
+                return weigh_one_joint(robot, recorded.motions, recorded.baseline_motions, facts.payload)
             stated_centre = "payload.com" in facts.stated
             return weigh_in_motion(robot, recorded.motions, recorded.baseline_motions, facts.payload, stated_centre)
         if facts.paper is None:

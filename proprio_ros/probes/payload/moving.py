@@ -33,15 +33,17 @@ class MotionDetail:
     """What only an answer from a motion has.
 
     Attributes:
-        stretches: Of 2.5 s, with the payload, that the interval was made from.
+        stretches: With the payload, that the interval was made from.
         unseen: Of the ten inertial parameters, those that this motion does not determine.
+        stretch_s: Their length [s].
     """
 
     stretches: int
     unseen: tuple[str, ...]
+    stretch_s: float = BLOCK_S
 
     def as_json(self) -> dict[str, object]:
-        return {"motion": {"stretches": self.stretches, "stretch_s": BLOCK_S, "undetermined": list(self.unseen)}}
+        return {"motion": {"stretches": self.stretches, "stretch_s": self.stretch_s, "undetermined": list(self.unseen)}}
 
 
 def weigh_in_motion(
@@ -68,7 +70,7 @@ def weigh_in_motion(
         refusal = not_identifiable(
             "no_empty_motion",
             "nothing says what the arm itself weighs",
-            "several joints moved at once, and a URDF alone puts an arm off by some percent of its own weight: record about the "
+            "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about the "
             "same motion with an empty hand and add it with --baseline",
         )
         return _estimate(robot, motions, None, refusal, notes)

@@ -1,0 +1,303 @@
+"""What a robot of one joint carries, from a motion under whatever controller: how it swings, and the mass where the torque is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
+from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.motion_fit import URDF_SHARE, relative_torque_std
+from proprio_ros.identification.one_joint_fit import STRETCH_S, OneJointFit, fit_one_joint
+from proprio_ros.motions import Motion
+from proprio_ros.probes.payload.moving import UNEXPLAINED_SHARE, WIDEST_SHARE, MotionDetail
+from proprio_ros.quantity import shown
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+UNSTATED_TORQUE_STD = 0.2
+"""A torque constant without a standard deviation is a maker's number; a motor board's own torque was seen to be off by 17 %."""
+KNOWN_TORQUE_STD = 0.05
+"""No mass is stated where the torque's scale is known worse than this, relative."""
+SWINGS_SHARE = 0.6
+"""A joint whose acceleration gravity explains so far, as that of a pendulum about as long as the lever, needs no motor to move."""
+MAGNITUDE_SHARE = 0.1
+"""An effort of one sign that is explained no better than to this share is taken for a magnitude."""
+LOAD_SHARE = 1.0
+"""The load must take as much of the torque as all the rest does, rms over rms."""
+LONGEST_SHARE = 0.25
+"""No length of the equivalent pendulum is given whose half width is more than this share of it."""
+AWRY_RAD = 0.15
+"""The load hangs where the URDF says, but for this."""
+LEAST_FRICTION_SHARE = 0.02
+"""Friction is stated no better than to this share of the torque."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """The payload as the fit and the robot file have it.
+
+    Attributes:
+        mass, std: [kg].
+        parts: What puts how much standard deviation on the mass, in words and [kg].
+        torque_std: Of the torque's scale, relative.
+        expected_m: Length of the equivalent pendulum that arm and payload make by the robot file, and its standard deviation [m].
+        awry: Angle between where gravity's moment points and where the file says [rad], and its standard deviation.
+        arm_kg_m: First moment of the arm [kg m].
+        lever_m: From the joint's axis to the payload [m].
+    """
+
+    mass: float
+    std: float
+    parts: tuple[tuple[str, float], ...]
+    torque_std: float
+    expected_m: tuple[float, float]
+    awry: tuple[float, float]
+    arm_kg_m: float
+    lever_m: float
+
+
+def torque_std(robot: Robot, joint: str) -> float:
+    """How well a measured effort is a torque, relative: as well as the file says that it knows the torque constant."""
+    if robot.drive_trains[joint].torque_constant.std > 0.0 or robot.is_calibrated():
+        return relative_torque_std(robot, joint)
+    return UNSTATED_TORQUE_STD
+
+
+def weigh_one_joint(
+    robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts
+) -> Estimate:
+    """Identify how the joint swings, and the payload that all ``motions`` share.
+
+    Args:
+        robot: Of one joint that turns.
+        motions: With the payload, at least one.
+        baseline: The same with an empty hand; without any the URDF's bodies are the arm.
+        facts: Where the payload's centre is.
+
+    Raises:
+        RecordingError: A motion is of no use.
+    """
+    (joint,) = motions[0].joints
+    fit = fit_one_joint(robot, motions, joint)
+    empty = fit_one_joint(robot, baseline, joint) if baseline else None
+    weighed = _weighed(robot, motions[0], fit, empty, facts)
+    refusal = next(_refusals(motions[0], fit, weighed), None)
+    mass_refusal = refusal or next(_mass_refusals(robot, motions[0], fit, weighed), None)
+    return _estimate(robot, motions, fit, empty, weighed, refusal, mass_refusal)
+
+
+def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit | None, facts: PayloadFacts) -> Weighed:
+    model = robot.model.lock([fit.joint], dict(motion.held), robot.gravity)
+    drive = robot.drive_trains[fit.joint]
+    body_from_payload = model.frames[robot.payload_frame][1]
+    place = body_from_payload[:3, :3] @ facts.com + body_from_payload[:3, 3]
+    lever = fit.directions @ place
+    length = max(float(np.linalg.norm(lever)), 1e-6)
+    toward = lever / length
+    scale = robot.arm_scale.value
+    urdf_moment = scale * fit.directions @ model.pseudo_inertia[0, :3, 3]
+    arm_std = robot.arm_scale.std if robot.is_calibrated([fit.joint]) else URDF_SHARE
+    if empty is None:
+        arm, arm_moment_std = urdf_moment, arm_std * float(np.linalg.norm(urdf_moment))
+    else:
+        arm, arm_moment_std = empty.values[2:], float(np.sqrt(toward @ empty.covariance[2:, 2:] @ toward))
+    carried = fit.values[2:] - arm
+    mass = float(carried @ toward) / length
+    relative = torque_std(robot, fit.joint)
+    # against the URDF an error of the scale takes its share of the whole moment, against the empty arm of the payload's alone
+    scaled = mass if empty is not None else float(fit.values[2:] @ toward) / length
+    centre_std = float(np.linalg.norm(fit.directions @ body_from_payload[:3, :3] @ np.diag(facts.com_std)))
+    parts = (
+        ("what differs from stretch to stretch", float(np.sqrt(toward @ fit.covariance[2:, 2:] @ toward)) / length),
+        ("torque constants", abs(scaled) * relative),
+        ("the arm itself", arm_moment_std / length),
+        ("place of the payload", abs(mass) * centre_std / length),
+    )
+    second = scale * model.pseudo_inertia[0, :3, :3]
+    urdf_inertia = float(np.sum((fit.directions @ second) * fit.directions))
+    expected_moment = urdf_moment + mass * lever
+    moment = max(float(np.linalg.norm(expected_moment)), 1e-9)
+    object_inertia = abs(mass) * float(np.trace(facts.shape.second_moment_per_mass))
+    inertia = urdf_inertia + drive.armature.value + mass * length**2
+    inertia_std = np.hypot(arm_std * urdf_inertia, drive.armature.std) + object_inertia
+    expected = inertia / moment
+    expected_std = float(np.hypot(inertia_std / moment, expected * centre_std / length))
+    pointing = fit.values[2:] / max(float(np.linalg.norm(fit.values[2:])), 1e-9)
+    across = np.array([-pointing[1], pointing[0]])
+    awry = float(np.arctan2(across @ expected_moment, pointing @ expected_moment))
+    awry_std = float(np.sqrt(across @ fit.covariance[2:, 2:] @ across)) / max(
+        float(np.linalg.norm(fit.values[2:])), 1e-9
+    )
+    return Weighed(
+        mass,
+        float(np.sqrt(sum(part**2 for _, part in parts))),
+        parts,
+        relative,
+        (expected, expected_std),
+        (awry, awry_std),
+        float(np.linalg.norm(arm)),
+        length,
+    )
+
+
+def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:
+    """Why nothing at all is said."""
+    rest = float(np.hypot(fit.residual, np.sqrt(max(fit.driven**2 - fit.load**2 - fit.residual**2, 0.0))))
+    unexplained = fit.residual / max(fit.driven, 1e-12)
+    if fit.one_sign and unexplained > MAGNITUDE_SHARE:
+        yield rejected(
+            "misfit",
+            "the effort has no sign",
+            f"{motion.name}: the effort of {fit.joint} never changes its sign, and {100.0 * unexplained:.0f} % of it is not explained by "
+            "inertia, gravity and friction: it seems to be a magnitude, which says nothing about a load; record a signed current or torque",
+        )
+    by_itself = fit.swings > SWINGS_SHARE and 0.5 < fit.swings_m / weighed.lever_m < 2.0
+    if unexplained > UNEXPLAINED_SHARE and by_itself:
+        yield not_identifiable(
+            "within_friction",
+            "the torque lies within friction",
+            f"{motion.name}: {fit.joint} swings almost by itself: gravity explains {100.0 * fit.swings:.0f} % of its acceleration, and "
+            f"the motor's {shown('N m', fit.driven, spec='.3g')} (rms) are of the size of friction, so they say little about the load: "
+            "record a motion in which the motor lifts, holds back and turns the load round",
+        )
+    if unexplained > UNEXPLAINED_SHARE or fit.values[1] <= 0.0:
+        share = (
+            f"{100.0 * unexplained:.0f} % of its effort is not explained"
+            if fit.values[1] > 0.0
+            else "its inertia came out negative"
+        )
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{motion.name}: {fit.joint} does not move as inertia, gravity and friction would have it under its effort ({share}): "
+            "check its unit and sign; a duty cycle or a position error is no torque; did anything touch the arm?",
+        )
+    if fit.load < LOAD_SHARE * rest:
+        yield not_identifiable(
+            "within_friction",
+            "the torque lies within friction",
+            f"{motion.name}: inertia and gravity take {shown('N m', fit.load, spec='.3g')} of the effort (rms), friction and what is "
+            f"unexplained {shown('N m', rest, spec='.3g')}: so little says nothing about the load; move faster and further",
+        )
+    half = fit.quantile * float(fit.std[0])
+    if half > LONGEST_SHARE * float(fit.values[0]):
+        yield not_identifiable(
+            "interval_too_wide",
+            "the motion says too little",
+            f"{motion.name}: how the load swings is determined only to {float(fit.values[0]):.3f} +- {half:.3f} m: the joint must both turn "
+            f"through large angles and accelerate, for longer than the {STRETCH_S * fit.stretches:.0f} s used here",
+        )
+
+
+def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:
+    """Why no mass is said."""
+    drive = robot.drive_trains[fit.joint]
+    if weighed.torque_std > KNOWN_TORQUE_STD:
+        states = (
+            "states no standard deviation of it"
+            if drive.torque_constant.std == 0.0
+            else f"knows it to {100.0 * weighed.torque_std:.0f} %"
+        )
+        yield not_identifiable(
+            "torque_scale_open",
+            "the scale of the torque is not known well enough",
+            f"a mass errs as the torque of {fit.joint} does, and {robot.source.name} {states} (a motor board's own torque was seen to be "
+            f"off by 17 %): calibrate with a reference weight, or state torque_constant_N_m_per_A with a std of "
+            f"{100.0 * KNOWN_TORQUE_STD:.0f} % or less if it was measured; the length of the equivalent pendulum needs none",
+        )
+    angle, angle_std = weighed.awry
+    if abs(angle) > max(AWRY_RAD, FAR * angle_std):
+        yield rejected(
+            "arm_unlike_urdf",
+            "the load hangs elsewhere than the URDF says",
+            f"{motion.name}: gravity pulls {fit.joint} to a position {abs(angle):.2f} rad from where its URDF and payload.com have the "
+            "load: check the URDF's zero, the effort's sign and payload.com",
+        )
+    least = LEAST_FRICTION_SHARE * fit.driven
+    for term, value, stated in (("viscous", fit.viscous, drive.viscous), ("Coulomb", fit.coulomb, drive.coulomb)):
+        spread = max(stated.std, 0.5 * abs(stated.value), least)
+        if abs(value - stated.value) > FAR * spread:
+            yield rejected(
+                "far_from_prior",
+                "the friction is not that of the robot file",
+                f"{term} friction of {fit.joint} came out as {value:.3g}, {abs(value - stated.value) / spread:.0f} standard deviations from "
+                f"the {stated.value:.3g} of {robot.source.name}: is the effort a torque or a current, and in the stated unit? A duty "
+                "cycle makes friction of its own",
+            )
+    expected, expected_std = weighed.expected_m
+    apart = abs(float(fit.values[0]) - expected)
+    spread = float(np.hypot(expected_std, fit.std[0]))
+    if apart > max(FAR * spread, 0.05 * expected):
+        yield rejected(
+            "arm_unlike_urdf",
+            "the load does not swing as the robot file says",
+            f"{motion.name}: {fit.joint} swings like a pendulum of {float(fit.values[0]):.3f} m, and the URDF with such a payload there "
+            f"makes {expected:.3f} m ({apart / spread:.0f} standard deviations): check the effort's unit, the URDF, the armature, payload.com "
+            "and payload.shape",
+        )
+    half = fit.quantile * weighed.std
+    if weighed.mass + half < 0.0:
+        yield rejected(
+            "lighter_than_empty",
+            "the hand seems lighter than empty",
+            f"the hand with its load seems {shown('kg', -weighed.mass, spec='.0f')} lighter than with nothing in it: check the URDF's "
+            "masses, or are the recordings mixed up?",
+        )
+    if half > WIDEST_SHARE * abs(weighed.mass):
+        yield not_identifiable(
+            "interval_too_wide",
+            "the interval is too wide to state a mass",
+            f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}; what it errs by most: "
+            f"{max(weighed.parts, key=lambda part: part[1])[0]}",
+        )
+
+
+def _estimate(
+    robot: Robot,
+    motions: Sequence[Motion],
+    fit: OneJointFit,
+    empty: OneJointFit | None,
+    weighed: Weighed,
+    refusal: Refusal | None,
+    mass_refusal: Refusal | None,
+) -> Estimate:
+    if mass_refusal is not None:
+        mass = Value("payload_mass", "kg", None, reason=mass_refusal.withheld)
+    else:
+        half = fit.quantile * weighed.std
+        low, high = max(weighed.mass - half, 0.0), max(weighed.mass + half, 0.0)
+        mass = Value("payload_mass", "kg", max(weighed.mass, 0.0), weighed.std, [low, high])
+    if refusal is not None:
+        length = Value("equivalent_pendulum_length", "m", None, reason=refusal.withheld)
+    else:
+        value, std = float(fit.values[0]), float(fit.std[0])
+        bounds = [value - fit.quantile * std, value + fit.quantile * std]
+        length = Value("equivalent_pendulum_length", "m", value, std, bounds)
+    arm = (
+        "an empty hand in the same motion"
+        if empty is not None
+        else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
+    )
+    return Estimate(
+        probe="payload",
+        robot=robot.name,
+        verdict=Verdict.ACCEPTED if mass_refusal is None else mass_refusal.verdict,
+        reasons=() if mass_refusal is None else tuple(mass_refusal.reasons),
+        values=(mass, length),
+        fit=Fit(fit.residual, fit.residual if empty is None else empty.residual, 1.0, "N m"),
+        solver=None,
+        runs=len(motions),
+        budget=tuple(sorted(weighed.parts, key=lambda part: -part[1])),
+        detail=MotionDetail(fit.stretches, (), STRETCH_S),
+        assumptions=(
+            f"one joint moved under a controller: the {motions[0].source} and the positions were fitted together; inertia over first "
+            "moment, the length of the equivalent pendulum, needs no scale of the torque and is that of arm, rotor and payload together",
+            f"the arm itself is {arm}, {weighed.arm_kg_m:.3g} kg m about the joint",
+            f"torque constant as in {robot.source.name}, to {100.0 * weighed.torque_std:.1f} %: a mass errs as it does",
+            "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset",
+        ),
+        notes=tuple(note for motion in motions for note in motion.notes),
+    )
