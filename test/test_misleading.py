@@ -19,11 +19,13 @@ from proprio_ros.identification.judge import FAR, Assessment, Useful
 from proprio_ros.identification.problem import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import spec_for
 from proprio_ros.replay import ReplayOptions, bag_runs, replay, write_report
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.settings import Settings, probe_file
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 BALL = "realistic_s00_fixed_light_ball_20g_joint3"
 SQUEEZE = "realistic_s00_squeeze_light"
@@ -275,6 +277,41 @@ def test_a_block_whose_size_is_guessed_says_so(bags: Path) -> None:
         assert one.std == pytest.approx(np.hypot(other.std, np.sqrt(0.03) * one.value), rel=0.02)
     # force over travel does not ask for a size
     assert guessed.value("secant_stiffness") == stated.value("secant_stiffness")
+
+
+def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> None:
+    """What 5 mm along each axis would do to the mass is in the interval, and refits with the centre there say the same."""
+    learnt = calibrate(robot, empty_runs(bags, robot), advice=0).calibration
+    assert learnt is not None
+    known = robot.with_calibration(learnt)
+    runs = bag_runs(bag_in(bags / BALL), known, ReplayOptions(), {})
+    shape = PayloadShape.of("sphere", 0.02)
+    stated = weigh(known, runs, PayloadFacts(shape=shape))
+    guessed = weigh(known, runs, PayloadFacts(shape=shape, com_guessed=True))
+    assert "guessed_facts" in codes(guessed) and "guessed_facts" not in codes(stated)
+    assert any("payload.com [0, 0, 0] mm" in assumption for assumption in guessed.assumptions)
+    (one,), (other,) = guessed.values, stated.values
+    assert one.value == other.value and guessed.verdict is Verdict.ACCEPTED
+    moved = [weigh(known, runs, PayloadFacts(com=5e-3 * axis, shape=shape)).values[0].value for axis in np.eye(3)]
+    off = np.linalg.norm(np.array(moved) - other.value)
+    assert one.std == pytest.approx(np.hypot(other.std, off), rel=0.1) and off > 0.01 * other.value
+    assert dict(guessed.budget)["payload.com, guessed"] == pytest.approx(off, rel=0.1)
+    # an empty hand has no place to speak of
+    empty = weigh(known, [empty_runs(bags, robot)[0].run], PayloadFacts(shape=shape, com_guessed=True))
+    assert "guessed_facts" not in codes(empty)
+
+
+@pytest.mark.parametrize(
+    ("settings", "guessed"),
+    [
+        ({}, True),
+        ({"payload.size": 0.02}, True),
+        ({"payload.com": [0, 0, 0]}, False),
+        ({"payload.com_std": [0.01] * 3}, False),
+    ],
+)
+def test_a_place_is_guessed_where_nobody_stated_it(settings: dict[str, Any], guessed: bool) -> None:
+    assert payload_facts(Settings(settings), probe_file("payload", ("payload",))["payload"]).com_guessed is guessed
 
 
 def test_a_container_that_is_guessed_says_so(bags: Path) -> None:

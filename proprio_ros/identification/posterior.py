@@ -67,6 +67,15 @@ class Posterior:
         covariance[np.ix_(self.problem.free, self.problem.free)] = self.covariance
         return covariance
 
+    def follows(self, name: str, others: Sequence[str]) -> np.ndarray:
+        """By how much a free unknown would follow others that were taken as known, to first order: per unit of each, shape (K,)."""
+        problem = self.problem
+        _, _, dq = problem.simulate(self.values[None], np.array([problem.index[other] for other in others]))
+        by_others = dq[0][problem.weight > 0.0] * self._weight[:, None]
+        place = list(problem.free).index(problem.index[name])
+        followed: np.ndarray = -(self.covariance @ self.sensitivity.T @ by_others)[place]
+        return followed
+
     def leverage(self) -> np.ndarray:
         """Variance of the fitted value of each sample in units of the sample's own, shape (M,)."""
         return np.einsum("mf,fg,mg->m", self.sensitivity, self.covariance, self.sensitivity)

@@ -135,12 +135,14 @@ class PayloadFacts:
         com_std: how far the true centre may lie from it [m], shape (3,); 0 means known.
         shape: spread of the mass.
         shape_std_relative: relative uncertainty of that spread (a guessed size is not a measured one).
+        com_guessed: whether nobody stated where it is.
     """
 
     com: np.ndarray = field(default_factory=lambda: np.zeros(3))
     com_std: np.ndarray = field(default_factory=lambda: np.zeros(3))
     shape: PayloadShape = field(default_factory=lambda: PayloadShape.of("point", None))
     shape_std_relative: float = 0.0
+    com_guessed: bool = False
 
 
 def payload_parameters(mass: np.ndarray, com: np.ndarray, second_moment_per_mass: np.ndarray) -> np.ndarray:

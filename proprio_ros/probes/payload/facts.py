@@ -50,6 +50,7 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     def take(key: str, default: Any) -> Any:
         return settings.take(key, default, None if default is None and key not in settings.left else FORMS[key])
 
+    guessed = not {"payload.com", "payload.com_std"} & set(settings.left)
     com, com_std = (np.array(take(f"payload.{key}", defaults[key])) for key in ("com", "com_std"))
     name = take("payload.shape", None)
     size = settings.take("payload.size", None)
@@ -58,7 +59,7 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     if per_mass is not None:
         if name is not None or size is not None:
             raise ConfigurationError("give payload.inertia_per_mass, or payload.shape and payload.size, not both")
-        return PayloadFacts(com, com_std, PayloadShape.from_inertia_per_mass(per_mass), 0.0)
+        return PayloadFacts(com, com_std, PayloadShape.from_inertia_per_mass(per_mass), 0.0, guessed)
     if name is None and size is not None:
         name = "box" if isinstance(size, list) else "sphere"
     shape_name = name if name is not None else read("payload.shape", defaults["shape"], FORMS["payload.shape"])
@@ -67,10 +68,10 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
         edge = read("payload.size", defaults["size"], _SIZE)
         guess: dict[str, Any] = {"sphere": edge, "cube": edge, "box": [edge] * 3, "cylinder": [edge, edge]}
         shape = PayloadShape.of(shape_name, guess.get(shape_name))
-        return PayloadFacts(com, com_std, shape, size_std)
+        return PayloadFacts(com, com_std, shape, size_std, guessed)
     if shape_name != "point":
         size = read("payload.size", size, Numbers("", _SIZE, most=3) if isinstance(size, list) else _SIZE)
-    return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0)
+    return PayloadFacts(com, com_std, PayloadShape.of(shape_name, size), 0.0, guessed)
 
 
 def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:

@@ -158,7 +158,7 @@ def _without_interval(reason: str) -> str:
             return Reason(
                 "not_calibrated", "the robot has not been calibrated: the method takes its file's numbers as exact"
             )
-        case "coarse_fit" | "too_wide" as code:
+        case "coarse_fit" | "guessed_facts" | "too_wide" as code:
             return Reason(code, f"default profile: {reason}")
     return reason
 
