@@ -367,6 +367,9 @@ def _bag_check(
     seen = (*findings(recording, slides), *_of_robot(robot, recording, effort_unit))
     if recording.inputs is None or recording.inputs.measured:
         runs = tuple(_with_effort(run, seen) for run in runs)
+        for finding in seen:
+            if motion is not None and finding.code in UNUSABLE_EFFORT and set(finding.joints) & set(motion.moved):
+                motion, problem = None, f"of no use as a motion: {finding.sentence}"
     per_torque, units = _effort(recording, robot, seen)
     tells = _motion_check(robot, recording, motion)
     times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])

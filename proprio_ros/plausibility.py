@@ -471,6 +471,7 @@ def effort_units(
             for name, value in per_torque.items()
             if ampere is None or name in constants
         }
-        middle = float(np.median(list(ratio.values()))) if ratio else 0.0
-        result.append(EffortUnit(unit, ratio, PLAUSIBLE[0] <= middle <= PLAUSIBLE[1]))
+        if ratio:
+            middle = float(np.median(list(ratio.values())))
+            result.append(EffortUnit(unit, ratio, PLAUSIBLE[0] <= middle <= PLAUSIBLE[1]))
     return tuple(result)

@@ -152,6 +152,7 @@ def test_effort_is_compared_with_gravity(tmp_path: Path) -> None:
     assert [name for name, unit in units.items() if unit.plausible] == ["mA"]
     assert units["mA"].ratio["a"] == pytest.approx(1.0, rel=0.05)
     # without torque constants only torque itself can be judged
+    assert [unit.unit for unit in effort_units(per_torque, {"b": 2.0}, 0.00269)] == ["N.m"]
     assert [unit.unit for unit in effort_units(per_torque, {}, 0.00269)] == ["N.m"]
     # noise alone, or a joint that gravity does not load, says nothing
     assert (

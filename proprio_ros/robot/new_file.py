@@ -143,7 +143,7 @@ def _words(entry: _Field) -> str:
     if isinstance(form, Truth):
         return form.meaning
     if isinstance(form, Text):
-        return form.described() if not form.meaning else f"{form.meaning}; {form.described()}"
+        return form.meaning or form.described()
     return f"{form.meaning} ({form.described()})"
 
 

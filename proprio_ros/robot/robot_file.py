@@ -262,6 +262,7 @@ _ROBOT = {
     "model_fingerprint": _Field(Text("of the URDF that a calibration was made with"), None),
     "calibration": _Field(_Nested("what `proprio calibrate` learnt", nested=Calibration.from_settings), None),
 }
+_ELSEWHERE = ("urdf", "joints", "extends")  # read before the others
 _FILE_ONLY = ("model_fingerprint", "calibration")  # no --set
 
 
@@ -279,14 +280,18 @@ def _as_mapping(value: Any, where: str) -> Mapping[str, Any]:
     return value
 
 
-def _section(value: Any, fields: Mapping[str, _Field], where: str) -> dict[str, Any]:
-    """Read one mapping of the file; unknown and missing keys are refused."""
-    given = _as_mapping(value, where)
+def _refuse_unknown(given: Mapping[str, Any], fields: Mapping[str, Any], where: str) -> None:
     for key in given:
         if key not in fields:
             close = difflib.get_close_matches(str(key)[:100], fields, n=1)
             hint = f"did you mean {close[0]!r}? " if close else ""
             raise RobotError(f"{where}: unknown key {shortly(key)}; {hint}valid keys: {', '.join(fields)}")
+
+
+def _section(value: Any, fields: Mapping[str, _Field], where: str) -> dict[str, Any]:
+    """Read one mapping of the file; unknown and missing keys are refused."""
+    given = _as_mapping(value, where)
+    _refuse_unknown(given, fields, where)
     result = {}
     for key, entry in fields.items():
         if key in given:
@@ -459,11 +464,15 @@ def _part(settings: Any, key: str) -> Mapping[str, Any]:
 
 
 def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) -> None:
-    """Name all that is missing at once.
+    """Name all that is missing at once; a key that is only mistyped comes first.
 
     Raises:
         RobotError: something is.
     """
+    _refuse_unknown(settings, _ROBOT | dict.fromkeys(_ELSEWHERE), source.name)
+    for name, joint in _part(settings, "joints").items():
+        for section, fields in (("motor", _MOTOR), ("drive_train", _DRIVE_TRAIN)):
+            _refuse_unknown(_part(joint, section), fields, f"{source.name}: joints: {name}: {section}")
     missing = [key for key, entry in _ROBOT.items() if entry.default is _REQUIRED and key not in settings]
     without: dict[str, list[str]] = {}
     for name, joint in _part(settings, "joints").items():
@@ -504,7 +513,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
     given = _section(
         {key: value for key, value in settings.items() if key not in ("urdf", "joints")},
         # listed for the message about unknown keys; read below
-        _ROBOT | {key: _Field(Text(longest=LONGEST_PATH), None) for key in ("urdf", "joints", "extends")},
+        _ROBOT | {key: _Field(Text(longest=LONGEST_PATH), None) for key in _ELSEWHERE},
         file,
     )
     if model is None:
@@ -670,6 +679,7 @@ def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any])
         return dict(overrides)
     unit: dict[str, Any] = {}
     for name in bare_settings(str(path))["joints"]:
-        unit[f"joints.{name}.motor.{NOMINAL}"] = 1.0
-        unit[f"joints.{name}.drive_train.torque_constant_N_m_per_A"] = {"value": 1.0, "std": 0.1}
+        nominal, constant = f"joints.{name}.motor.{NOMINAL}", f"joints.{name}.drive_train.torque_constant_N_m_per_A"
+        if nominal not in overrides and constant not in overrides:
+            unit |= {nominal: 1.0, constant: {"value": 1.0, "std": 0.1}}
     return unit | dict(overrides)

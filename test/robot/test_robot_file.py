@@ -224,6 +224,16 @@ def test_all_that_is_missing_is_said_at_once(folder: Path) -> None:
     assert "--effort-unit N.m" in str(caught.value) and " ... " not in str(caught.value)
 
 
+def test_a_mistyped_key_is_not_called_missing(folder: Path) -> None:
+    for old, new, meant in (
+        ("payload_frame", "payload_fram", "payload_frame"),
+        ("{nominal_t", "{nominl_t", "nominal_t"),
+    ):
+        (folder / "arm.yaml").write_text(MINIMAL.replace(old, new, 1))
+        with pytest.raises(RobotError, match=f"did you mean '{meant}"):
+            load_robot(folder / "arm.yaml")
+
+
 def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Path) -> None:
     stated = {f"joints.{name}.drive_train.torque_constant_N_m_per_A": {"value": 3.0, "std": 0.2} for name in "ab"}
     robot = load_robot(folder / "arm.urdf", stated)
@@ -233,6 +243,10 @@ def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Pat
     torque = load_robot(folder / "arm.urdf", with_recorded_torque(folder / "arm.urdf", {}))
     assert torque.drive_trains["a"].nominal_torque_constant == 1.0
     assert torque.drive_trains["a"].torque_constant.std == pytest.approx(0.1)
+    # what is stated of a joint stands alone: torque over that constant is the current again
+    mixed = with_recorded_torque(folder / "arm.urdf", {"joints.b.drive_train.torque_constant_N_m_per_A": 3.0})
+    drive = load_robot(folder / "arm.urdf", mixed).drive_trains["b"]
+    assert (drive.nominal_torque_constant, drive.torque_constant.value) == (3.0, 3.0)
     # a calibration's file extends it like any other
     (folder / "mine.yaml").write_text(
         "extends: arm.urdf\njoints: {a: {motor: {nominal_torque_constant_N_m_per_A: 2}},"
