@@ -71,7 +71,7 @@ def swung(
     scale: float = 1.0,
     rate_Hz: float = 200.0,
 ) -> tuple[Recording, float]:
-    """A pendulum under a PD controller, integrated here: friction, delay and noise, and an effort that is ``scale`` times the torque.
+    """A pendulum under a PD controller, integrated here: friction, delay and noise; its effort is ``scale`` times the torque.
 
     Returns:
         The recording, and the true length of the equivalent pendulum [m].
@@ -146,7 +146,7 @@ def test_a_joint_under_a_controller_is_a_motion_and_a_probe_is_none(tmp_path: Pa
 def test_other_probes_do_not_take_it(tmp_path: Path) -> None:
     recording, _ = swung(0.4, seconds=5.0)
     write_recording(tmp_path / "bag", recording)
-    with pytest.raises(RecordingError, match="one under a controller.*one at a time"):
+    with pytest.raises(RecordingError, match=r"one under a controller.*one at a time"):
         replay(
             tmp_path / "bag",
             ReplayOptions(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"),
@@ -251,6 +251,20 @@ def test_a_magnitude_of_the_effort_is_named(tmp_path: Path) -> None:
     estimate = replayed(tmp_path / "bag", robot_file(tmp_path))
     assert codes(estimate) == ["misfit"] and "never changes its sign" in estimate.reasons[0]
     assert [value.value for value in estimate.values] == [None, None]
+
+
+@pytest.mark.parametrize("speed", [0.3, 3.0])
+def test_an_effort_that_only_holds_gravity_is_named(tmp_path: Path, speed: float) -> None:
+    """As under gravity compensation, where a hand moves the arm."""
+    random = np.random.default_rng(3)
+    times_s = np.arange(0.0, 15.0, 0.005)
+    angle = 0.8 * np.sin(speed * times_s) + 0.3 * np.sin(1.7 * speed * times_s)
+    effort = 0.3 * GRAVITY * np.sin(angle) + random.normal(0.0, 0.01, len(times_s))
+    record = JointRecord(np.round(1e9 * times_s), ("pendulum",), angle[:, None], effort=effort[:, None])
+    write_recording(tmp_path / "bag", Recording("held", record, None))
+    estimate = replayed(tmp_path / "bag", robot_file(tmp_path))
+    assert [value.value for value in estimate.values] == [None, None]
+    assert "shows no inertia" in estimate.reasons[0], estimate.reasons
 
 
 # --- real motors -------------------------------------------------------------------------------------------------------

@@ -27,6 +27,8 @@ MAGNITUDE_SHARE = 0.1
 """An effort of one sign that is explained no better than to this share is taken for a magnitude."""
 LOAD_SHARE = 1.0
 """The load must take as much of the torque as all the rest does, rms over rms."""
+LEAST_LENGTH_SHARE = 0.2
+"""No pendulum is this short, in parts of its lever: it would have its mass there and no inertia."""
 LONGEST_SHARE = 0.25
 """No length of the equivalent pendulum is given whose half width is more than this share of it."""
 AWRY_RAD = 0.15
@@ -176,8 +178,19 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
             f"acceleration, and the motor's {shown('N m', fit.driven, spec='.3g')} (rms) are of the size of friction, so they say "
             "little about the load: record a motion in which the motor lifts, holds back and turns the load round",
         )
-    if unexplained > UNEXPLAINED_SHARE or fit.values[1] <= 0.0:
-        share = f"{percent} of its effort is not explained" if fit.values[1] > 0.0 else "its inertia came out negative"
+    inertia, inertia_std = float(fit.values[1]), float(fit.std[1])
+    unseen = (
+        abs(inertia) < fit.quantile * inertia_std or 0.0 < float(fit.values[0]) < LEAST_LENGTH_SHARE * weighed.lever_m
+    )
+    if unexplained <= UNEXPLAINED_SHARE and unseen:
+        yield not_identifiable(
+            "interval_too_wide",
+            "the motion says too little",
+            f"{motion.name}: the effort of {fit.joint} is gravity's and friction's and shows no inertia: the joint moves too slowly, "
+            "or the effort was computed, not measured; let the motor accelerate it",
+        )
+    if unexplained > UNEXPLAINED_SHARE or inertia <= 0.0:
+        share = f"{percent} of its effort is not explained" if inertia > 0.0 else "its inertia came out negative"
         yield rejected(
             "misfit",
             "the model does not explain the recording",
