@@ -772,7 +772,7 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
         return effort
     which = ", ".join(name for name, column in zip(names, columns, strict=True) if column)
     notes.append(
-        f"effort of {which}: {_of(negative & columns)} values of {REGISTER - LARGEST_COUNT} to {REGISTER - 1} beside small ones are "
+        f"effort of {which}: {_of(negative & columns)} values of {REGISTER - LARGEST_COUNT} and more beside small ones are "
         f"negative numbers of a 16-bit register that was read as unsigned; {REGISTER} was subtracted from them."
     )
     result: FloatArray = np.where(negative & columns, effort - REGISTER, effort)

@@ -228,7 +228,12 @@ class BagCheck:
                 judged += f"; alone it tells a light object's mass to about +-{_grams(run.mass_half_width_kg)}"
             lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
             lines += [f"    note: {note}" for note in run.notes]
-        if self.motion is not None:
+        if self.motion is not None and len(self.motion.joints) == 1:
+            lines.append(
+                f"  a motion of one joint under a controller, {self.motion.times_s[-1]:.1f} s: tells how it swings (`replay "
+                "--probe payload`), and the mass where the torque is known and one with an empty hand is beside it (`--baseline EMPTY`)"
+            )
+        elif self.motion is not None:
             lines.append(
                 f"  a motion of {len(self.motion.moved)} joints at once, {self.motion.times_s[-1]:.1f} s: tells the payload's mass "
                 "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`)"

@@ -161,6 +161,6 @@ def _repeats_command(recording: Recording, joints: Sequence[str], source: str) -
     if not alike:
         return ()
     return (
-        f"{recording.name}: the measured effort of {', '.join(sorted(alike))} is the command to the last digit, so nobody measured it: "
-        "what the motor did instead is not known",
+        f"{recording.name}: the measured effort of {', '.join(sorted(alike))} is the command to the last digit: nobody measured "
+        "it, and what the motor did instead is not known",
     )

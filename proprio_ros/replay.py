@@ -115,8 +115,8 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
         )
     if motions and not probe.takes_motions:
         raise RecordingError(
-            f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at a "
-            "time, from rest with a constant current"
+            f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "
+            "a time, from rest with a constant current"
         )
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []

@@ -155,8 +155,8 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
 
 def _under_controller(name: str, joint: str) -> UnderController:
     return UnderController(
-        f"{name}: {joint} moves under a controller: its measured current answers to its motion. A probe drives a joint from rest with a "
-        "constant current; `replay --probe payload` takes such a motion, too"
+        f"{name}: {joint} moves under a controller: its measured current answers to its motion. A probe drives a joint from rest "
+        "with a constant current; `replay --probe payload` takes such a motion, too"
     )
 
 

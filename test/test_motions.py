@@ -1,4 +1,4 @@
-"""Recordings in which several joints move at once: what is taken from them, and what real arms in motion are said to carry."""
+"""Recordings in which joints move under a controller: what is taken from them, and what real arms in motion are said to carry."""
 
 from __future__ import annotations
 
@@ -60,12 +60,17 @@ def test_what_is_no_motion_is_said(recorded: Recording, joints: list[str], words
         motion_of(recorded, joints=joints)
 
 
-def test_wrapped_angles_and_long_gaps_are_said() -> None:
+def test_wrapped_angles_are_unwrapped_and_long_gaps_are_said() -> None:
     whole = recording(20.0)
     record = whole.joints
     wrapped = np.mod(6.0 * record.position + np.pi, 2.0 * np.pi) - np.pi
+    motion = motion_of(replace(whole, joints=replace(record, position=wrapped)), joints=["a", "b"])
+    np.testing.assert_allclose(motion.position, 6.0 * record.position[:, :2], atol=1e-9)
+    assert any("unwrapped" in note for note in motion.notes)
+    # a jump that is no whole turn is no wrap
+    jumped = record.position + np.where(np.arange(len(record.times_ns)) > 500, 4.0, 0.0)[:, None]
     with pytest.raises(RecordingError, match="wrap around"):
-        motion_of(replace(whole, joints=replace(record, position=wrapped)), joints=["a", "b"])
+        motion_of(replace(whole, joints=replace(record, position=jumped)), joints=["a", "b"])
     times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) > 1000, 60_000_000_000, 0)
     with pytest.raises(RecordingError, match="in gaps"):
         motion_of(replace(whole, joints=replace(record, times_ns=times_ns)), joints=["a", "b"])

@@ -1,12 +1,13 @@
 """How a single joint swings what it carries, from any motion under whatever controller.
 
 A joint alone is a pendulum: its torque is that of its inertia J, of gravity on the first moment m of all that it moves, and of
-friction. In weak form (`weak_form`) these are a few columns of a linear regression. Torque and motion alone give J / |m|, the length
-of the mathematical pendulum that swings alike, which no error of the torque's scale touches; J and m themselves err as that scale.
+friction. In weak form (`weak_form`) these are a few columns of a linear regression. Torque and motion alone give J / |m|, the
+length of the mathematical pendulum that swings alike, which no error of the torque's scale touches; J and m err as that scale does.
 
-One recording of a few seconds knows its own error badly: friction differs from place to place, and the answer depends on the windows
-and on whether the torque or the acceleration is taken as what has the error (a torque that a controller made from noisy positions has
-its share). So the answer is the mean over such choices, and its variance that among them and that of a jackknife over stretches of 1 s.
+One recording of a few seconds knows its own error badly: friction differs from place to place, and the answer depends on the
+windows and on whether the torque or the acceleration is taken as what has the error (a torque that a controller made from noisy
+positions has its share). So the answer is the mean over such choices, and its variance that among them and that of a jackknife over
+stretches of 1 s.
 """
 
 from __future__ import annotations

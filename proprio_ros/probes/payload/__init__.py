@@ -91,7 +91,7 @@ class Payload(Probe[PayloadJob]):
 
             if facts.paper is not None:
                 raise RecordingError(
-                    f"{recorded.motions[0].name}: is a motion under a controller; the paper's method knows one joint driven from rest"
+                    f"{recorded.motions[0].name}: is a motion under a controller; the paper's method wants a joint driven from rest"
                 )
             if len(recorded.motions[0].joints) == 1:
                 return weigh_one_joint(robot, recorded.motions, recorded.baseline_motions, facts.payload)

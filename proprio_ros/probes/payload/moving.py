@@ -70,8 +70,8 @@ def weigh_in_motion(
         refusal = not_identifiable(
             "no_empty_motion",
             "nothing says what the arm itself weighs",
-            "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about the "
-            "same motion with an empty hand and add it with --baseline",
+            "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about "
+            "the same motion with an empty hand and add it with --baseline",
         )
         return _estimate(robot, motions, None, refusal, notes)
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None

@@ -1,4 +1,4 @@
-"""What a robot of one joint carries, from a motion under whatever controller: how it swings, and the mass where the torque is known."""
+"""What a robot of one joint carries, from any motion under a controller: how it swings, and the mass where the torque is known."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rej
 from proprio_ros.identification.motion_fit import URDF_SHARE, relative_torque_std
 from proprio_ros.identification.one_joint_fit import STRETCH_S, OneJointFit, fit_one_joint
 from proprio_ros.motions import Motion
-from proprio_ros.probes.payload.moving import UNEXPLAINED_SHARE, WIDEST_SHARE, MotionDetail
+from proprio_ros.probes.payload.moving import UNEXPLAINED_SHARE, URDF_RATIO, WIDEST_SHARE, MotionDetail
 from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 UNSTATED_TORQUE_STD = 0.2
 """A torque constant without a standard deviation is a maker's number; a motor board's own torque was seen to be off by 17 %."""
-KNOWN_TORQUE_STD = 0.05
+KNOWN_TORQUE_STD = 0.03
 """No mass is stated where the torque's scale is known worse than this, relative."""
 SWINGS_SHARE = 0.6
 """A joint whose acceleration gravity explains so far, as that of a pendulum about as long as the lever, needs no motor to move."""
@@ -27,6 +27,8 @@ MAGNITUDE_SHARE = 0.1
 """An effort of one sign that is explained no better than to this share is taken for a magnitude."""
 LOAD_SHARE = 1.0
 """The load must take as much of the torque as all the rest does, rms over rms."""
+LEAST_LENGTH_SHARE = 0.2
+"""No pendulum is this short, in parts of its lever: it would have its mass there and no inertia."""
 LONGEST_SHARE = 0.25
 """No length of the equivalent pendulum is given whose half width is more than this share of it."""
 AWRY_RAD = 0.15
@@ -47,6 +49,7 @@ class Weighed:
         awry: Angle between where gravity's moment points and where the file says [rad], and its standard deviation.
         arm_kg_m: First moment of the arm [kg m].
         lever_m: From the joint's axis to the payload [m].
+        arm_over_urdf: First moment of the empty arm over that of its URDF; None without a motion of it.
     """
 
     mass: float
@@ -57,6 +60,7 @@ class Weighed:
     awry: tuple[float, float]
     arm_kg_m: float
     lever_m: float
+    arm_over_urdf: float | None
 
 
 def torque_std(robot: Robot, joint: str) -> float:
@@ -85,7 +89,11 @@ def weigh_one_joint(
     empty = fit_one_joint(robot, baseline, joint) if baseline else None
     weighed = _weighed(robot, motions[0], fit, empty, facts)
     refusal = next(_refusals(motions[0], fit, weighed), None)
-    mass_refusal = refusal or next(_mass_refusals(robot, motions[0], fit, weighed), None)
+    mass_refusal = refusal
+    if mass_refusal is None and empty is not None:
+        mass_refusal = next(_refusals(baseline[0], empty, weighed), None)
+    if mass_refusal is None:
+        mass_refusal = next(_mass_refusals(robot, motions[0], fit, weighed), None)
     return _estimate(robot, motions, fit, empty, weighed, refusal, mass_refusal)
 
 
@@ -107,6 +115,11 @@ def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit 
     carried = fit.values[2:] - arm
     mass = float(carried @ toward) / length
     relative = torque_std(robot, fit.joint)
+    ratio = None
+    if empty is not None:
+        ratio = float(np.linalg.norm(empty.values[2:]) / max(np.linalg.norm(urdf_moment), 1e-9))
+        if abs(ratio - 1.0) > URDF_SHARE:
+            relative = float(np.hypot(relative, ratio - 1.0))
     # against the URDF an error of the scale takes its share of the whole moment, against the empty arm of the payload's alone
     scaled = mass if empty is not None else float(fit.values[2:] @ toward) / length
     centre_std = float(np.linalg.norm(fit.directions @ body_from_payload[:3, :3] @ np.diag(facts.com_std)))
@@ -140,6 +153,7 @@ def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit 
         (awry, awry_std),
         float(np.linalg.norm(arm)),
         length,
+        ratio,
     )
 
 
@@ -147,28 +161,36 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
     """Why nothing at all is said."""
     rest = float(np.hypot(fit.residual, np.sqrt(max(fit.driven**2 - fit.load**2 - fit.residual**2, 0.0))))
     unexplained = fit.residual / max(fit.driven, 1e-12)
+    percent = f"{100.0 * unexplained:.0f} %"
     if fit.one_sign and unexplained > MAGNITUDE_SHARE:
         yield rejected(
             "misfit",
             "the effort has no sign",
-            f"{motion.name}: the effort of {fit.joint} never changes its sign, and {100.0 * unexplained:.0f} % of it is not explained by "
-            "inertia, gravity and friction: it seems to be a magnitude, which says nothing about a load; record a signed current or torque",
+            f"{motion.name}: the effort of {fit.joint} never changes its sign, and {percent} of it is not explained "
+            "by inertia, gravity and friction: it seems to be a magnitude, which says nothing about a load; record one with a sign",
         )
     by_itself = fit.swings > SWINGS_SHARE and 0.5 < fit.swings_m / weighed.lever_m < 2.0
     if unexplained > UNEXPLAINED_SHARE and by_itself:
         yield not_identifiable(
             "within_friction",
             "the torque lies within friction",
-            f"{motion.name}: {fit.joint} swings almost by itself: gravity explains {100.0 * fit.swings:.0f} % of its acceleration, and "
-            f"the motor's {shown('N m', fit.driven, spec='.3g')} (rms) are of the size of friction, so they say little about the load: "
-            "record a motion in which the motor lifts, holds back and turns the load round",
+            f"{motion.name}: {fit.joint} swings almost by itself: gravity explains {100.0 * fit.swings:.0f} % of its "
+            f"acceleration, and the motor's {shown('N m', fit.driven, spec='.3g')} (rms) are of the size of friction, so they say "
+            "little about the load: record a motion in which the motor lifts, holds back and turns the load round",
         )
-    if unexplained > UNEXPLAINED_SHARE or fit.values[1] <= 0.0:
-        share = (
-            f"{100.0 * unexplained:.0f} % of its effort is not explained"
-            if fit.values[1] > 0.0
-            else "its inertia came out negative"
+    inertia, inertia_std = float(fit.values[1]), float(fit.std[1])
+    unseen = (
+        abs(inertia) < fit.quantile * inertia_std or 0.0 < float(fit.values[0]) < LEAST_LENGTH_SHARE * weighed.lever_m
+    )
+    if unexplained <= UNEXPLAINED_SHARE and unseen:
+        yield not_identifiable(
+            "interval_too_wide",
+            "the motion says too little",
+            f"{motion.name}: the effort of {fit.joint} is gravity's and friction's and shows no inertia: the joint moves too slowly, "
+            "or the effort was computed, not measured; let the motor accelerate it",
         )
+    if unexplained > UNEXPLAINED_SHARE or inertia <= 0.0:
+        share = f"{percent} of its effort is not explained" if inertia > 0.0 else "its inertia came out negative"
         yield rejected(
             "misfit",
             "the model does not explain the recording",
@@ -179,42 +201,53 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
         yield not_identifiable(
             "within_friction",
             "the torque lies within friction",
-            f"{motion.name}: inertia and gravity take {shown('N m', fit.load, spec='.3g')} of the effort (rms), friction and what is "
-            f"unexplained {shown('N m', rest, spec='.3g')}: so little says nothing about the load; move faster and further",
+            f"{motion.name}: inertia and gravity take {shown('N m', fit.load, spec='.3g')} of the effort (rms), friction and what "
+            f"is unexplained {shown('N m', rest, spec='.3g')}: so little says nothing about the load; move faster and further",
         )
     half = fit.quantile * float(fit.std[0])
     if half > LONGEST_SHARE * float(fit.values[0]):
         yield not_identifiable(
             "interval_too_wide",
             "the motion says too little",
-            f"{motion.name}: how the load swings is determined only to {float(fit.values[0]):.3f} +- {half:.3f} m: the joint must both turn "
-            f"through large angles and accelerate, for longer than the {STRETCH_S * fit.stretches:.0f} s used here",
+            f"{motion.name}: how the load swings is determined only to {float(fit.values[0]):.3f} +- {half:.3f} m: the "
+            "joint must both turn through large angles and accelerate, for longer than the "
+            f"{STRETCH_S * fit.stretches:.0f} s used here",
         )
 
 
 def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Refusal]:
     """Why no mass is said."""
     drive = robot.drive_trains[fit.joint]
-    if weighed.torque_std > KNOWN_TORQUE_STD:
-        states = (
-            "states no standard deviation of it"
-            if drive.torque_constant.std == 0.0
-            else f"knows it to {100.0 * weighed.torque_std:.0f} %"
-        )
+    confirmed = weighed.arm_over_urdf is not None or robot.is_calibrated([fit.joint])
+    if weighed.torque_std > KNOWN_TORQUE_STD or not confirmed:
+        states = f"knows it to {100.0 * weighed.torque_std:.0f} %"
+        if weighed.torque_std <= KNOWN_TORQUE_STD:
+            states = "claims to know it, but nothing confirms that"
+        elif drive.torque_constant.std == 0.0:
+            states = "states no standard deviation of it"
         yield not_identifiable(
             "torque_scale_open",
             "the scale of the torque is not known well enough",
-            f"a mass errs as the torque of {fit.joint} does, and {robot.source.name} {states} (a motor board's own torque was seen to be "
-            f"off by 17 %): calibrate with a reference weight, or state torque_constant_N_m_per_A with a std of "
-            f"{100.0 * KNOWN_TORQUE_STD:.0f} % or less if it was measured; the length of the equivalent pendulum needs none",
+            f"a mass errs as the torque of {fit.joint} does, and {robot.source.name} {states} (a motor board's own torque was seen "
+            "to be off by 17 %): calibrate with a reference weight; or measure the torque constant, state a std of "
+            f"{100.0 * KNOWN_TORQUE_STD:.0f} % or less and add a motion with an empty hand with --baseline. The length of the "
+            "equivalent pendulum needs none of it",
+        )
+    ratio = weighed.arm_over_urdf
+    if ratio is not None and not 1.0 / URDF_RATIO < ratio < URDF_RATIO:
+        yield rejected(
+            "arm_unlike_urdf",
+            "the arm does not fit its URDF",
+            f"by its torque the empty arm weighs {ratio:.2f} times what its URDF says, and a payload would be off by as much: "
+            "check the effort's unit, the torque constant and the URDF's masses",
         )
     angle, angle_std = weighed.awry
     if abs(angle) > max(AWRY_RAD, FAR * angle_std):
         yield rejected(
             "arm_unlike_urdf",
             "the load hangs elsewhere than the URDF says",
-            f"{motion.name}: gravity pulls {fit.joint} to a position {abs(angle):.2f} rad from where its URDF and payload.com have the "
-            "load: check the URDF's zero, the effort's sign and payload.com",
+            f"{motion.name}: gravity pulls {fit.joint} to a position {abs(angle):.2f} rad from where its URDF and payload.com have "
+            "the load: check the URDF's zero, the effort's sign and payload.com",
         )
     least = LEAST_FRICTION_SHARE * fit.driven
     for term, value, stated in (("viscous", fit.viscous, drive.viscous), ("Coulomb", fit.coulomb, drive.coulomb)):
@@ -223,9 +256,9 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
             yield rejected(
                 "far_from_prior",
                 "the friction is not that of the robot file",
-                f"{term} friction of {fit.joint} came out as {value:.3g}, {abs(value - stated.value) / spread:.0f} standard deviations from "
-                f"the {stated.value:.3g} of {robot.source.name}: is the effort a torque or a current, and in the stated unit? A duty "
-                "cycle makes friction of its own",
+                f"{term} friction of {fit.joint} came out as {value:.3g}, {abs(value - stated.value) / spread:.0f} standard "
+                f"deviations from the {stated.value:.3g} of {robot.source.name}: is the effort a torque or a current, and in the "
+                "stated unit? A duty cycle makes friction of its own",
             )
     expected, expected_std = weighed.expected_m
     apart = abs(float(fit.values[0]) - expected)
@@ -234,17 +267,17 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
         yield rejected(
             "arm_unlike_urdf",
             "the load does not swing as the robot file says",
-            f"{motion.name}: {fit.joint} swings like a pendulum of {float(fit.values[0]):.3f} m, and the URDF with such a payload there "
-            f"makes {expected:.3f} m ({apart / spread:.0f} standard deviations): check the effort's unit, the URDF, the armature, payload.com "
-            "and payload.shape",
+            f"{motion.name}: {fit.joint} swings like a pendulum of {float(fit.values[0]):.3f} m, and the URDF with such a payload "
+            f"there makes {expected:.3f} m ({apart / spread:.0f} standard deviations): check the effort's unit, the URDF, the "
+            "armature, payload.com and payload.shape",
         )
     half = fit.quantile * weighed.std
     if weighed.mass + half < 0.0:
         yield rejected(
             "lighter_than_empty",
             "the hand seems lighter than empty",
-            f"the hand with its load seems {shown('kg', -weighed.mass, spec='.0f')} lighter than with nothing in it: check the URDF's "
-            "masses, or are the recordings mixed up?",
+            f"the hand with its load seems {shown('kg', -weighed.mass, spec='.0f')} lighter than with nothing in it: check the "
+            "URDF's masses, or are the recordings mixed up?",
         )
     if half > WIDEST_SHARE * abs(weighed.mass):
         yield not_identifiable(
@@ -293,8 +326,9 @@ def _estimate(
         budget=tuple(sorted(weighed.parts, key=lambda part: -part[1])),
         detail=MotionDetail(fit.stretches, (), STRETCH_S),
         assumptions=(
-            f"one joint moved under a controller: the {motions[0].source} and the positions were fitted together; inertia over first "
-            "moment, the length of the equivalent pendulum, needs no scale of the torque and is that of arm, rotor and payload together",
+            f"one joint moved under a controller: the {motions[0].source} and the positions were fitted together; inertia over "
+            "first moment, the length of the equivalent pendulum, needs no scale of the torque, and is that of arm, rotor and "
+            "payload together",
             f"the arm itself is {arm}, {weighed.arm_kg_m:.3g} kg m about the joint",
             f"torque constant as in {robot.source.name}, to {100.0 * weighed.torque_std:.1f} %: a mass errs as it does",
             "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset",
