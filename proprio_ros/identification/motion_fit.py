@@ -263,8 +263,8 @@ def terms_of(robot: Robot, joints: Sequence[str], held: dict[str, float], runs: 
     reach = float(sum(np.linalg.norm(place[:3, 3]) for place in model.placement))
     reach += float(np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
     names = [f"payload_{name}" for name in _PARAMETER_NAMES]
-    sizes = sizes(total, 0.3 * reach)
-    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, _PARAMETER_UNITS, sizes, strict=True)]
+    open_to = sizes(total, 0.3 * reach)
+    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, _PARAMETER_UNITS, open_to, strict=True)]
     for name, place, body in zip(model.joint_names, [*model.placement[1:], None], bodies, strict=True):
         length = max(0.1 * reach, 0.0 if place is None else float(np.linalg.norm(place[:3, 3])))
         stds = sizes(LINK_SHARE * float(body[0]) + ARM_SHARE * total, length)

@@ -1,4 +1,4 @@
-"""What an arm is known to be before it is weighed with, learnt from motions with an empty hand: the regression of `motion_fit`, once for all.
+"""What motions with an empty hand say about an arm, learnt once, and weighing with it: the regression of `motion_fit` in two steps.
 
 `fit_empty` makes a `MotionCalibration` of empty runs, `fit_calibrated` weighs with it. The arm's parameters start at the
 calibration's values with its whole covariance; the run's own friction lies around the calibrated one by what runs differ.
