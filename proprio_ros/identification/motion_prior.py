@@ -443,21 +443,15 @@ def fit_calibrated(
         )
         halves = (early_half.mass_and_std(), late_half.mass_and_std())
     names = (STRETCHES, UNDETERMINED, "what differed from stretch to stretch of the calibration", CONSTANTS)
-    scale = calibration.torque_scale
+    scale, keys = calibration.torque_scale, calibration.keys
     terms = [
         *(
             Term(f"payload_{name}", "", unit, 0.0, 1.0)
             for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
         ),
         *(
-            Term(
-                calibration.keys[row][0],
-                calibration.keys[row][1],
-                UNITS[calibration.keys[row][0]],
-                float(value),
-                float(np.sqrt(variance)),
-            )
-            for key, value, variance in zip((calibration.keys[row] for row in rows), known.values, honest, strict=True)
+            Term(kind, joint, UNITS[kind], float(value), float(np.sqrt(variance)))
+            for (kind, joint), value, variance in zip([keys[row] for row in rows], known.values, honest, strict=True)
         ),
     ]
     return MotionFit(
