@@ -341,7 +341,9 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     by_urdf = problem.matrix[:, bodies] @ prior.values[bodies]
     over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
     scale_std = max(relative_torque_std(robot, name) for name in model.joint_names)
-    if abs(over_urdf - 1.0) > URDF_SHARE:
+    # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
+    arm_std = robot.arm_scale.std
+    if abs(over_urdf - 1.0) > (2.0 * np.hypot(arm_std, scale_std) if arm_std > 0.0 else URDF_SHARE):
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     return MotionCalibration(
         joints=model.joint_names,
