@@ -26,6 +26,7 @@ from proprio_ros.identification.motion_fit import (
     CONSTANTS,
     ITERATIONS,
     LEAST_LOAD_FRICTION_STD,
+    LEAST_TORQUE_STD,
     LINK_SHARE,
     MIN_BLOCKS,
     PARAMETER_NAMES,
@@ -161,6 +162,8 @@ class _Solution:
         residual: Of each equation [N m], shape (E,).
         rms, correlation: By joint, shape (n,); 0 and 1 where it did not move.
         payload_prior: Standard deviations of the payload's parameters under their prior, shape (10,).
+        scaled: The equations times their weights, shape (E, U).
+        weight: Shape (E,).
     """
 
     values: FloatArray
@@ -171,6 +174,13 @@ class _Solution:
     rms: FloatArray
     correlation: FloatArray
     payload_prior: FloatArray
+    scaled: FloatArray
+    weight: FloatArray
+
+    def follows(self, rows: NDArray[np.bool_], torque: FloatArray) -> FloatArray:
+        """How the payload's parameters follow a torque [N m] that is added to some equations, shape (10,)."""
+        result: FloatArray = self.covariance[:PARAMETERS] @ (self.scaled[rows].T @ (self.weight * torque)[rows])
+        return result
 
     def mass_and_std(self) -> tuple[float, float]:
         """As the recording itself leaves it [kg]."""
@@ -240,7 +250,7 @@ def _solve(
     deviations = np.sqrt(len(labels) / max(len(labels) - 1, 1)) * scores @ posterior
     return _Solution(
         values, posterior, information, deviations, right - matrix @ values, rms, correlation,
-        np.sqrt(np.diag(covariance))[:PARAMETERS],
+        np.sqrt(np.diag(covariance))[:PARAMETERS], scaled, weight,
     )  # fmt: skip
 
 
@@ -446,8 +456,16 @@ def fit_calibrated(
         follows @ calibration.deviations.T @ calibration.deviations @ follows.T,
         follows @ calibration.covariance @ follows.T,
     )
-    by_scale = calibration.torque_scale_std * payload
-    variances = np.array([part[0, 0] for part in (stretch, opened, by_calibration)] + [by_scale[0] ** 2])
+    # all torque constants off together, and each on its own: where a mass comes from the difference of two joints, the latter is
+    # the greater part
+    carried = problem.matrix[:, :PARAMETERS] @ payload
+    apart = np.array([solution.follows(problem.joint == n, carried) for n in range(count)])
+    referenced = any(run["load_kg"] > 0.0 for run in calibration.runs)
+    each = [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in model.joint_names]
+    apart *= np.array(each)[:, None]
+    together = calibration.torque_scale_std * payload
+    by_scale = np.outer(together, together) + apart.T @ apart
+    variances = np.array([part[0, 0] for part in (stretch, opened, by_calibration, by_scale)])
     # what few stretches say of their own scatter is uncertain: Satterthwaite 1946, Biometrics Bulletin 2
     freedom = np.array([blocks - 1, np.inf, calibration.stretches - 1, np.inf])
     effective = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
@@ -477,7 +495,7 @@ def fit_calibrated(
         joints=model.joint_names,
         terms=tuple(terms),
         values=np.concatenate([scale * payload, solution.values[PARAMETERS:]]),
-        covariance=scale**2 * (stretch + opened + by_calibration + np.outer(by_scale, by_scale)),
+        covariance=scale**2 * (stretch + opened + by_calibration + by_scale),
         parts={name: scale * float(np.sqrt(variance)) for name, variance in zip(names, variances, strict=True)},
         blocks=blocks,
         residual=rms_by_joint(solution.residual[carrying], problem.joint[carrying], count),
