@@ -32,8 +32,21 @@ ROOMS: dict[str, set[str]] = {
     "runs": {"errors", "records"},
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
+    # what motions with an empty hand say about an arm
+    "motion_calibration": set(),
     "sim": {"errors", "progress", "records", "robot", "reading"},
-    "identification": {"errors", "schema", "records", "motions", "quantity", "kinds", "robot", "calibration", "sim"},
+    "identification": {
+        "errors",
+        "schema",
+        "records",
+        "motions",
+        "motion_calibration",
+        "quantity",
+        "kinds",
+        "robot",
+        "calibration",
+        "sim",
+    },
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room below

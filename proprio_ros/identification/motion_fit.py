@@ -12,7 +12,7 @@ residuals within a stretch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,15 @@ class Equations:
     right: FloatArray
     joint: NDArray[np.int64]
     block: NDArray[np.int64]
+
+    def with_centre(self, centre: FloatArray) -> Equations:
+        """The same where the payload's mass sits at ``centre`` in its frame [m]: its other parameters are how it differs from that."""
+        point = np.zeros((4, 4))
+        point[3] = point[:, 3] = [*centre, 1.0]
+        point[:3, :3] = np.outer(centre, centre)
+        payload = self.payload.copy()
+        payload[:, 0] = self.payload @ body_parameters(point)
+        return replace(self, payload=payload)
 
 
 def equations(robot: Robot, motion: Motion, joints: Sequence[str]) -> Equations:
@@ -254,11 +263,11 @@ def terms_of(robot: Robot, joints: Sequence[str], held: dict[str, float], runs: 
     reach = float(sum(np.linalg.norm(place[:3, 3]) for place in model.placement))
     reach += float(np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
     names = [f"payload_{name}" for name in _PARAMETER_NAMES]
-    sizes = _sizes(total, 0.3 * reach)
-    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, _PARAMETER_UNITS, sizes, strict=True)]
+    open_to = sizes(total, 0.3 * reach)
+    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, _PARAMETER_UNITS, open_to, strict=True)]
     for name, place, body in zip(model.joint_names, [*model.placement[1:], None], bodies, strict=True):
         length = max(0.1 * reach, 0.0 if place is None else float(np.linalg.norm(place[:3, 3])))
-        stds = _sizes(LINK_SHARE * float(body[0]) + ARM_SHARE * total, length)
+        stds = sizes(LINK_SHARE * float(body[0]) + ARM_SHARE * total, length)
         for kind, unit, value, std in zip(_PARAMETER_NAMES, _PARAMETER_UNITS, body, stds, strict=True):
             terms.append(Term(f"body_{kind}", name, unit, float(value), std))
     drives = [robot.drive_trains[name] for name in model.joint_names]
@@ -283,7 +292,7 @@ _PARAMETER_NAMES = (
 _PARAMETER_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
-def _sizes(mass_kg: float, length_m: float) -> list[float]:
+def sizes(mass_kg: float, length_m: float) -> list[float]:
     """Standard deviations of a body's parameters from those of its mass, and its size."""
     return [mass_kg, *[mass_kg * length_m] * 3, *[mass_kg * length_m**2] * 6]
 
@@ -311,6 +320,8 @@ def fit_motions(
     joints = motions[0].joints
     held = dict(motions[0].held)
     parts = [equations(robot, motion, joints) for motion in motions]
+    if centre is not None:
+        parts = [part.with_centre(centre[0]) for part in parts]
     terms = terms_of(robot, joints, held, len(motions))
     model = robot.model.lock(list(joints), held, robot.gravity)
     count = len(model.joint_names)
@@ -321,13 +332,6 @@ def fit_motions(
         payload = part.payload if number < len(loaded) else np.zeros_like(part.payload)
         gears = np.zeros((len(part.right), count))
         rows.append(np.hstack([payload, part.arm, part.rotor, gears, *friction]))
-    if centre is not None:
-        # what is looked for beside the mass is then how the payload differs from a point there
-        point = np.zeros((4, 4))
-        point[3] = point[:, 3] = [*centre[0], 1.0]
-        point[:3, :3] = np.outer(centre[0], centre[0])
-        for row in rows:
-            row[:, 0] = row[:, :PARAMETERS] @ body_parameters(point)
     matrix, right = np.vstack(rows), np.concatenate([part.right for part in parts])
     joint = np.concatenate([part.joint for part in parts])
     run = np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)])
@@ -358,7 +362,7 @@ def fit_motions(
         # something light has little first moment and inertia, wherever in the hand it sits
         inverse = np.linalg.inv(normal + np.diag(spread**-2.0))
         heavy_kg = abs(values[0]) + np.sqrt(inverse[0, 0])
-        spread[1:PARAMETERS] = _sizes(heavy_kg, length_m)[1:]
+        spread[1:PARAMETERS] = sizes(heavy_kg, length_m)[1:]
         if centre is not None:
             spread[1:4] = heavy_kg * np.maximum(centre[1], 1e-3)
         transmitted = np.abs(matrix[:, :bodies] @ values[:bodies])

@@ -1,0 +1,446 @@
+"""What motions with an empty hand say about an arm, learnt once, and weighing with it: the regression of `motion_fit` in two steps.
+
+`fit_empty` makes a `MotionCalibration` of empty runs, `fit_calibrated` weighs with it. The arm's parameters start at the
+calibration's values with its whole covariance; the run's own friction lies around the calibrated one by what runs differ.
+
+Neighbouring windows share an error (friction that depends on place and temperature), so each says less than an equation of its own:
+the weights count residuals as correlated as they are found to be. Without that, what a slow motion leaves open would be
+decided by noise instead of by the robot file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.motion_fit import (
+    ARM_SHARE,
+    BLOCK_S,
+    ITERATIONS,
+    LEAST_LOAD_FRICTION_STD,
+    LINK_SHARE,
+    MIN_BLOCKS,
+    URDF_SHARE,
+    Equations,
+    equations,
+    relative_torque_std,
+    sizes,
+)
+from proprio_ros.identification.weak_form import PARAMETERS, body_parameters
+from proprio_ros.motion_calibration import FRICTION_TERMS, MotionCalibration
+from proprio_ros.motions import Motion
+from proprio_ros.robot import ReducedModel, Robot
+
+FloatArray = NDArray[np.float64]
+LEAST_SPREAD_SHARE = 0.1
+"""Friction of one run differs from that of the next by at least this share: motors warm up."""
+RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian, of the arm's terms in the order of `term_keys`: values, shape (P,), and covariance, shape (P, P)."""
+
+    values: FloatArray
+    covariance: FloatArray
+
+
+def file_prior(robot: Robot, model: ReducedModel) -> Prior:
+    """What the robot file says of an arm: the URDF's bodies, and drive trains; friction is open.
+
+    All bodies may be heavier or lighter together: that is also what torque constants do that are off.
+    """
+    bodies = [body_parameters(pseudo) for pseudo in model.pseudo_inertia]
+    total, reach = arm_kg(model), reach_m(robot, model)
+    stds: list[float] = []
+    for place, body in zip([*model.placement[1:], None], bodies, strict=True):
+        length = max(0.1 * reach, 0.0 if place is None else float(np.linalg.norm(place[:3, 3])))
+        share = robot.link_mass_std or LINK_SHARE
+        stds += sizes(share * float(body[0]) + ARM_SHARE * total, length)
+    drives = [robot.drive_trains[name] for name in model.joint_names]
+    stds += [max(d.armature.std, 0.5 * abs(d.armature.value), 1e-3 * total * reach**2) for d in drives]
+    stds += [max(d.load_friction.std, LEAST_LOAD_FRICTION_STD) for d in drives]
+    stds += [total * 9.81 * reach] * (len(FRICTION_TERMS) * len(drives))
+    values = np.concatenate(
+        [
+            *bodies,
+            [d.armature.value for d in drives],
+            [d.load_friction.value for d in drives],
+            np.zeros(len(FRICTION_TERMS) * len(drives)),
+        ]
+    )
+    covariance = np.diag(np.square(stds))
+    together = np.concatenate(bodies)
+    count = len(together)
+    covariance[:count, :count] += URDF_SHARE**2 * np.outer(together, together)
+    return Prior(values, covariance)
+
+
+def arm_kg(model: ReducedModel) -> float:
+    """Mass of all that moves."""
+    return float(model.pseudo_inertia[:, 3, 3].sum())
+
+
+def reach_m(robot: Robot, model: ReducedModel) -> float:
+    """From the base to the hand along the links."""
+    links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
+    return float(links + np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Equations of all runs; unknowns are the payload's ten, the arm's 12 n, and 3 n of each run.
+
+    Attributes:
+        matrix: Shape (E, U); the gears' columns are filled while it is solved.
+        right, joint, block, direction: Of each equation, see `Equations`; blocks are labelled apart from run to run.
+        run: Number of the run.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+    joint: NDArray[np.int64]
+    block: NDArray[np.int64]
+    direction: FloatArray
+    run: NDArray[np.int64]
+    count: int
+
+    @classmethod
+    def of(cls, parts: Sequence[Equations], loaded: int, count: int) -> _Problem:
+        """The first ``loaded`` runs hold the payload."""
+        rows = []
+        for number, part in enumerate(parts):
+            friction = [np.zeros_like(part.friction) for _ in parts]
+            friction[number] = part.friction
+            payload = part.payload if number < loaded else np.zeros_like(part.payload)
+            rows.append(np.hstack([payload, part.arm, part.rotor, np.zeros((len(part.right), count)), *friction]))
+        return cls(
+            np.vstack(rows),
+            np.concatenate([part.right for part in parts]),
+            np.concatenate([part.joint for part in parts]),
+            np.concatenate([part.block + RUNS_OF_ITS_OWN * number for number, part in enumerate(parts)]),
+            np.concatenate([part.direction for part in parts]),
+            np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)]),
+            count,
+        )
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Of a `_Problem` under a prior.
+
+    Attributes:
+        values: Shape (U,).
+        covariance: Of data and prior, with correlated residuals counted, shape (U, U).
+        information: What the data alone say, shape (U, U).
+        deviations: Rows of the jackknife, see `MotionCalibration`, shape (stretches, U).
+        residual: Of each equation [N m], shape (E,).
+        rms, correlation: By joint, shape (n,).
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    information: FloatArray
+    deviations: FloatArray
+    residual: FloatArray
+    rms: FloatArray
+    correlation: FloatArray
+    blocks: NDArray[np.int64]
+
+
+def _solve(
+    problem: _Problem,
+    prior: Prior,
+    length_m: float,
+    centre_std: FloatArray | None,
+    known: MotionCalibration | None,
+) -> _Solution:
+    """Solve it, with weights, load friction and the payload's size from the solution before."""
+    matrix, right, joint, count = problem.matrix, problem.right, problem.joint, problem.count
+    bodies = slice(0, PARAMETERS * (1 + count))
+    geared = slice(PARAMETERS + 11 * count, PARAMETERS + 12 * count)
+    covariance = prior.covariance.copy()
+    rms, correlation = np.ones(count), np.ones(count)
+    if known is not None:
+        rms, correlation = known.residual.copy(), known.correlation.copy()
+    for _ in range(ITERATIONS):
+        weight = 1.0 / (rms * np.sqrt(correlation))[joint]
+        scaled, target = matrix * weight[:, None], right * weight
+        information, side = scaled.T @ scaled, scaled.T @ target
+        values, posterior = _posterior(information, side, prior.values, covariance)
+        residual = right - matrix @ values
+        for number in range(count):
+            mine = joint == number
+            if mine.any():
+                rms[number] = max(float(np.std(residual[mine])), 1e-9)
+                correlation[number] = _correlation(residual[mine], problem.block[mine])
+        if known is not None:
+            # what a longer recording knows of its residuals holds for a short one, too
+            rms, correlation = np.maximum(rms, 0.5 * known.residual), np.maximum(correlation, known.correlation)
+        # something light has little first moment and inertia, wherever in the hand it sits
+        heavy_kg = abs(values[0]) + np.sqrt(posterior[0, 0])
+        spread = np.array(sizes(heavy_kg, length_m))
+        if centre_std is not None:
+            spread[1:4] = heavy_kg * np.maximum(centre_std, 1e-3)
+        covariance[range(1, PARAMETERS), range(1, PARAMETERS)] = spread[1:] ** 2
+        transmitted = np.abs(matrix[:, bodies] @ values[bodies])
+        matrix[:, geared] = np.eye(count)[joint] * (transmitted * problem.direction)[:, None]
+    weight = 1.0 / (rms * np.sqrt(correlation))[joint]
+    scaled, target = matrix * weight[:, None], right * weight
+    information, side = scaled.T @ scaled, scaled.T @ target
+    values, posterior = _posterior(information, side, prior.values, covariance)
+    labels = np.unique(problem.block)
+    deviations = np.zeros((len(labels), len(values)))
+    for row, label in enumerate(labels):
+        out = problem.block == label
+        without = information - scaled[out].T @ scaled[out]
+        left, _ = _posterior(without, side - scaled[out].T @ target[out], prior.values, covariance)
+        deviations[row] = left - values
+    deviations *= np.sqrt((len(labels) - 1) / len(labels))
+    return _Solution(
+        values, posterior, information, deviations, right - matrix @ values, rms, correlation, labels
+    )  # fmt: skip
+
+
+def _posterior(
+    information: FloatArray, side: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance; ``V - V (V + N^-1)^-1 V``, written so that neither the prior nor the data need an inverse of their own.
+
+    Both are scaled by the prior's standard deviations, which differ by ten orders of magnitude.
+    """
+    spread = np.sqrt(np.diag(covariance))
+    correlation = covariance / spread[:, None] / spread
+    normal = information * spread[:, None] * spread
+    shrunk = np.linalg.solve(np.eye(len(mean)) + correlation @ normal, correlation)
+    shrunk = 0.5 * (shrunk + shrunk.T)
+    values = mean + spread * (shrunk @ (spread * (side - information @ mean)))
+    return values, shrunk * spread[:, None] * spread
+
+
+def _correlation(residual: FloatArray, block: NDArray[np.int64]) -> float:
+    """Over how many windows a joint's residuals are correlated: one and twice the sum of their correlations within a stretch."""
+    total, variance = 1.0, float(np.mean(residual**2))
+    longest = int(np.bincount(np.unique(block, return_inverse=True)[1]).max())
+    for lag in range(1, longest):
+        same = block[lag:] == block[:-lag]
+        if same.sum() < longest:
+            break
+        step = float(np.mean(residual[lag:][same] * residual[:-lag][same])) / variance
+        if step < 0.05:
+            break
+        total += 2.0 * step
+    return total
+
+
+def _friction_spread(
+    problem: _Problem, solution: _Solution, parts: Sequence[Equations], runs: FloatArray
+) -> FloatArray:
+    """By how much friction and offset differ: from run to run, and what stretches of a run show of it, shape (3 n,)."""
+    count = problem.count
+    between = runs.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(runs.shape[1])
+    drift = np.zeros((len(FRICTION_TERMS), count))
+    columns = np.vstack([part.friction for part in parts])
+    for kind in range(len(FRICTION_TERMS)):
+        for number in range(count):
+            mine = problem.joint == number
+            column = columns[mine, kind * count + number]
+            of_stretch = [
+                float(solution.residual[mine][out] @ column[out]) / max(float(column[out] @ column[out]), 1e-12)
+                for out in (problem.block[mine] == label for label in np.unique(problem.block[mine]))
+            ]
+            # what a stretch shows may be any of the three
+            drift[kind, number] = np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS)) if of_stretch else 0.0
+    least = LEAST_SPREAD_SHARE * np.abs(runs).mean(axis=0)
+    least[2 * count :] = 0.0
+    return np.maximum(np.hypot(between, drift.ravel()), np.maximum(least, 1e-9))
+
+
+def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
+    """What motions with an empty hand say about an arm.
+
+    Args:
+        robot: As its file states it.
+        motions: Of the same joints, at least one.
+
+    Raises:
+        RecordingError: A motion is of no use, or all together are too short.
+    """
+    joints, held = motions[0].joints, dict(motions[0].held)
+    model = robot.model.lock(list(joints), held, robot.gravity)
+    count = len(model.joint_names)
+    parts = [equations(robot, motion, joints) for motion in motions]
+    problem = _Problem.of(parts, 0, count)
+    stretches = len(np.unique(problem.block))
+    if stretches < MIN_BLOCKS:
+        raise RecordingError(
+            f"{motions[0].name}: only {BLOCK_S * stretches:.0f} s of motion can be used; record {BLOCK_S * MIN_BLOCKS:.0f} s "
+            "at least, better 50, with all joints moving"
+        )
+    stated = file_prior(robot, model)
+    arm, runs = 12 * count, len(motions)
+    own = [arm + n for n in range(3 * count)]
+    rows = [*range(arm), *(row for _ in motions for row in own)]
+    prior = _with_payload(robot, model, Prior(stated.values[rows], stated.covariance[np.ix_(rows, rows)]))
+    for first in range(runs):  # friction of one run says nothing about that of another
+        for other in range(runs):
+            if first != other:
+                a, b = (PARAMETERS + arm + 3 * count * n for n in (first, other))
+                prior.covariance[a : a + 3 * count, b : b + 3 * count] = 0.0
+    solution = _solve(problem, prior, 0.3 * reach_m(robot, model), None, None)
+    # the mean of the runs' friction
+    mean = np.zeros((15 * count, len(solution.values)))
+    mean[range(arm), range(PARAMETERS, PARAMETERS + arm)] = 1.0
+    for number in range(runs):
+        mean[range(arm, 15 * count), np.arange(3 * count) + PARAMETERS + arm + 3 * count * number] = 1.0 / runs
+    each = solution.values[PARAMETERS + arm :].reshape(runs, 3 * count)
+    bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
+    fitted = problem.matrix[:, bodies] @ solution.values[bodies]
+    by_urdf = problem.matrix[:, bodies] @ prior.values[bodies]
+    over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
+    scale_std = max(relative_torque_std(robot, name) for name in model.joint_names)
+    if abs(over_urdf - 1.0) > URDF_SHARE:
+        scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
+    return MotionCalibration(
+        joints=model.joint_names,
+        values=mean @ solution.values,
+        covariance=mean @ solution.covariance @ mean.T,
+        deviations=solution.deviations @ mean.T,
+        friction_spread=_friction_spread(problem, solution, parts, each),
+        residual=solution.rms,
+        correlation=solution.correlation,
+        torque_scale=1.0,
+        torque_scale_std=scale_std,
+        arm_over_urdf=over_urdf,
+        fingerprint=robot.model.fingerprint(),
+        runs=tuple(
+            {"name": motion.name, "duration_s": float(motion.times_s[-1]), "load_kg": 0.0} for motion in motions
+        ),
+    )
+
+
+def _with_payload(robot: Robot, model: ReducedModel, prior: Prior) -> Prior:
+    """The prior with the payload's ten parameters before it: anything up to what the arm itself weighs."""
+    spread = np.square(sizes(arm_kg(model), 0.3 * reach_m(robot, model)))
+    size = len(prior.values) + PARAMETERS
+    covariance = np.zeros((size, size))
+    covariance[range(PARAMETERS), range(PARAMETERS)] = spread
+    covariance[PARAMETERS:, PARAMETERS:] = prior.covariance
+    return Prior(np.concatenate([np.zeros(PARAMETERS), prior.values]), covariance)
+
+
+@dataclass(frozen=True)
+class CalibratedFit:
+    """The payload that a calibrated arm carries.
+
+    Attributes:
+        values: Of the payload's ten parameters, in its frame, shape (10,).
+        covariance: All that is open, the torque scale included, shape (10, 10).
+        parts: What puts how much standard deviation on the mass [kg], by name.
+        quantile: Half width of a 95 % interval in standard deviations.
+        blocks: Number of stretches.
+        residual, driven: rms of the mean torque that is left over, and of that torque itself [N m], shape (n,).
+        pulls: How far friction of the runs and the arm lie from the calibration, in its standard deviations, by name.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    parts: dict[str, float]
+    quantile: float
+    blocks: int
+    residual: FloatArray
+    driven: FloatArray
+    pulls: dict[tuple[str, str], float]
+
+
+def fit_calibrated(
+    robot: Robot,
+    loaded: Sequence[Motion],
+    calibration: MotionCalibration,
+    *,
+    empty: Sequence[Motion] = (),
+    centre: tuple[FloatArray, FloatArray] | None = None,
+) -> CalibratedFit:
+    """Weigh what all ``loaded`` motions hold with what a calibration knows.
+
+    Args:
+        robot: As its file states it.
+        loaded: With the payload, at least one.
+        calibration: Of this arm.
+        empty: More motions with an empty hand, fitted together with the others.
+        centre: As for `fit_motions`.
+
+    Raises:
+        RecordingError: A motion is of no use, or all together are too short.
+    """
+    motions = [*loaded, *empty]
+    joints, held = calibration.joints, dict(motions[0].held)
+    model = robot.model.lock(list(joints), held, robot.gravity)
+    count = len(model.joint_names)
+    parts = [equations(robot, motion, joints) for motion in motions]
+    if centre is not None:
+        parts = [part.with_centre(centre[0]) for part in parts]
+    problem = _Problem.of(parts, len(loaded), count)
+    blocks = int(np.sum(np.unique(problem.block) < RUNS_OF_ITS_OWN * len(loaded)))
+    if blocks < MIN_BLOCKS:
+        raise RecordingError(
+            f"{loaded[0].name}: only {BLOCK_S * blocks:.0f} s of motion can be used; record {BLOCK_S * MIN_BLOCKS:.0f} s "
+            "at least, better 15, with all joints moving"
+        )
+    arm = 12 * count
+    own = range(arm, 15 * count)
+    rows = [*range(arm), *(row for _ in motions for row in own)]
+    known = Prior(calibration.values[rows], calibration.covariance[np.ix_(rows, rows)].copy())
+    for number in range(len(motions)):
+        at = arm + 3 * count * number + np.arange(3 * count)
+        known.covariance[at, at] += calibration.friction_spread**2
+    prior = _with_payload(robot, model, known)
+    solution = _solve(
+        problem, prior, 0.3 * reach_m(robot, model), None if centre is None else np.asarray(centre[1]), calibration
+    )
+    payload = slice(0, PARAMETERS)
+    # how the payload follows the calibration's values
+    gain = solution.covariance[payload] @ solution.information
+    from_prior = np.eye(len(solution.values))[payload] - gain
+    spread = np.zeros((len(rows), 15 * count))
+    spread[range(len(rows)), rows] = 1.0
+    by_calibration = from_prior[:, PARAMETERS:] @ spread
+    noise = gain @ solution.covariance[:, payload]
+    jackknife = solution.deviations[:, payload].T @ solution.deviations[:, payload]
+    left_open = from_prior @ solution.covariance[:, payload]
+    moved = calibration.deviations @ by_calibration.T
+    by_stretches = moved.T @ moved
+    scale = calibration.torque_scale_std
+    mass = float(solution.values[0])
+    stretch = jackknife if jackknife[0, 0] > noise[0, 0] else noise
+    opened = left_open
+    covariance = stretch + opened + by_stretches
+    covariance = covariance + scale**2 * np.outer(solution.values[payload], solution.values[payload])
+    variances = np.array([stretch[0, 0], opened[0, 0], by_stretches[0, 0], (scale * mass) ** 2])
+    freedom = np.array([blocks - 1, np.inf, calibration.stretches - 1, np.inf])
+    effective = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
+    driven = [
+        np.sqrt(np.mean(problem.right[problem.joint == n] ** 2)) if (problem.joint == n).any() else np.nan
+        for n in range(count)
+    ]
+    names = (
+        "what differs from stretch to stretch",
+        "what the motion does not determine",
+        "the calibration",
+        "torque constants",
+    )
+    return CalibratedFit(
+        values=calibration.torque_scale * solution.values[payload],
+        covariance=calibration.torque_scale**2 * covariance,
+        parts={name: float(np.sqrt(v)) for name, v in zip(names, variances, strict=True)},
+        quantile=float(student.ppf(0.975, effective)),
+        blocks=blocks,
+        residual=solution.rms,
+        driven=np.array(driven),
+        pulls={},
+    )
