@@ -50,6 +50,8 @@ LATEST_STEP_S = 1.5
 """How long ago, in seconds of motion, a change is looked for."""
 LEAST_AFTER = 3
 """Windows after a change before it counts: one that something touched is no object."""
+UNSURE_S = 0.15
+"""A change is found to this instant: windows that touch it say nothing of either load."""
 TOLD_S = 1.0
 """`changed` is told for so long."""
 RESTING_S = 0.5
@@ -370,20 +372,23 @@ class _Rows:
     def solve(self, steps: Sequence[float]) -> _Solution:
         """The masses of the stretches between the steps."""
         arm = self._arm
-        shares = [np.ones(len(self.joint)), *(self._share(at) for at in steps)]
         along, columns = self.load @ arm._point, []
-        for number, share in enumerate(shares):
-            held = share - (shares[number + 1] if number + 1 < len(shares) else 0.0)
+        heavy = self.heavy_kg * arm._centre_std_m
+        # between which instants each stretch lies; windows across a step hold any part of both, each its own
+        begins = [-np.inf, *(at + UNSURE_S for at in steps)]
+        ends = [*(at - UNSURE_S - WINDOW_S for at in steps), np.inf]
+        for begin, end in zip(reversed(begins), reversed(ends), strict=True):
+            held = (self.start_s >= begin) & (self.start_s <= end)
             columns.append(held * along * arm._widest_kg)
-            heavy = self.heavy_kg * arm._centre_std_m
             columns += [held * self.load[:, axis] * heavy for axis in (1, 2, 3)]
+        for at in steps:
+            across = (self.start_s > at - UNSURE_S - WINDOW_S) & (self.start_s < at + UNSURE_S)
+            columns += [(self.start_s == start) * along * arm._widest_kg for start in np.unique(self.start_s[across])]
         design = np.hstack([self._white(np.column_stack(columns)), self.arm_design])
         normal = design.T @ design + np.eye(design.shape[1])
         inverse = np.linalg.inv(normal)
         values = inverse @ (design.T @ self.right)
-        newest = 4 * len(steps)
-        mass = values[newest] * arm._widest_kg
-        std = np.sqrt(inverse[newest, newest]) * arm._widest_kg
+        mass, std = values[0] * arm._widest_kg, np.sqrt(inverse[0, 0]) * arm._widest_kg
         return _Solution(float(mass), float(std), design, self.right - design @ values, inverse)
 
     def after(self, onset_s: float) -> int:
