@@ -11,24 +11,29 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.scalarstring import LiteralScalarString
 
 from proprio_ros import __version__
 from proprio_ros.calibration import Calibration
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.motion_estimate import calibrate_motions
 from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.motion_calibration import MotionCalibration
+from proprio_ros.motions import Motion
 from proprio_ros.probes.payload.facts import payload_facts
-from proprio_ros.replay import Recordings, ReplayOptions, bag_runs, held_positions, robot_of
+from proprio_ros.replay import Recordings, ReplayOptions, bag_runs_or_motion, held_positions, robot_of
 from proprio_ros.resources import paths_of, resource, resource_names, write_in_one_step
 from proprio_ros.robot import Robot, nested_settings
 from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, probe_file
+from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.threads import one_blas_thread
 
 HEAVIEST_REFERENCE_KG = 5.0
@@ -77,16 +82,30 @@ def calibrate_from_bags(
     loads = [*((Path(path), KnownLoad()) for path in paths)]
     loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
-    runs = []
+    runs: list[LoadedRun] = []
+    motions: list[tuple[Motion, float]] = []
     for number, (path, load) in enumerate(loads, start=1):
         progress(f"reading {path} ({number} of {len(loads)})")
-        runs += [LoadedRun(run, load) for run in once.checked(path, bag_runs(path, robot, options, held))]
+        found = bag_runs_or_motion(path, robot, options, held)
+        if isinstance(found, Motion):
+            motions.append((once.checked_motion(path, found), load.mass))
+        else:
+            runs += [LoadedRun(run, load) for run in once.checked(path, found)]
     read = time.perf_counter()
-    estimate = calibrate(robot, runs, progress=progress)
+    if motions and runs:
+        raise RecordingError(
+            f"{motions[0][0].name}: several joints were driven at once, but not in {runs[0].run.name}: calibrate with one or the "
+            "other, each makes a file of its own"
+        )
+    if motions:
+        estimate = _from_motions(robot, motions, facts if "payload.com" in settings.taken else None, progress)
+    else:
+        estimate = calibrate(robot, runs, progress=progress)
     written = None
-    if output is not None and estimate.calibration is not None and estimate.verdict.value == "accepted":
+    learnt = estimate.calibration or estimate.motion
+    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
         said = "" if estimate.weighable is None else estimate.weighable.sentence()
-        write_calibration(Path(output), robot, estimate.calibration, overrides, said)
+        write_calibration(Path(output), robot, learnt, overrides, said)
         written = calibration_used(Path(output))
     origin = {
         "bags": [str(path) for path in paths],
@@ -121,8 +140,25 @@ def plan_probes(
     return robot, plan(robot, masses_kg, facts, count, progress=progress)
 
 
+def _from_motions(
+    robot: Robot, motions: Sequence[tuple[Motion, float]], facts: PayloadFacts | None, progress: Callable[[str], None]
+) -> CalibrationEstimate:
+    empty = [motion for motion, mass_kg in motions if mass_kg == 0.0]
+    if not empty:
+        raise RecordingError(
+            f"{motions[0][0].name}: a motion with a reference needs one with an empty hand beside it: name that bag, too"
+        )
+    centre = None if facts is None else (np.asarray(facts.com), np.asarray(facts.com_std))
+    references = [(motion, mass_kg) for motion, mass_kg in motions if mass_kg > 0.0]
+    return calibrate_motions(robot, empty, references, centre, progress)
+
+
 def write_calibration(
-    path: Path, robot: Robot, calibration: Calibration, overrides: Mapping[str, Any] | None = None, said: str = ""
+    path: Path,
+    robot: Robot,
+    calibration: Calibration | MotionCalibration,
+    overrides: Mapping[str, Any] | None = None,
+    said: str = "",
 ) -> None:
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
@@ -140,15 +176,22 @@ def write_calibration(
     section = CommentedMap(settings)
     section["runs"] = [_on_one_line(run) for run in settings["runs"]]
     section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
-    section["correlation"] = LiteralScalarString(settings["correlation"])
+    for name in ("correlation", "deviations"):
+        if name in settings:
+            section[name] = LiteralScalarString(settings[name])
+    for name in ("torque_scale",):
+        if name in settings:
+            section[name] = _on_one_line(settings[name])
     content = CommentedMap(nested_settings(robot.model, overrides or {}))
     content.insert(0, "extends", _reference_to(robot.source, path))
-    content["calibrated"] = True
+    if isinstance(calibration, Calibration):
+        content["calibrated"] = True
     content["model_fingerprint"] = robot.model.fingerprint()
-    content["calibration"] = section
+    content["calibration" if isinstance(calibration, Calibration) else "motion_calibration"] = section
+    noun = "runs" if isinstance(calibration, Calibration) else "motions"
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     content.yaml_set_start_comment(
-        f"What one {robot.name} says about itself: {len(calibration.runs)} runs, {now}, proprio_ros {__version__}.\n"
+        f"What one {robot.name} says about itself: {len(calibration.runs)} {noun}, {now}, proprio_ros {__version__}.\n"
         + (f"It {said}.\n" if said else "")
         + f"Use it with: proprio replay BAG --probe payload --calibration {path.name}\n"
     )

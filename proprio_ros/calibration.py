@@ -137,17 +137,15 @@ class Calibration:
         """Plain numbers for the file; the correlations as text, which reads a hundred times faster than as YAML numbers."""
         return {
             "runs": [dict(run) for run in self.runs],
-            "residual_scale": _short(self.residual_scale),
-            "stamp_jitter_s": _short(self.stamp_jitter_s),
-            "torque_disturbance_N_m": _short(self.torque_disturbance),
-            "start_velocity_rad_s": _short(self.start_velocity),
+            "residual_scale": short(self.residual_scale),
+            "stamp_jitter_s": short(self.stamp_jitter_s),
+            "torque_disturbance_N_m": short(self.torque_disturbance),
+            "start_velocity_rad_s": short(self.start_velocity),
             "unknowns": {
-                name_of(key): {"value": _short(known.value, 15), "std": _short(known.std, 15), "unit": _unit(key)}
+                name_of(key): {"value": short(known.value, 15), "std": short(known.std, 15), "unit": _unit(key)}
                 for key, known in self.quantities.items()
             },
-            "correlation": "".join(
-                " ".join(f"{c:.12g}" for c in row[: n + 1]) + "\n" for n, row in enumerate(self.correlation)
-            ),
+            "correlation": triangle_of(self.correlation),
         }  # fmt: skip
 
     @classmethod
@@ -161,14 +159,14 @@ class Calibration:
             raise RobotError(
                 f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
             )
-        unknowns = _part(section, "unknowns", Mapping, where)
-        correlation = [line.split() for line in _part(section, "correlation", str, where).splitlines()]
-        runs = _part(section, "runs", list, where)
+        unknowns = part_of(section, "unknowns", Mapping, where)
+        correlation = part_of(section, "correlation", str, where)
+        runs = part_of(section, "runs", list, where)
         for number, run in enumerate(runs, 1):
             if not isinstance(run, Mapping) or set(run) != set(_RUN):
                 raise RobotError(f"{where}: runs: {number}: expected {', '.join(_RUN)}, got {shortly(run)}")
             for name, form in _RUN.items():
-                _read(run[name], form, f"{where}: runs: {number}: {name}")
+                read_as(run[name], form, f"{where}: runs: {number}: {name}")
         keys, values, stds = [], [], []
         for name, entry in unknowns.items():
             at = f"{where}: unknowns: {one_line(str(name), 80)}"
@@ -176,29 +174,17 @@ class Calibration:
                 raise RobotError(f"{at}: expected value, std and unit, got {shortly(entry)}")
             keys.append(_key(name, at))
             form = RANGES[_kind(keys[-1])]
-            values.append(_read(entry.get("value"), form, f"{at}: value"))
+            values.append(read_as(entry.get("value"), form, f"{at}: value"))
             spread = Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)
-            stds.append(_read(entry.get("std"), spread, f"{at}: std"))
+            stds.append(read_as(entry.get("std"), spread, f"{at}: std"))
             if entry.get("unit", _unit(keys[-1])) != _unit(keys[-1]):
                 raise RobotError(f"{at}: unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
-        if not keys or [len(row) for row in correlation] != [n + 1 for n in range(len(keys))]:
-            raise RobotError(
-                f"{where}: correlation must be the lower triangle of {len(keys)} unknowns, one row each; calibrate again"
-            )
-        matrix = np.zeros((len(keys), len(keys)))
-        for n, row in enumerate(correlation):
-            try:
-                matrix[n, : n + 1] = [float(c) for c in row]
-            except ValueError as error:
-                raise RobotError(f"{where}: correlation, line {n + 1}: {error}; calibrate again") from error
-        matrix = matrix + np.tril(matrix, -1).T
-        if not np.all(np.isfinite(matrix)) or np.abs(np.diag(matrix) - 1.0).max() > 1e-9:
-            raise RobotError(f"{where}: correlation must be finite, with ones on its diagonal; calibrate again")
+        matrix = correlation_of(correlation, len(keys), f"{where}: correlation")
         if np.linalg.eigvalsh(matrix)[0] < _SMALLEST_EIGENVALUE:
             raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
         scale = np.array(stds)
         residual_scale, stamp_jitter_s, torque_disturbance, start_velocity = (
-            _read(section.get(name, default), NOISE[name], f"{where}: {name}")
+            read_as(section.get(name, default), NOISE[name], f"{where}: {name}")
             for name, default in zip(NOISE, (1.0, 0.0, 0.0, 0.01), strict=True)
         )
         return cls(
@@ -261,6 +247,44 @@ def check_complete(
             )
 
 
+def triangle_of(correlation: FloatArray) -> str:
+    """The lower triangle as text, a line per unknown."""
+    return "".join(" ".join(f"{c:.12g}" for c in row[: n + 1]) + "\n" for n, row in enumerate(correlation))
+
+
+def correlation_of(text: str, count: int, where: str) -> FloatArray:
+    """The correlation matrix of such a text, shape (count, count).
+
+    Raises:
+        RobotError: It is none of so many unknowns.
+    """
+    rows = numbers_of(text, where)
+    if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
+        raise RobotError(f"{where} must be the lower triangle of {count} unknowns, one row each; calibrate again")
+    matrix = np.zeros((count, count))
+    for n, row in enumerate(rows):
+        matrix[n, : n + 1] = row
+    matrix = matrix + np.tril(matrix, -1).T
+    if not np.all(np.isfinite(matrix)) or np.abs(np.diag(matrix) - 1.0).max() > 1e-9:
+        raise RobotError(f"{where} must be finite, with ones on its diagonal; calibrate again")
+    return matrix
+
+
+def numbers_of(text: str, where: str) -> list[list[float]]:
+    """Lines of numbers.
+
+    Raises:
+        RobotError: A word is none.
+    """
+    rows = []
+    for n, line in enumerate(text.splitlines(), start=1):
+        try:
+            rows.append([float(word) for word in line.split()])
+        except ValueError as error:
+            raise RobotError(f"{where}, line {n}: {error}; calibrate again") from error
+    return rows
+
+
 def _kind(key: Key) -> str:
     return key if isinstance(key, str) else key[0]
 
@@ -278,18 +302,29 @@ def _unit(key: Key) -> str:
     return KINDS[kind].unit if kind in KINDS else ""
 
 
-def _part(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
+def part_of(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
+    """A part of a section that must be there.
+
+    Raises:
+        RobotError: It is not, or is something else.
+    """
     if not isinstance(section.get(key), kind):
         raise RobotError(f"{where}: {key} is missing or no {kind.__name__}; write it with `proprio calibrate`")
     return section[key]
 
 
-def _read(value: Any, form: Form, where: str) -> Any:
+def read_as(value: Any, form: Form, where: str) -> Any:
+    """A value as its form takes it.
+
+    Raises:
+        RobotError: It is none of that form.
+    """
     try:
         return form.read(value)
     except FormError as error:
         raise RobotError(f"{where}: {error}") from None
 
 
-def _short(value: float, digits: int = 12) -> float:
+def short(value: float, digits: int = 12) -> float:
+    """A number as the file has it."""
     return float(f"{value:.{digits}g}")

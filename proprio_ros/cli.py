@@ -561,15 +561,14 @@ def _as_text(estimate: Any) -> str:
 
 
 def _calibration_as_text(estimate: Any) -> str:
-    lines = [
-        f"{estimate.verdict.value}  (calibration, {estimate.robot}, {len(estimate.run_fits)} of {estimate.runs} runs used)"
-    ]
+    lines = [f"{estimate.verdict.value}  (calibration, {estimate.robot}, {estimate.used} of {estimate.runs} runs used)"]
     if estimate.weighable is not None:
         lines.append(f"  {estimate.weighable.sentence()}")
     lines += [f"  - {reason}" for reason in estimate.reasons]
     if estimate.empty_hand is not None:
         lines.append(f"  empty hand: {estimate.empty_hand.sentence()}")
-    listed = [row for row in estimate.unknowns if not row.is_detail and row.kind != "zero"]
+    of_runs = estimate.motion is None  # a motion's are some hundred, and none has a meaning alone
+    listed = [row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"]
     for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit
         lines.append(
@@ -578,10 +577,17 @@ def _calibration_as_text(estimate: Any) -> str:
     if len(listed) < len(estimate.unknowns):
         lines.append(
             f"  and {len(estimate.unknowns) - len(listed)} more: zeros, encoder errors and links (see --json, --report)"
+            if of_runs
+            else f"  {len(estimate.unknowns)} numbers of bodies, rotors and friction (see --json, --report)"
         )
     if estimate.fit is not None:
         fit = estimate.fit
         lines.append(f"  fit: rms {shown(fit.unit, fit.rms)}, expected {shown(fit.unit, fit.expected_rms)}")
+    lines += [
+        f"  {each.name}, weighed by the others: {shown('kg', each.mass_kg, spec='.1f')} +- "
+        f"{shown('kg', each.half_width, spec='.1f')} (95 %)"
+        for each in estimate.weighed_empty
+    ]
     if estimate.held_out:
         worst = max(estimate.held_out, key=lambda run: run.reduced_chi2)
         lines.append(

@@ -47,6 +47,14 @@ KINDS: dict[str, Kind] = {
     "link_com_y": Kind("m", "link centre beyond the URDF's, y", "link"),
     "link_com_z": Kind("m", "link centre beyond the URDF's, z", "link"),
     "link_inertia": Kind("1", "link inertia beyond the URDF's", "link"),
+    # the body behind a joint, up to the next one, and the torque that a joint's motor shows at rest; of motions of several joints
+    "body_mass": Kind("kg", "mass of the body behind", "joint"),
+    **{f"body_moment_{axis}": Kind("kg m", f"first moment of the body behind, {axis}", "joint") for axis in "xyz"},
+    **{
+        f"body_inertia_{axes}": Kind("kg m^2", f"inertia of the body behind, {axes}", "joint")
+        for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
+    },
+    "offset": Kind("N m", "torque offset", "joint"),
     # the robot as a whole
     "arm_scale": Kind("1", "arm's weight over the URDF's"),
     "delay": Kind("s", "delay"),
@@ -139,7 +147,7 @@ class Tag:
     @property
     def is_detail(self) -> bool:
         """Whether there are many of it, and few readers want them: how links differ from the URDF, and errors of encoders."""
-        return KINDS[self.kind].of == "link" or self.kind in ("ripple_cos", "ripple_sin")
+        return KINDS[self.kind].of == "link" or self.kind.startswith(("ripple_", "body_"))
 
     @property
     def shared(self) -> bool:

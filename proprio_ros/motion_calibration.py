@@ -1,4 +1,20 @@
-"""What motions of an arm with an empty hand say about it: bodies, rotors, gears and friction, with their covariance."""
+"""What motions of an arm with an empty hand say about it: bodies, rotors, gears and friction, with their covariance.
+
+It is the section ``motion_calibration`` of a robot file that ``extends`` the robot it was made with:
+
+    motion_calibration:
+      runs: [{name: .., duration_s: 50.0, load_kg: 0.0}, ..]     # load_kg: of a weighed reference
+      torque_scale: {value: 1.0, std: 0.01}                      # true torque over that of the robot file's torque constants
+      arm_over_urdf: 1.04                                        # what the torques say the arm weighs, over its URDF's masses
+      joints:
+        joint1: {torque_constant_N_m_per_A: 1.78, residual_N_m: 0.02, correlated_windows: 3.5}
+      unknowns:
+        coulomb[joint1]: {value: 0.05, std: 0.004, unit: N m, run_to_run: 0.01}
+      correlation: |                                             # lower triangle, a line per unknown in the order above
+        1
+      deviations: |                                              # what leaving out each stretch changes, in the unknowns' std
+        0.1
+"""
 
 from __future__ import annotations
 
@@ -8,6 +24,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from proprio_ros.calibration import correlation_of, numbers_of, part_of, read_as, short, triangle_of
+from proprio_ros.errors import RobotError
+from proprio_ros.forms import Form, Number, Text, shortly
+from proprio_ros.kinds import name_of
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +45,22 @@ FRICTION_TERMS: Mapping[str, str] = {"viscous": "N m s/rad", "coulomb": "N m", "
 UNITS: Mapping[str, str] = {**BODY_TERMS, **DRIVE_TERMS, **FRICTION_TERMS}
 Key = tuple[str, str]
 """Kind of a term, and its joint."""
+_LARGEST = 1e5
+_LEAST_STD = 1e-15
+_RUN: dict[str, Form] = {
+    "name": Text(longest=9000),
+    "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
+    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
+}
+_JOINT: dict[str, Form] = {
+    "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
+    "residual_N_m": Number("what the model leaves over; 0: the joint did not move", "N m", 0.0, 1e4),
+    "correlated_windows": Number("over so many windows the residuals are correlated", "", 1.0, 1e4),
+}
+_SCALE: dict[str, Form] = {
+    "value": Number("true torque over the robot file's", "", 0.05, 20.0),
+    "std": Number("relative", "", 0.0, 10.0, open=True),
+}
 
 
 def term_keys(joints: tuple[str, ...]) -> tuple[Key, ...]:
@@ -40,6 +77,7 @@ class MotionCalibration:
 
     Attributes:
         joints: Parents before children, length n.
+        torque_constants: That the currents were multiplied with [N m/A], shape (n,).
         values: Friction is the mean of the runs; shape (P,).
         covariance: As a prior of the next fit, correlated residuals and the robot file's own priors counted; shape (P, P).
         deviations: How the values move when one stretch is left out, so scaled that the sum of the rows' outer products is the
@@ -56,6 +94,7 @@ class MotionCalibration:
     """
 
     joints: tuple[str, ...]
+    torque_constants: FloatArray
     values: FloatArray
     covariance: FloatArray
     deviations: FloatArray
@@ -87,3 +126,101 @@ class MotionCalibration:
     def friction(self) -> slice:
         """Where viscous friction, Coulomb friction and offset stand."""
         return slice(12 * len(self.joints), 15 * len(self.joints))
+
+    def as_settings(self) -> dict[str, Any]:
+        """Plain numbers for the file, whose ``model_fingerprint`` is that of the URDF."""
+        std = np.sqrt(np.diag(self.covariance))
+        unknowns: dict[str, Any] = {}
+        for row, (kind, joint) in enumerate(self.keys):
+            entry = {"value": short(self.values[row], 15), "std": short(std[row], 15), "unit": UNITS[kind]}
+            if kind in FRICTION_TERMS:
+                entry["run_to_run"] = short(self.friction_spread[row - self.friction.start])
+            unknowns[name_of((kind, joint))] = entry
+        numbers = zip(self.torque_constants, self.residual, self.correlation, strict=True)
+        return {
+            "runs": [dict(run) for run in self.runs],
+            "torque_scale": {"value": short(self.torque_scale), "std": short(self.torque_scale_std)},
+            "arm_over_urdf": short(self.arm_over_urdf),
+            "joints": {
+                joint: dict(zip(_JOINT, (short(constant, 15), short(rms), short(windows)), strict=True))
+                for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
+            },
+            "unknowns": unknowns,
+            "correlation": triangle_of(self.covariance / std[:, None] / std),
+            "deviations": "".join(" ".join(f"{c:.9g}" for c in row) + "\n" for row in self.deviations / std),
+        }
+
+    @classmethod
+    def from_settings(cls, section: Any, where: str) -> MotionCalibration:
+        """Read the section of a robot file; the fingerprint stands elsewhere in the file.
+
+        Raises:
+            RobotError: A key is missing, a number is none, or the correlations belong to no covariance.
+        """
+        if not isinstance(section, Mapping):
+            raise RobotError(
+                f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
+            )
+        runs = part_of(section, "runs", list, where)
+        for number, run in enumerate(runs, 1):
+            _forms(run, _RUN, f"{where}: runs: {number}")
+        stated = part_of(section, "joints", Mapping, where)
+        joints = tuple(str(joint) for joint in stated)
+        numbers = np.array([_forms(stated[name], _JOINT, f"{where}: joints: {name}") for name in stated]).reshape(-1, 3)
+        keys = term_keys(joints)
+        unknowns = part_of(section, "unknowns", Mapping, where)
+        names = [name_of(key) for key in keys]
+        if not joints or list(unknowns) != names:
+            lost = [name for name in names if name not in unknowns] or [name for name in unknowns if name not in names]
+            raise RobotError(
+                f"{where}: unknowns: {shortly(lost[0]) if lost else 'their order'}: expected those of {', '.join(joints)}, in the "
+                "order in which they were written; calibrate again"
+            )
+        values, stds, spread = [], [], []
+        for key, name in zip(keys, names, strict=True):
+            unit, at = UNITS[key[0]], f"{where}: unknowns: {name}"
+            forms: dict[str, Form] = {
+                "value": Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST),
+                "std": Number(unit=unit, lowest=_LEAST_STD, highest=_LARGEST),
+            }
+            if key[0] in FRICTION_TERMS:
+                forms["run_to_run"] = Number(unit=unit, lowest=0.0, highest=_LARGEST)
+            entry = unknowns[name]
+            if isinstance(entry, Mapping) and entry.get("unit") != unit:
+                raise RobotError(f"{at}: unit must be {unit!r}, got {shortly(entry.get('unit'))}")
+            value, std, *more = _forms(entry, forms, at, ("unit",))
+            values.append(value)
+            stds.append(std)
+            spread += more
+        scale = np.array(stds)
+        correlation = correlation_of(part_of(section, "correlation", str, where), len(keys), f"{where}: correlation")
+        if np.linalg.eigvalsh(correlation)[0] < -1e-9:
+            raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
+        rows = numbers_of(part_of(section, "deviations", str, where), f"{where}: deviations")
+        if not rows or any(len(row) != len(keys) for row in rows) or not np.all(np.isfinite(rows)):
+            raise RobotError(f"{where}: deviations must be rows of {len(keys)} finite numbers; calibrate again")
+        torque_scale, torque_scale_std = _forms(
+            part_of(section, "torque_scale", Mapping, where), _SCALE, f"{where}: torque_scale"
+        )
+        return cls(
+            joints,
+            numbers[:, 0],
+            np.array(values),
+            correlation * scale[:, None] * scale,
+            np.array(rows) * scale,
+            np.array(spread),
+            numbers[:, 1],
+            numbers[:, 2],
+            torque_scale,
+            torque_scale_std,
+            read_as(section.get("arm_over_urdf"), Number("", "", -100.0, 100.0), f"{where}: arm_over_urdf"),
+            "",
+            tuple(runs),
+        )
+
+
+def _forms(entry: Any, forms: Mapping[str, Form], where: str, beside: tuple[str, ...] = ()) -> list[Any]:
+    """The values of a mapping that has exactly these keys, in their order."""
+    if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
+        raise RobotError(f"{where}: expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
+    return [read_as(entry[key], form, f"{where}: {key}") for key, form in forms.items()]

@@ -104,6 +104,11 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
         raise RecordingError(
             f"{motions[0].name}: several joints were driven at once, but not in {runs[0].name}: replay them apart"
         )
+    if runs and robot.calibration is None and robot.motion_calibration is not None:
+        raise RecordingError(
+            f"{runs[0].name}: one joint was driven; --calibration {robot.source.name} was made from motions of several and says "
+            "nothing about such runs: calibrate with empty-hand runs, or leave it out"
+        )
     if motions and not probe.takes_motions:
         raise RecordingError(
             f"{motions[0].name}: several joints were driven at once; --probe {probe.name} wants one at a time"
@@ -119,10 +124,11 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     estimate = probe.identify(robot, Recorded(runs, baseline, sources, text, motions, baseline_motions), facts)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
+    learnt = robot.motion_calibration if motions else robot.calibration
     origin = {
         "bags": [str(path) for path in paths],
         "baseline": [str(path) for path in baseline_paths],
-        "calibration": None if robot.calibration is None else calibration_used(robot.source),
+        "calibration": None if learnt is None else calibration_used(robot.source),
     }
     recorded = [*(recorded_run(robot, run) for run in runs), *(recorded_run(robot, run, True) for run in baseline)]
     return replace(estimate, timing_s=timing, origin=origin, recorded=tuple(recorded))
@@ -188,7 +194,7 @@ def robot_of(name: str | None, calibration: str | Path | None) -> Robot:
             f"--calibration {calibration}: expected the .yaml file that `proprio calibrate --output` wrote"
         )
     robot = load_robot(calibration)
-    if robot.calibration is None:
+    if robot.calibration is None and robot.motion_calibration is None:
         raise RobotError(
             f"--calibration {calibration}: holds no calibration; write it with `proprio calibrate --output`"
         )

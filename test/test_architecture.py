@@ -25,7 +25,7 @@ ROOMS: dict[str, set[str]] = {
     # the unknowns that fits may have, with their units and what to call them
     "kinds": set(),
     "calibration": {"errors", "quantity", "kinds", "forms"},
-    "robot": {"errors", "resources", "quantity", "calibration", "kinds", "forms", "reading"},
+    "robot": {"errors", "resources", "quantity", "calibration", "motion_calibration", "kinds", "forms", "reading"},
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading"},
@@ -33,7 +33,7 @@ ROOMS: dict[str, set[str]] = {
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
     # what motions with an empty hand say about an arm
-    "motion_calibration": set(),
+    "motion_calibration": {"errors", "forms", "kinds", "calibration"},
     "sim": {"errors", "progress", "records", "robot", "reading"},
     "identification": {
         "errors",
@@ -56,6 +56,7 @@ ROOMS: dict[str, set[str]] = {
         "reading",
         "records",
         "motions",
+        "motion_calibration",
         "quantity",
         "kinds",
         "settings",
@@ -92,6 +93,9 @@ ROOMS: dict[str, set[str]] = {
         "settings",
         "robot",
         "calibration",
+        "motion_calibration",
+        "motions",
+        "sim",
         "identification",
         "probes",
         "replay",

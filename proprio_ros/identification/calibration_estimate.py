@@ -8,6 +8,7 @@ from typing import Any
 
 from proprio_ros.calibration import Calibration
 from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, plain
+from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
 
@@ -78,15 +79,19 @@ class Weighable:
     Attributes:
         mass_kg: of the object; std_kg: expected standard deviation of its mass.
         joints: that would be driven, each both ways where it can be.
+        in_motion: empty where they are driven one at a time; else, of a motion of all of them, what limits it.
     """
 
     mass_kg: float
     std_kg: float
     joints: tuple[str, ...]
+    in_motion: str = ""
 
     def sentence(self) -> str:
         """The headline of a calibration."""
         mass, half = shown("kg", self.mass_kg, spec=".0f"), shown("kg", Z95 * self.std_kg, spec=".1f")
+        if self.in_motion:
+            return f"weighs {mass} to +-{half} (95 %) in motion; {self.in_motion}"
         return f"weighs {mass} to +-{half} (95 %) with {' and '.join(self.joints)}"
 
     def as_json(self) -> dict[str, Any]:
@@ -145,6 +150,27 @@ class EmptyHand:
 
 
 @dataclass(frozen=True)
+class EmptyWeighing:
+    """A motion with an empty hand, weighed by the calibration of the others.
+
+    Attributes:
+        name: of the motion, or of the half of one.
+        mass_kg: that came out; std_kg: its standard deviation.
+        quantile: half width of a 95 % interval in standard deviations.
+    """
+
+    name: str
+    mass_kg: float
+    std_kg: float
+    quantile: float
+
+    @property
+    def half_width(self) -> float:
+        """Of the 95 % interval [kg]."""
+        return self.quantile * self.std_kg
+
+
+@dataclass(frozen=True)
 class CalibrationEstimate:
     """The result of one calibration.
 
@@ -158,6 +184,8 @@ class CalibrationEstimate:
         advice: the runs that would help most, best first.
         weighable: what can be weighed with it; None where that was not asked for, or nothing can.
         empty_hand: how far the runs themselves say that the hand was empty; None where no empty run moved it.
+        motion: what motions say instead of runs; then ``calibration`` is None.
+        weighed_empty: of motions, what each weighs by the others, which should be nothing.
         origin: bags, references, and the file that was written, as ``as_json`` gives them.
     """
 
@@ -176,8 +204,34 @@ class CalibrationEstimate:
     notes: tuple[str, ...] = ()
     weighable: Weighable | None = None
     empty_hand: EmptyHand | None = None
+    motion: MotionCalibration | None = None
+    weighed_empty: tuple[EmptyWeighing, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def used(self) -> int:
+        """How many of the runs, or of the motions, were used."""
+        return len(self.run_fits) if self.motion is None else len(self.motion.runs)
+
+    def _motion_as_json(self) -> dict[str, Any]:
+        motion = self.motion
+        if motion is None:
+            return {}
+        return {
+            "motion": {
+                "stretches": motion.stretches,
+                "torque_scale": motion.torque_scale,
+                "torque_scale_std": motion.torque_scale_std,
+                "arm_over_urdf": motion.arm_over_urdf,
+                "residual_N_m": dict(zip(motion.joints, motion.residual.tolist(), strict=True)),
+                "runs": [dict(run) for run in motion.runs],
+                "weighed_empty": [
+                    {"name": each.name, "mass_kg": each.mass_kg, "half_width95_kg": each.half_width}
+                    for each in self.weighed_empty
+                ],
+            }
+        }
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers; what is not a number is null."""
@@ -229,6 +283,7 @@ class CalibrationEstimate:
                     {"name": h.name, "joint": h.joint, "rms": h.rms, "reduced_chi2": h.reduced_chi2}
                     for h in self.held_out
                 ],
+                **self._motion_as_json(),
                 "not_separated": list(self.not_separated),
                 "advice": [plan.as_json() for plan in self.advice],
                 "notes": list(self.notes),

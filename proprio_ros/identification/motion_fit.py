@@ -11,7 +11,7 @@ residuals within a stretch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,7 +101,7 @@ class Equations:
     block: NDArray[np.int64]
 
     def with_centre(self, centre: FloatArray) -> Equations:
-        """The same where the payload's mass sits at ``centre`` in its frame [m]: its other parameters are how it differs from that."""
+        """The same where the payload's mass sits at ``centre`` [m]: its other parameters are how it differs from a point there."""
         point = np.zeros((4, 4))
         point[3] = point[:, 3] = [*centre, 1.0]
         point[:3, :3] = np.outer(centre, centre)
@@ -197,6 +197,13 @@ def _moved_to_body(body_from_payload: FloatArray) -> FloatArray:
     return np.column_stack(columns)
 
 
+STRETCHES, UNDETERMINED, CONSTANTS = (
+    "what differs from stretch to stretch",
+    "what the motion does not determine",
+    "torque constants",
+)
+
+
 @dataclass(frozen=True)
 class MotionFit:
     """The solution, and what it rests on.
@@ -205,8 +212,9 @@ class MotionFit:
         joints: That moved or could, in the order of the arrays by joint.
         terms: Of the regression, P of them: the payload's ten first.
         values: Shape (P,).
-        covariance: From the jackknife, the priors and the torque constants together, shape (P, P).
-        parts: What each of these three puts on the mass, as a standard deviation [kg].
+        covariance: From the jackknife, the priors and the torque constants together, shape (P, P); where a calibration was used,
+            that of the payload, of shape (10, 10).
+        parts: What puts how much standard deviation on the mass [kg], by name.
         blocks: Number of stretches of the motions with the payload.
         residual, empty_residual: rms of the windows' mean torque that is left over, with the payload and without [N m], shape (n,).
         driven: rms of the mean torque itself [N m], shape (n,).
@@ -221,7 +229,7 @@ class MotionFit:
     terms: tuple[Term, ...]
     values: FloatArray
     covariance: FloatArray
-    parts: tuple[float, float, float]
+    parts: Mapping[str, float]
     blocks: int
     residual: FloatArray
     empty_residual: FloatArray
@@ -239,8 +247,7 @@ class MotionFit:
 
     def budget(self) -> tuple[tuple[str, float], ...]:
         """What puts how much standard deviation on the mass [kg], the most first."""
-        names = ("what differs from stretch to stretch", "what the motion does not determine", "torque constants")
-        return tuple(sorted(zip(names, self.parts, strict=True), key=lambda part: -part[1]))
+        return tuple(sorted(self.parts.items(), key=lambda part: -part[1]))
 
     def unseen(self) -> tuple[str, ...]:
         """Of the payload's ten parameters, those that the motion says less about than what any load of that mass may have."""
@@ -262,13 +269,13 @@ def terms_of(robot: Robot, joints: Sequence[str], held: dict[str, float], runs: 
     total = float(sum(body[0] for body in bodies))
     reach = float(sum(np.linalg.norm(place[:3, 3]) for place in model.placement))
     reach += float(np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
-    names = [f"payload_{name}" for name in _PARAMETER_NAMES]
+    names = [f"payload_{name}" for name in PARAMETER_NAMES]
     open_to = sizes(total, 0.3 * reach)
-    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, _PARAMETER_UNITS, open_to, strict=True)]
+    terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, PARAMETER_UNITS, open_to, strict=True)]
     for name, place, body in zip(model.joint_names, [*model.placement[1:], None], bodies, strict=True):
         length = max(0.1 * reach, 0.0 if place is None else float(np.linalg.norm(place[:3, 3])))
         stds = sizes(LINK_SHARE * float(body[0]) + ARM_SHARE * total, length)
-        for kind, unit, value, std in zip(_PARAMETER_NAMES, _PARAMETER_UNITS, body, stds, strict=True):
+        for kind, unit, value, std in zip(PARAMETER_NAMES, PARAMETER_UNITS, body, stds, strict=True):
             terms.append(Term(f"body_{kind}", name, unit, float(value), std))
     drives = [robot.drive_trains[name] for name in model.joint_names]
     effort = float(total * 9.81 * reach)
@@ -284,12 +291,12 @@ def terms_of(robot: Robot, joints: Sequence[str], held: dict[str, float], runs: 
     return tuple(terms)
 
 
-_PARAMETER_NAMES = (
+PARAMETER_NAMES = (
     "mass",
     *(f"moment_{a}" for a in "xyz"),
     *(f"inertia_{a}" for a in ("xx", "xy", "xz", "yy", "yz", "zz")),
 )
-_PARAMETER_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+PARAMETER_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
 def sizes(mass_kg: float, length_m: float) -> list[float]:
@@ -398,11 +405,15 @@ def fit_motions(
         terms,
         values,
         covariance,
-        (float(np.sqrt(jackknife[0, 0])), float(np.sqrt(by_prior[0, 0])), float(abs(by_scale[0]))),
+        {
+            STRETCHES: float(np.sqrt(jackknife[0, 0])),
+            UNDETERMINED: float(np.sqrt(by_prior[0, 0])),
+            CONSTANTS: float(abs(by_scale[0])),
+        },
         with_payload,
-        _rms_by_joint(residual[carrying], joint[carrying], count),
-        _rms_by_joint(residual[~carrying], joint[~carrying], count),
-        _rms_by_joint(right[carrying], joint[carrying], count),
+        rms_by_joint(residual[carrying], joint[carrying], count),
+        rms_by_joint(residual[~carrying], joint[~carrying], count),
+        rms_by_joint(right[carrying], joint[carrying], count),
         float(student.ppf(0.975, with_payload - 1)),
         halves,
         float(model.pseudo_inertia[:, 3, 3].sum()),
@@ -448,5 +459,6 @@ def _mass_and_std(values: FloatArray, covariance: FloatArray) -> tuple[float, fl
     return float(values[0]), float(np.sqrt(covariance[0, 0]))
 
 
-def _rms_by_joint(values: FloatArray, joint: NDArray[np.int64], count: int) -> FloatArray:
+def rms_by_joint(values: FloatArray, joint: NDArray[np.int64], count: int) -> FloatArray:
+    """Of each joint, shape (count,); NaN of those without a value."""
     return np.array([np.sqrt(np.mean(values[joint == n] ** 2)) if (joint == n).any() else np.nan for n in range(count)])

@@ -21,18 +21,26 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.motion_fit import (
     ARM_SHARE,
     BLOCK_S,
+    CONSTANTS,
     ITERATIONS,
     LEAST_LOAD_FRICTION_STD,
     LINK_SHARE,
     MIN_BLOCKS,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    STRETCHES,
+    UNDETERMINED,
     URDF_SHARE,
     Equations,
+    MotionFit,
+    Term,
     equations,
     relative_torque_std,
+    rms_by_joint,
     sizes,
 )
 from proprio_ros.identification.weak_form import PARAMETERS, body_parameters
-from proprio_ros.motion_calibration import FRICTION_TERMS, MotionCalibration
+from proprio_ros.motion_calibration import FRICTION_TERMS, UNITS, MotionCalibration
 from proprio_ros.motions import Motion
 from proprio_ros.robot import ReducedModel, Robot
 
@@ -110,6 +118,13 @@ class _Problem:
     run: NDArray[np.int64]
     count: int
 
+    def only(self, kept: NDArray[np.bool_]) -> _Problem:
+        """Some of its equations."""
+        return _Problem(
+            self.matrix[kept], self.right[kept], self.joint[kept], self.block[kept], self.direction[kept], self.run[kept],
+            self.count,
+        )  # fmt: skip
+
     @classmethod
     def of(cls, parts: Sequence[Equations], loaded: int, count: int) -> _Problem:
         """The first ``loaded`` runs hold the payload."""
@@ -140,7 +155,8 @@ class _Solution:
         information: What the data alone say, shape (U, U).
         deviations: Rows of the jackknife, see `MotionCalibration`, shape (stretches, U).
         residual: Of each equation [N m], shape (E,).
-        rms, correlation: By joint, shape (n,).
+        rms, correlation: By joint, shape (n,); 0 and 1 where it did not move.
+        payload_prior: Standard deviations of the payload's parameters under their prior, shape (10,).
     """
 
     values: FloatArray
@@ -150,7 +166,23 @@ class _Solution:
     residual: FloatArray
     rms: FloatArray
     correlation: FloatArray
-    blocks: NDArray[np.int64]
+    payload_prior: FloatArray
+
+    def mass_and_std(self) -> tuple[float, float]:
+        """As the recording itself leaves it [kg]."""
+        return float(self.values[0]), float(np.sqrt(self.noise()[0, 0]))
+
+    def by_prior(self) -> FloatArray:
+        """How the payload's parameters follow the prior's mean, shape (10, U)."""
+        gain = self.covariance[:PARAMETERS] @ self.information
+        result: FloatArray = np.eye(len(self.values))[:PARAMETERS] - gain
+        return result
+
+    def noise(self) -> FloatArray:
+        """What the recording itself leaves open of the payload: the larger of what jackknife and fit say, shape (10, 10)."""
+        jackknife = self.deviations[:, :PARAMETERS].T @ self.deviations[:, :PARAMETERS]
+        formal = self.covariance[:PARAMETERS] @ self.information @ self.covariance[:, :PARAMETERS]
+        return jackknife if jackknife[0, 0] > formal[0, 0] else formal
 
 
 def _solve(
@@ -161,24 +193,23 @@ def _solve(
     known: MotionCalibration | None,
 ) -> _Solution:
     """Solve it, with weights, load friction and the payload's size from the solution before."""
-    matrix, right, joint, count = problem.matrix, problem.right, problem.joint, problem.count
+    matrix, right, joint, count = problem.matrix.copy(), problem.right, problem.joint, problem.count
     bodies = slice(0, PARAMETERS * (1 + count))
     geared = slice(PARAMETERS + 11 * count, PARAMETERS + 12 * count)
     covariance = prior.covariance.copy()
+    moves = np.bincount(joint, minlength=count) > 0
     rms, correlation = np.ones(count), np.ones(count)
-    if known is not None:
-        rms, correlation = known.residual.copy(), known.correlation.copy()
     for _ in range(ITERATIONS):
         weight = 1.0 / (rms * np.sqrt(correlation))[joint]
         scaled, target = matrix * weight[:, None], right * weight
         information, side = scaled.T @ scaled, scaled.T @ target
         values, posterior = _posterior(information, side, prior.values, covariance)
         residual = right - matrix @ values
-        for number in range(count):
+        rms, correlation = np.zeros(count), np.ones(count)
+        for number in np.flatnonzero(moves):
             mine = joint == number
-            if mine.any():
-                rms[number] = max(float(np.std(residual[mine])), 1e-9)
-                correlation[number] = _correlation(residual[mine], problem.block[mine])
+            rms[number] = max(float(np.std(residual[mine])), 1e-9)
+            correlation[number] = _correlation(residual[mine], problem.block[mine])
         if known is not None:
             # what a longer recording knows of its residuals holds for a short one, too
             rms, correlation = np.maximum(rms, 0.5 * known.residual), np.maximum(correlation, known.correlation)
@@ -203,7 +234,8 @@ def _solve(
         deviations[row] = left - values
     deviations *= np.sqrt((len(labels) - 1) / len(labels))
     return _Solution(
-        values, posterior, information, deviations, right - matrix @ values, rms, correlation, labels
+        values, posterior, information, deviations, right - matrix @ values, rms, correlation,
+        np.sqrt(np.diag(covariance))[:PARAMETERS],
     )  # fmt: skip
 
 
@@ -308,6 +340,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     return MotionCalibration(
         joints=model.joint_names,
+        torque_constants=np.array([robot.drive_trains[name].torque_constant.value for name in model.joint_names]),
         values=mean @ solution.values,
         covariance=mean @ solution.covariance @ mean.T,
         deviations=solution.deviations @ mean.T,
@@ -334,30 +367,6 @@ def _with_payload(robot: Robot, model: ReducedModel, prior: Prior) -> Prior:
     return Prior(np.concatenate([np.zeros(PARAMETERS), prior.values]), covariance)
 
 
-@dataclass(frozen=True)
-class CalibratedFit:
-    """The payload that a calibrated arm carries.
-
-    Attributes:
-        values: Of the payload's ten parameters, in its frame, shape (10,).
-        covariance: All that is open, the torque scale included, shape (10, 10).
-        parts: What puts how much standard deviation on the mass [kg], by name.
-        quantile: Half width of a 95 % interval in standard deviations.
-        blocks: Number of stretches.
-        residual, driven: rms of the mean torque that is left over, and of that torque itself [N m], shape (n,).
-        pulls: How far friction of the runs and the arm lie from the calibration, in its standard deviations, by name.
-    """
-
-    values: FloatArray
-    covariance: FloatArray
-    parts: dict[str, float]
-    quantile: float
-    blocks: int
-    residual: FloatArray
-    driven: FloatArray
-    pulls: dict[tuple[str, str], float]
-
-
 def fit_calibrated(
     robot: Robot,
     loaded: Sequence[Motion],
@@ -365,7 +374,7 @@ def fit_calibrated(
     *,
     empty: Sequence[Motion] = (),
     centre: tuple[FloatArray, FloatArray] | None = None,
-) -> CalibratedFit:
+) -> MotionFit:
     """Weigh what all ``loaded`` motions hold with what a calibration knows.
 
     Args:
@@ -379,6 +388,12 @@ def fit_calibrated(
         RecordingError: A motion is of no use, or all together are too short.
     """
     motions = [*loaded, *empty]
+    for motion in motions:
+        if set(motion.joints) != set(calibration.joints):
+            raise RecordingError(
+                f"{motion.name}: moves {', '.join(motion.joints)}, but the calibration is of {', '.join(calibration.joints)}: "
+                "calibrate with motions of all of them"
+            )
     joints, held = calibration.joints, dict(motions[0].held)
     model = robot.model.lock(list(joints), held, robot.gravity)
     count = len(model.joint_names)
@@ -393,54 +408,65 @@ def fit_calibrated(
             "at least, better 15, with all joints moving"
         )
     arm = 12 * count
-    own = range(arm, 15 * count)
-    rows = [*range(arm), *(row for _ in motions for row in own)]
+    rows = [*range(arm), *(row for _ in motions for row in range(arm, 15 * count))]
     known = Prior(calibration.values[rows], calibration.covariance[np.ix_(rows, rows)].copy())
+    honest = np.square(calibration.std)[rows]
     for number in range(len(motions)):
         at = arm + 3 * count * number + np.arange(3 * count)
         known.covariance[at, at] += calibration.friction_spread**2
+        honest[at] += calibration.friction_spread**2
     prior = _with_payload(robot, model, known)
-    solution = _solve(
-        problem, prior, 0.3 * reach_m(robot, model), None if centre is None else np.asarray(centre[1]), calibration
-    )
-    payload = slice(0, PARAMETERS)
+    length_m = 0.3 * reach_m(robot, model)
+    centre_std = None if centre is None else np.asarray(centre[1])
+    solution = _solve(problem, prior, length_m, centre_std, calibration)
+    payload = solution.values[:PARAMETERS]
+    stretch = solution.noise()
     # how the payload follows the calibration's values
-    gain = solution.covariance[payload] @ solution.information
-    from_prior = np.eye(len(solution.values))[payload] - gain
-    spread = np.zeros((len(rows), 15 * count))
-    spread[range(len(rows)), rows] = 1.0
-    by_calibration = from_prior[:, PARAMETERS:] @ spread
-    noise = gain @ solution.covariance[:, payload]
-    jackknife = solution.deviations[:, payload].T @ solution.deviations[:, payload]
-    left_open = from_prior @ solution.covariance[:, payload]
-    moved = calibration.deviations @ by_calibration.T
-    by_stretches = moved.T @ moved
-    scale = calibration.torque_scale_std
-    mass = float(solution.values[0])
-    stretch = jackknife if jackknife[0, 0] > noise[0, 0] else noise
-    opened = left_open
-    covariance = stretch + opened + by_stretches
-    covariance = covariance + scale**2 * np.outer(solution.values[payload], solution.values[payload])
-    variances = np.array([stretch[0, 0], opened[0, 0], by_stretches[0, 0], (scale * mass) ** 2])
+    by_prior = solution.by_prior()
+    follows = np.zeros((PARAMETERS, 15 * count))
+    np.add.at(follows.T, rows, by_prior[:, PARAMETERS:].T)
+    moved = calibration.deviations @ follows.T
+    opened, by_stretches = by_prior @ solution.covariance[:, :PARAMETERS], moved.T @ moved
+    by_scale = calibration.torque_scale_std * payload
+    variances = np.array([part[0, 0] for part in (stretch, opened, by_stretches)] + [by_scale[0] ** 2])
+    # what few stretches say of their own scatter is uncertain: Satterthwaite 1946, Biometrics Bulletin 2
     freedom = np.array([blocks - 1, np.inf, calibration.stretches - 1, np.inf])
     effective = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
-    driven = [
-        np.sqrt(np.mean(problem.right[problem.joint == n] ** 2)) if (problem.joint == n).any() else np.nan
-        for n in range(count)
+    carrying = problem.run < len(loaded)
+    halves = None
+    if blocks >= 2 * MIN_BLOCKS:
+        late = np.zeros(len(problem.right), dtype=bool)
+        for number in range(len(loaded)):
+            late |= (problem.run == number) & (problem.block > np.median(problem.block[problem.run == number]))
+        early_half, late_half = (
+            _solve(problem.only(kept), prior, length_m, centre_std, calibration) for kept in (~late, late | ~carrying)
+        )
+        halves = (early_half.mass_and_std(), late_half.mass_and_std())
+    names = (STRETCHES, UNDETERMINED, "what differed from stretch to stretch of the calibration", CONSTANTS)
+    scale, keys = calibration.torque_scale, calibration.keys
+    terms = [
+        *(
+            Term(f"payload_{name}", "", unit, 0.0, 1.0)
+            for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
+        ),
+        *(
+            Term(kind, joint, UNITS[kind], float(value), float(np.sqrt(variance)))
+            for (kind, joint), value, variance in zip([keys[row] for row in rows], known.values, honest, strict=True)
+        ),
     ]
-    names = (
-        "what differs from stretch to stretch",
-        "what the motion does not determine",
-        "the calibration",
-        "torque constants",
-    )
-    return CalibratedFit(
-        values=calibration.torque_scale * solution.values[payload],
-        covariance=calibration.torque_scale**2 * covariance,
-        parts={name: float(np.sqrt(v)) for name, v in zip(names, variances, strict=True)},
-        quantile=float(student.ppf(0.975, effective)),
+    return MotionFit(
+        joints=model.joint_names,
+        terms=tuple(terms),
+        values=np.concatenate([scale * payload, solution.values[PARAMETERS:]]),
+        covariance=scale**2 * (stretch + opened + by_stretches + np.outer(by_scale, by_scale)),
+        parts={name: scale * float(np.sqrt(variance)) for name, variance in zip(names, variances, strict=True)},
         blocks=blocks,
-        residual=solution.rms,
-        driven=np.array(driven),
-        pulls={},
+        residual=rms_by_joint(solution.residual[carrying], problem.joint[carrying], count),
+        empty_residual=calibration.residual,
+        driven=rms_by_joint(problem.right[carrying], problem.joint[carrying], count),
+        quantile=float(student.ppf(0.975, effective)),
+        halves=halves,
+        arm_kg=arm_kg(model),
+        arm_over_urdf=calibration.arm_over_urdf,
+        payload_prior=solution.payload_prior,
     )

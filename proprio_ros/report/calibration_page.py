@@ -72,6 +72,7 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
                 "large",
             )
         )
+    parts += _motions(estimate)
     parts += _unused(estimate)
     parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:
@@ -91,6 +92,35 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
     return document(f"proprio: calibration {estimate.verdict.value.replace('_', ' ')}", parts)
 
 
+def _motions(estimate: CalibrationEstimate) -> list[str]:
+    motion = estimate.motion
+    if motion is None:
+        return []
+    runs = [[run["name"], f"{run['duration_s']:.0f} s", shown("kg", run["load_kg"], spec=".0f")] for run in motion.runs]
+    joints = [
+        [joint, shown("N m", rms, spec=".0f"), f"{windows:.1f}"]
+        for joint, rms, windows in zip(motion.joints, motion.residual, motion.correlation, strict=True)
+    ]
+    parts = [
+        "<h2>The motions</h2>",
+        table(["", "duration", "in the hand"], runs, numbers=(1, 2)),
+        f"<p>By its torques the arm weighs {motion.arm_over_urdf:.2f} times what its URDF says. The torque constants count as "
+        f"known to {100.0 * motion.torque_scale_std:.1f} %, times {motion.torque_scale:.3f}.</p>",
+        "<h3>Torque that is left over</h3>",
+        table(["joint", "rms over windows of 0.5 s", "windows that share an error"], joints, numbers=(1, 2)),
+    ]
+    if estimate.weighed_empty:
+        rows = [
+            [each.name, shown("kg", each.mass_kg, spec=".1f"), "± " + shown("kg", each.half_width, spec=".1f")]
+            for each in estimate.weighed_empty
+        ]
+        parts += [
+            "<h3>Each motion, weighed by the calibration of the others</h3>",
+            table(["", "weighs", "95 %"], rows, numbers=(1, 2)),
+        ]
+    return parts
+
+
 def _unused(estimate: CalibrationEstimate) -> list[str]:
     if not estimate.unused:
         return []
@@ -101,7 +131,7 @@ def _unused(estimate: CalibrationEstimate) -> list[str]:
 
 
 def _headline(estimate: CalibrationEstimate) -> list[str]:
-    used = f"{len(estimate.run_fits)} of {estimate.runs} runs used"
+    used = f"{estimate.used} of {estimate.runs} runs used"
     verdict = _WORDS.get(estimate.verdict, estimate.verdict.value.replace("_", " "))
     parts = [
         f"<h1>calibration of {escape(estimate.robot)}, {used}</h1>",

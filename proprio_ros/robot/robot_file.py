@@ -16,6 +16,7 @@ from proprio_ros.calibration import NOISE, RANGES, TERMS, Calibration, check_com
 from proprio_ros.errors import RobotError, one_line
 from proprio_ros.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
 from proprio_ros.kinds import Key
+from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.quantity import Quantity
 from proprio_ros.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.resources import resource, resource_names
@@ -45,6 +46,7 @@ class Robot:
             relative mass, each coordinate of its centre of mass [m], relative inertia about it.
         residual_scale: Residuals of a calibration over what encoder and stamps explain.
         calibration: What is known about this very arm, with all correlations; None when the file's numbers stand alone.
+        motion_calibration: What motions with an empty hand say about this very arm; it is for motions alone.
         friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
         payload_frame: Link in which objects are held.
         gravity: In the base frame [m/s^2], shape (3,).
@@ -72,6 +74,7 @@ class Robot:
     link_inertia_std: float = 0.0
     residual_scale: float = 1.0
     calibration: Calibration | None = None
+    motion_calibration: MotionCalibration | None = None
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -261,8 +264,14 @@ _ROBOT = {
     "calibrated": _Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": _Field(Text("of the URDF that a calibration was made with"), None),
     "calibration": _Field(_Nested("what `proprio calibrate` learnt", nested=Calibration.from_settings), None),
+    "motion_calibration": _Field(
+        _Nested(
+            "what `proprio calibrate` learnt from motions of several joints", nested=MotionCalibration.from_settings
+        ),
+        None,
+    ),
 }
-_FILE_ONLY = ("model_fingerprint", "calibration")  # no --set
+_FILE_ONLY = ("model_fingerprint", "calibration", "motion_calibration")  # no --set
 
 
 def _unknown_of(path: tuple[str, ...]) -> Key:
@@ -369,8 +378,9 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
         base = _read_settings(
             _located(_PATH.read(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
         )
-        if "calibration" in settings:
-            base.pop("calibration", None)  # a newer calibration replaces an older one as a whole
+        for section in ("calibration", "motion_calibration"):
+            if section in settings:
+                base.pop(section, None)  # a newer calibration replaces an older one as a whole
         settings = _merged(base, settings)
     return settings
 
@@ -429,7 +439,8 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
             raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
         model = RobotModel.from_urdf(settings["urdf"])
     expected = given["model_fingerprint"]
-    if expected is None and given["calibration"] is not None:
+    motion = given["motion_calibration"]
+    if expected is None and (given["calibration"] is not None or motion is not None):
         raise RobotError(
             f"{file}: model_fingerprint is missing: which URDF the calibration was made with cannot be checked; write it again "
             "with `proprio calibrate`"
@@ -456,6 +467,14 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
     if not drive_trains:
         raise RobotError(f"{file}: joints is missing or empty; state the drive train of at least one joint")
     calibration = given["calibration"]
+    if motion is not None:
+        motion = replace(motion, fingerprint=expected)
+        foreign = [joint for joint in motion.joints if joint not in drive_trains]
+        if foreign:
+            raise RobotError(
+                f"{file}: motion_calibration: is of {', '.join(foreign)}, but {given['name']} drives {', '.join(drive_trains)}: "
+                "calibrate this robot"
+            )
     robot = Robot(
         name=given["name"],
         model=model,
@@ -475,6 +494,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         gravity=frozen(given["gravity"]),
         source=source,
         settings=settings,
+        motion_calibration=motion,
     )
     if calibration is None:
         return robot

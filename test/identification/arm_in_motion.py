@@ -1,4 +1,4 @@
-"""An arm of six joints in MuJoCo under a computed-torque controller: the data of `test_motion_fit` and of `benchmarks/motions.py`.
+"""Arms of six and of four joints in MuJoCo under a computed-torque controller: the data of tests and of `benchmarks/motions.py`.
 
 The arm that moves differs from the one in the robot file: links, friction, rotors, torque constants and delays are drawn at random.
 """
@@ -13,30 +13,106 @@ import numpy as np
 
 from proprio_ros.motions import Motion
 
-JOINTS = tuple(f"j{n}" for n in range(1, 7))
-AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
-ORIGINS = ("0 0 0.1", "0 0.05 0.1", "0 0 0.35", "0.1 -0.05 0", "0.2 0 0", "0.08 0 0")
-MASSES_KG = (3.0, 4.0, 2.5, 1.0, 0.8, 0.3)
-COMS_M = ((0, 0, 0.05), (0, 0, 0.17), (0.05, 0, 0.02), (0.1, 0, 0), (0.04, 0, 0), (0.02, 0, 0))
-SIZES_M = (0.1, 0.2, 0.12, 0.1, 0.08, 0.05)
-TORQUE_CONSTANT_N_M_PER_A = (10.0, 10.0, 10.0, 5.0, 5.0, 5.0)
+
+@dataclass(frozen=True)
+class Build:
+    """How an arm is built, and how it moves.
+
+    Attributes:
+        axes, origins: Of the joints, as a URDF has them.
+        masses_kg, coms_m, sizes_m: Of the links.
+        grip: Origin of the hand in the last link.
+        constants: N m/A.
+        middle: Positions that the motion goes about [rad].
+        speed, size: Lowest and highest of each of the four sines of a joint [rad/s, rad].
+        armature, viscous, coulomb: Lowest and highest in SI units; friction of each joint times `wrist`.
+        current_noise_A, shift_m: Of the sensor; of the links' centres from those of the URDF.
+        stated: Lines of the robot file about the links.
+        payload_kg: Lightest and heaviest; `held_m`: how far its centre lies from the hand.
+    """
+
+    axes: tuple[str, ...]
+    origins: tuple[str, ...]
+    masses_kg: tuple[float, ...]
+    coms_m: tuple[tuple[float, float, float], ...]
+    sizes_m: tuple[float, ...]
+    grip: str
+    constants: tuple[float, ...]
+    middle: tuple[float, ...]
+    wrist: tuple[float, ...]
+    speed: tuple[float, float] = (0.3, 2.2)
+    size: tuple[float, float] = (0.1, 0.35)
+    armature: tuple[float, float] = (0.05, 0.3)
+    viscous: tuple[float, float] = (0.1, 1.0)
+    coulomb: tuple[float, float] = (0.2, 1.5)
+    current_noise_A: float = 0.02
+    link_share: float = 0.08
+    shift_m: float = 0.005
+    stated: str = ""
+    payload_kg: tuple[float, float] = (0.1, 2.0)
+    held_m: float = 0.05
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return tuple(f"j{n + 1}" for n in range(len(self.axes)))
+
+
+SIX = Build(
+    axes=("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"),
+    origins=("0 0 0.1", "0 0.05 0.1", "0 0 0.35", "0.1 -0.05 0", "0.2 0 0", "0.08 0 0"),
+    masses_kg=(3.0, 4.0, 2.5, 1.0, 0.8, 0.3),
+    coms_m=((0, 0, 0.05), (0, 0, 0.17), (0.05, 0, 0.02), (0.1, 0, 0), (0.04, 0, 0), (0.02, 0, 0)),
+    sizes_m=(0.1, 0.2, 0.12, 0.1, 0.08, 0.05),
+    grip="0.05 0 0",
+    constants=(10.0, 10.0, 10.0, 5.0, 5.0, 5.0),
+    middle=(0.0, 0.3, 0.8, 0.0, 0.5, 0.0),
+    wrist=(1, 1, 1, 0.3, 0.3, 0.3),
+)
+"""An industrial arm of 12 kg."""
+FOUR = Build(
+    axes=("0 0 1", "0 1 0", "0 1 0", "0 1 0"),
+    origins=("0.012 0 0.017", "0 0 0.06", "0.024 0 0.128", "0.124 0 0"),
+    masses_kg=(0.1, 0.14, 0.13, 0.2),
+    coms_m=((0, 0, 0.047), (0.01, 0, 0.1), (0.09, 0, 0), (0.055, 0, 0.005)),
+    sizes_m=(0.05, 0.1, 0.09, 0.06),
+    grip="0.126 0 0",
+    constants=(1.78, 1.78, 1.78, 1.78),
+    middle=(0.0, -0.3, 0.0, 0.0),
+    wrist=(1, 1, 1, 1),
+    speed=(0.2, 1.0),
+    size=(0.1, 0.35),
+    armature=(0.008, 0.02),
+    viscous=(0.0, 0.02),
+    coulomb=(0.04, 0.12),
+    current_noise_A=0.008,
+    link_share=0.02,
+    shift_m=0.001,
+    stated="arm_scale: {value: 1.0, std: 0.02}\nlink_mass_std: 0.01\nlink_com_std_m: 0.001\nlink_inertia_std: 0.05",
+    payload_kg=(0.02, 0.2),
+    held_m=0.015,
+)
+"""A small arm with servos that moves slowly, like an OpenManipulator-X: three parallel axes and much friction."""
 RATE_HZ = 100.0
 STEP_S = 0.001
 
 
 def urdf(
-    masses: np.ndarray, coms: np.ndarray, inertias: np.ndarray, payload: tuple[float, np.ndarray] | None = None
+    masses: np.ndarray,
+    coms: np.ndarray,
+    inertias: np.ndarray,
+    payload: tuple[float, np.ndarray] | None = None,
+    build: Build = SIX,
 ) -> str:
     """The arm's URDF; a payload (mass [kg], centre in the hand [m]) is a ball in the hand."""
     lines = ['<robot name="twin"><link name="base"/>']
     parent = "base"
-    for n, joint in enumerate(JOINTS):
+    for n, joint in enumerate(build.joints):
         c, i = coms[n], inertias[n]
         lines.append(
             f'<link name="l{n + 1}"><inertial><origin xyz="{c[0]} {c[1]} {c[2]}"/><mass value="{masses[n]}"/>'
             f'<inertia ixx="{i[0]}" iyy="{i[1]}" izz="{i[2]}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
             f'<joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="l{n + 1}"/>'
-            f'<origin xyz="{ORIGINS[n]}"/><axis xyz="{AXES[n]}"/>'
+            f'<origin xyz="{build.origins[n]}"/><axis xyz="{build.axes[n]}"/>'
             '<limit lower="-3.1" upper="3.1" effort="500" velocity="10"/></joint>'
         )
         parent = f"l{n + 1}"
@@ -49,17 +125,17 @@ def urdf(
             f'<inertia ixx="{own}" iyy="{own}" izz="{own}" ixy="0" ixz="0" iyz="0"/></inertial>'
         )
     lines.append(
-        f'<link name="hand">{inertial}</link><joint name="grip" type="fixed"><parent link="l6"/><child link="hand"/>'
-        '<origin xyz="0.05 0 0"/></joint></robot>'
+        f'<link name="hand">{inertial}</link><joint name="grip" type="fixed"><parent link="{parent}"/><child link="hand"/>'
+        f'<origin xyz="{build.grip}"/></joint></robot>'
     )
     return "".join(lines)
 
 
-def nominal() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def nominal(build: Build = SIX) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Masses [kg], centres [m] and inertias [kg m^2] of the robot file's arm."""
-    masses = np.array(MASSES_KG)
-    inertias = (masses * np.array(SIZES_M) ** 2 / 6.0)[:, None] * np.array([1.0, 1.1, 0.9])
-    return masses, np.array(COMS_M, dtype=float), inertias
+    masses = np.array(build.masses_kg)
+    inertias = (masses * np.array(build.sizes_m) ** 2 / 6.0)[:, None] * np.array([1.0, 1.1, 0.9])
+    return masses, np.array(build.coms_m, dtype=float), inertias
 
 
 def inertia_matrix(model: Any, data: Any, out: np.ndarray) -> None:
@@ -72,11 +148,11 @@ def inertia_matrix(model: Any, data: Any, out: np.ndarray) -> None:
         mujoco.mj_fullM(model, data, out)
 
 
-def write_robot(folder: Path, torque_std: float = 0.01) -> Path:
+def write_robot(folder: Path, torque_std: float = 0.01, build: Build = SIX) -> Path:
     """URDF and robot file of the arm as its maker states it; returns the robot file."""
-    (folder / "twin.urdf").write_text(urdf(*nominal()))
-    lines = ["name: twin", "urdf: twin.urdf", "payload_frame: hand", "joints:"]
-    for joint, constant in zip(JOINTS, TORQUE_CONSTANT_N_M_PER_A, strict=True):
+    (folder / "twin.urdf").write_text(urdf(*nominal(build), build=build))
+    lines = ["name: twin", "urdf: twin.urdf", "payload_frame: hand", build.stated, "joints:"]
+    for joint, constant in zip(build.joints, build.constants, strict=True):
         lines += [
             f"  {joint}:",
             f"    motor: {{nominal_torque_constant_N_m_per_A: {constant}, encoder_resolution_rad: 1.0e-4, encoder_noise_rad: "
@@ -96,27 +172,34 @@ class Twin:
     """One arm as it really is, drawn at random."""
 
     seed: int
+    build: Build = SIX
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
-        masses, coms, inertias = nominal()
-        self.masses = masses * (1.0 + 0.08 * rng.standard_normal(6))
-        self.coms = coms + 0.005 * rng.standard_normal((6, 3))
-        self.inertias = inertias * (1.0 + 0.1 * rng.standard_normal((6, 1)))
-        self.torque = 1.0 + 0.01 * rng.standard_normal(6)
-        self.armature = rng.uniform(0.05, 0.3, 6)
-        self.viscous = rng.uniform(0.1, 1.0, 6)
-        self.coulomb = rng.uniform(0.2, 1.5, 6) * np.array([1, 1, 1, 0.3, 0.3, 0.3])
-        self.gears = rng.uniform(0.0, 0.06, 6)
-        self.place = rng.uniform(0.1, 0.3, 6)  # part of Coulomb friction that goes with the angle
+        build, count = self.build, len(self.build.axes)
+        masses, coms, inertias = nominal(build)
+        self.masses = masses * (1.0 + build.link_share * rng.standard_normal(count))
+        self.coms = coms + build.shift_m * rng.standard_normal((count, 3))
+        self.inertias = inertias * (1.0 + 0.1 * rng.standard_normal((count, 1)))
+        self.torque = 1.0 + 0.01 * rng.standard_normal(count)
+        self.armature = rng.uniform(*build.armature, count)
+        self.viscous = rng.uniform(*build.viscous, count)
+        self.coulomb = rng.uniform(*build.coulomb, count) * np.array(build.wrist)
+        self.gears = rng.uniform(0.0, 0.06, count)
+        self.place = rng.uniform(0.1, 0.3, count)  # part of Coulomb friction that goes with the angle
         self.delay = int(rng.integers(0, 10))
         self.rng = rng
+
+    def payload(self, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+        """Mass [kg] and centre in the hand [m] of something that such an arm may hold; each fourth arm holds nothing."""
+        mass = 0.0 if self.seed % 4 == 0 else float(np.exp(rng.uniform(*np.log(self.build.payload_kg))))
+        return mass, np.array([self.build.held_m, 0.0, 0.0]) + self.build.held_m * rng.standard_normal(3)
 
     def record(self, name: str, seconds: float, payload: tuple[float, np.ndarray] | None = None) -> Motion:
         """A motion along random sines, with the payload in the hand."""
         import mujoco
 
-        spec = mujoco.MjSpec.from_string(urdf(self.masses, self.coms, self.inertias, payload))
+        spec = mujoco.MjSpec.from_string(urdf(self.masses, self.coms, self.inertias, payload, self.build))
         spec.compiler.fusestatic = True
         spec.compiler.balanceinertia = True
         model = spec.compile()
@@ -124,11 +207,11 @@ class Twin:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
         model.dof_armature[:] = self.armature
         data = mujoco.MjData(model)
-        rng = self.rng
-        phase, speed = rng.uniform(0, 2 * np.pi, (6, 4)), rng.uniform(0.3, 2.2, (6, 4))
-        size = rng.uniform(0.1, 0.35, (6, 4))
-        middle = np.array([0.0, 0.3, 0.8, 0.0, 0.5, 0.0])
-        warm = 1.0 + 0.05 * rng.standard_normal(6)  # friction is not the same twice
+        rng, build, count = self.rng, self.build, len(self.build.axes)
+        phase, speed = rng.uniform(0, 2 * np.pi, (count, 4)), rng.uniform(*build.speed, (count, 4))
+        size = rng.uniform(*build.size, (count, 4))
+        middle = np.array(build.middle)
+        warm = 1.0 + 0.05 * rng.standard_normal(count)  # friction is not the same twice
 
         def wanted(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             angle = speed * t + phase
@@ -139,16 +222,16 @@ class Twin:
             )
 
         data.qpos[:], data.qvel[:], _ = wanted(0.0)
-        constants = np.array(TORQUE_CONSTANT_N_M_PER_A)
-        queue = [np.zeros(6)] * (self.delay + 1)
+        constants = np.array(build.constants)
+        queue = [np.zeros(count)] * (self.delay + 1)
         times, positions, currents = [], [], []
         every = round(1.0 / RATE_HZ / STEP_S)
-        full = np.zeros((6, 6))
+        full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
         for step in range(round((seconds + 1.0) / STEP_S)):
             q, qd, qdd = wanted(step * STEP_S)
             inertia_matrix(model, data, full)
-            measured = data.qpos + 1e-4 * rng.standard_normal(6)
+            measured = data.qpos + 1e-4 * rng.standard_normal(count)
             command = (
                 full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - data.qvel)) + data.qfrc_bias + self.viscous * qd
             )
@@ -161,10 +244,10 @@ class Twin:
             data.qfrc_applied[:] = transmitted - lost
             if step * STEP_S >= 1.0 and step % every == 0:
                 times.append(step * STEP_S + 2e-4 * rng.standard_normal())
-                positions.append(data.qpos + 1e-4 * rng.standard_normal(6))
-                currents.append(torque / (constants * self.torque) + 0.02 * rng.standard_normal(6))
+                positions.append(data.qpos + 1e-4 * rng.standard_normal(count))
+                currents.append(torque / (constants * self.torque) + build.current_noise_A * rng.standard_normal(count))
             mujoco.mj_step(model, data)
         times_s = np.array(times)
         return Motion(
-            name, JOINTS, times_s - times_s[0], np.array(positions), np.array(currents), {}, "measured current"
+            name, build.joints, times_s - times_s[0], np.array(positions), np.array(currents), {}, "measured current"
         )

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from arm_in_motion import JOINTS, Twin, nominal, urdf, write_robot
+from arm_in_motion import SIX, Twin, nominal, urdf, write_robot
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict
@@ -37,7 +37,7 @@ def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
     import mujoco
 
     masses, coms, inertias = nominal()
-    model = RobotModel.from_urdf_string(urdf(masses, coms, inertias)).lock(list(JOINTS), {})
+    model = RobotModel.from_urdf_string(urdf(masses, coms, inertias)).lock(list(SIX.joints), {})
     period_s = 1e-3
     times_s = np.arange(0.0, 2.0, period_s)
     position, velocity, acceleration = sines(times_s)
@@ -56,7 +56,7 @@ def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
 
 
 def test_twists_are_the_derivatives_of_where_the_bodies_are() -> None:
-    model = RobotModel.from_urdf_string(urdf(*nominal())).lock(list(JOINTS), {})
+    model = RobotModel.from_urdf_string(urdf(*nominal())).lock(list(SIX.joints), {})
     for time_s in (0.3, 0.9, 1.7):
         step_s = 1e-5
         times_s = time_s + step_s * np.array([-1.0, 0.0, 1.0])

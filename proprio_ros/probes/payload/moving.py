@@ -1,15 +1,21 @@
-"""What the hand holds, from a motion of several joints under whatever controller, against the same arm with an empty hand."""
+"""What the hand holds, from a motion of several joints under whatever controller, against the same arm with an empty hand.
+
+What the empty arm does comes from motions that were recorded with the others, or from a calibration by such motions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
 from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
+from proprio_ros.identification.motion_prior import fit_calibrated
+from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.motions import Motion
 from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
@@ -23,6 +29,8 @@ URDF_RATIO = 1.35
 """URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
 APART_SIGMAS = 4.0
 """Two halves of a recording that differ by more did not carry the same."""
+DRIFT_SIGMAS = 3.0
+"""How far from nothing an empty hand may weigh before the calibration is called out of date."""
 WIDEST_SHARE, WIDEST_OF_ARM = 0.5, 0.02
 """No mass is given whose half width is more than this share of it and of the arm's own mass."""
 
@@ -63,20 +71,41 @@ def weigh_in_motion(
         RecordingError: A motion is of no use.
     """
     notes = tuple(note for motion in (*motions, *baseline) for note in motion.notes)
-    if not baseline:
-        refusal = not_identifiable(
+    centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
+    calibration = robot.motion_calibration
+    if not baseline and calibration is None:
+        unknown = not_identifiable(
             "no_empty_motion",
             "nothing says what the arm itself weighs",
             "several joints moved at once, and a URDF alone puts an arm off by some percent of its own weight: record about the "
-            "same motion with an empty hand and add it with --baseline",
+            "same motion with an empty hand and add it with --baseline, or calibrate with it: proprio calibrate BAG --output FILE",
         )
-        return _estimate(robot, motions, None, refusal, notes)
-    centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
-    fit = fit_motions(robot, motions, baseline, centre=centre)
-    return _estimate(robot, motions, fit, next(_refusals(motions, fit), None), notes, centre_is_stated)
+        return _estimate(robot, motions, None, unknown, notes)
+    if calibration is None:
+        fit = fit_motions(robot, motions, baseline, centre=centre)
+        refusal = next(_refusals(motions, fit), None)
+    else:
+        fit = fit_calibrated(robot, motions, calibration, empty=baseline, centre=centre)
+        refusal = next(chain(_drift(robot, baseline, calibration), _refusals(motions, fit, "its calibration")), None)
+    return _estimate(robot, motions, fit, refusal, notes, centre_is_stated)
 
 
-def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
+def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+    """What an empty hand that does not weigh nothing says about the calibration."""
+    if not baseline:
+        return
+    fit = fit_calibrated(robot, baseline, calibration)
+    mass, std = float(fit.values[0]), float(fit.std[0])
+    if abs(mass) > DRIFT_SIGMAS * std:
+        yield rejected(
+            "drift",
+            "the robot has changed since its calibration",
+            f"drift: the empty hand now weighs {shown('kg', mass, spec='+.0f')}, where {shown('kg', std, spec='.0f')} is the "
+            "standard deviation: the robot has changed since its calibration; calibrate again",
+        )
+
+
+def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str = "its robot file") -> Iterator[Refusal]:
     mass, half = float(fit.values[0]), fit.quantile * float(fit.std[0])
     name = motions[0].name
     if fit.halves is not None:
@@ -120,8 +149,8 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit) -> Iterator[Refusal]:
         term = fit.terms[worst]
         yield rejected(
             "far_from_prior",
-            "the arm does not fit its robot file",
-            f"{term.label} ended {pulls[worst]:.0f} standard deviations from what the robot file says "
+            f"the arm does not fit {known}",
+            f"{term.label} ended {pulls[worst]:.0f} standard deviations from what {known.replace('its', 'the')} says "
             f"({term.prior:.3g} +- {term.std:.2g} {term.unit}): check the URDF, the torque constants and the effort's unit",
         )
     if mass + half < 0.0:
@@ -176,11 +205,17 @@ def _estimate(
 
 
 def _assumptions(robot: Robot, motions: Sequence[Motion], fit: MotionFit | None) -> tuple[str, ...]:
+    calibration = robot.motion_calibration
+    known = "under the calibration's" if calibration is not None else "together with the baseline's"
     torque_std = max(relative_torque_std(robot, joint) for joint in motions[0].joints)
+    if calibration is not None:
+        torque_std = calibration.torque_scale_std
+    referenced = calibration is not None and any(run["load_kg"] > 0.0 for run in calibration.runs)
     return (
         f"several joints moved at once: the {motions[0].source} of {len(motions[0].joints)} joints and their positions were fitted "
-        "together with the baseline's, the arm's own inertia and friction included",
-        f"torque constants as in {robot.source.name}, to {100.0 * torque_std:.1f} %: a mass errs as they do",
+        f"{known}, the arm's own inertia and friction included",
+        f"torque constants as {'the reference showed them' if referenced else f'in {robot.source.name}'}, to "
+        f"{100.0 * torque_std:.1f} %: a mass errs as they do",
         *([] if fit is None else [f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says"]),
         "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset per joint",
     )
