@@ -141,7 +141,9 @@ class RunningWeight:
         held: dict[str, float] | None = None,
     ) -> None:
         self.joints = calibration.joints
-        self._model = robot.model.lock(list(self.joints), held or {}, robot.gravity)
+        others = [robot.model.joint(name) for name in robot.model.independent_joints if name not in self.joints]
+        places = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in others} | (held or {})
+        self._model = robot.model.lock(list(self.joints), places, robot.gravity)
         if tuple(self._model.joint_names) != tuple(self.joints):
             raise RobotError(
                 f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(self._model.joint_names)}"

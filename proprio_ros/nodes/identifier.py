@@ -604,7 +604,8 @@ class IdentifierNode(ManagedNode):
 
     def _prepare_weighing(self) -> None:
         """Keep what weigh needs, and begin to estimate where that is asked for, if the calibration is one of motions."""
-        self._kept = self._running = None
+        self._kept = None
+        self._running: Callable[..., RunningWeight] | None = None
         robot = robot_of(None if self._calibration else self.values["robot"], self._calibration)
         if robot.motion_calibration is None:
             if self.values["running"]:
@@ -614,7 +615,10 @@ class IdentifierNode(ManagedNode):
         if self.values["running"]:
             facts = self._setting(probe_named("payload"), None).facts.payload
             std = float(np.max(facts.com_std)) or CENTRE_STD_M
-            self._running = RunningWeight(robot, robot.motion_calibration, centre_m=facts.com, centre_std_m=std)
+            make = partial(RunningWeight, robot, robot.motion_calibration, centre_m=facts.com, centre_std_m=std)
+            make()  # so that a calibration of another arm is refused now
+            others = [name for name in robot.model.independent_joints if name not in robot.motion_calibration.joints]
+            self._running, self._others = make, others
             self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
             self._hand = self.values["frame_prefix"] + robot.payload_frame
             self._centre = [float(axis) for axis in facts.com]
@@ -673,11 +677,12 @@ class IdentifierNode(ManagedNode):
                     )
         return any(most[name] - low > MOVED_RAD for name, low in least.items() if name.encode() in self._joints)
 
-    def _weigh_on(self, running: RunningWeight) -> None:
+    def _weigh_on(self, make: Callable[..., RunningWeight]) -> None:
         """The running estimate: in a thread of its own while the node is active."""
         arrived = self._arrived
         latest: dict[str, tuple[float, float]] = {}
         published_s = -math.inf
+        running: RunningWeight | None = None
         with threadpool_limits(1, user_api="blas"):
             while arrived is not None and arrived is self._arrived:
                 if not arrived:
@@ -691,6 +696,9 @@ class IdentifierNode(ManagedNode):
                 for name, position, effort in zip(message.name, message.position, message.effort, strict=False):
                     if name in self._per_current:
                         latest[name] = position, _current_A(effort, unit, self._per_current[name])
+                if running is None:
+                    heard = dict(zip(message.name, message.position, strict=False))
+                    running = make(held={name: heard[name] for name in self._others if name in heard})
                 if running.joints[0] not in message.name or any(name not in latest for name in running.joints):
                     continue
                 time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)

@@ -103,7 +103,12 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
             assert calibration.exists(), calibrated.reasons
             graph.start(
                 "identifier",
-                {"data_directory": tmp_path / "data", "calibration": calibration, "running": True, "weigh_seconds": 12.0},
+                {
+                    "data_directory": tmp_path / "data",
+                    "calibration": calibration,
+                    "running": True,
+                    "weigh_seconds": 12.0,
+                },
             )
 
             def newest() -> dict[str, str]:
@@ -111,14 +116,18 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
                 return next((told for told in reversed(client.estimates) if told.get("running") == "true"), {})
 
             def weighs(mass_kg: float) -> bool:
-                return bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
+                return (
+                    bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
+                )
 
             assert wait_for(lambda: bool(newest()), UP_S), graph.log("identifier")
             assert wait_for(lambda: weighs(0.0), 10.0), newest()
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "0.05").successful
             picked_s = time.monotonic()
-            assert wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), 4.0), newest()
+            assert wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), 4.0), (
+                newest()
+            )
             assert wait_for(lambda: weighs(0.05), 5.0), newest()
             time.sleep(max(0.0, 14.0 - (time.monotonic() - picked_s)))
             answer = client.call("/identifier/weigh", 20.0)
@@ -127,7 +136,9 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
             assert math.isclose(live["estimates"][0]["value"], 0.05, abs_tol=0.005), live["estimates"]
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "none").successful
-            assert wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), 4.0), newest()
+            assert wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), 4.0), (
+                newest()
+            )
             assert wait_for(lambda: weighs(0.0), 5.0), newest()
         finally:
             work.stop()
