@@ -707,14 +707,16 @@ class IdentifierNode(ManagedNode):
                     estimate = running.estimate()
                     if estimate is not None and time.monotonic() - published_s >= 0.8 * RUNNING_PERIOD_S:
                         published_s = time.monotonic()
-                        self._publish_running(estimate)
+                        behind_s = 1e-9 * (self.get_clock().now().nanoseconds - now_ns)
+                        self._publish_running(estimate, behind_s)
 
-    def _publish_running(self, estimate: RunningEstimate) -> None:
+    def _publish_running(self, estimate: RunningEstimate, behind_s: float) -> None:
         mass, (low, high) = estimate.mass_kg, estimate.ci95_kg
         entries: dict[str, Any] = {
             "probe": "payload", "running": True, "final": False, "changed": estimate.changed,
             "seconds_since_change": estimate.time_s - estimate.since_s, "seconds_of_motion": estimate.motion_s,
             "seconds_at_rest": 0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s,
+            "seconds_behind": behind_s,
             "payload_mass": mass if estimate.known else "not determined", "payload_mass.unit": "kg",
             "payload_mass.std": estimate.std_kg, "payload_mass.ci95": [low, high], "calibration": str(self._calibration or "none"),
         }  # fmt: skip

@@ -33,6 +33,10 @@ from proprio_ros.virtual.truth import Truth
 pytestmark = pytest.mark.long
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
+HIGH = HIGHEST - np.array([0.0, 0.25, 0.3, 0.3])
+"""The driver keeps the hand above the table."""
+LATEST_S = 20.0
+"""How soon a change shows in seconds of motion is tested elsewhere; here others use the processor."""
 
 
 class Work:
@@ -52,7 +56,7 @@ class Work:
         rng = np.random.default_rng(7)
         here = np.array([self._client.position(joint) for joint in JOINTS])
         while not self._ended.is_set():
-            goal, takes_s, begun_s = rng.uniform(LOWEST, HIGHEST), rng.uniform(0.9, 1.4), time.monotonic()
+            goal, takes_s, begun_s = rng.uniform(LOWEST, HIGH), rng.uniform(0.9, 1.4), time.monotonic()
             while not self._ended.is_set() and time.monotonic() < begun_s + takes_s + 0.3:
                 share = min((time.monotonic() - begun_s) / takes_s, 1.0)
                 wanted = here + (goal - here) * (10 * share**3 - 15 * share**4 + 6 * share**5)
@@ -121,14 +125,14 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
                 )
 
             assert wait_for(lambda: bool(newest()), UP_S), graph.log("identifier")
-            assert wait_for(lambda: weighs(0.0), 10.0), newest()
+            assert wait_for(lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S), newest()
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "0.05").successful
             picked_s = time.monotonic()
-            assert wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), 4.0), (
-                newest()
-            )
-            assert wait_for(lambda: weighs(0.05), 5.0), newest()
+            assert wait_for(
+                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S
+            ), newest()
+            assert wait_for(lambda: weighs(0.05), LATEST_S), newest()
             time.sleep(max(0.0, 14.0 - (time.monotonic() - picked_s)))
             answer = client.call("/identifier/weigh", 20.0)
             assert answer.success, answer.message
@@ -136,10 +140,10 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
             assert math.isclose(live["estimates"][0]["value"], 0.05, abs_tol=0.005), live["estimates"]
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "none").successful
-            assert wait_for(lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), 4.0), (
-                newest()
-            )
-            assert wait_for(lambda: weighs(0.0), 5.0), newest()
+            assert wait_for(
+                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]), LATEST_S
+            ), newest()
+            assert wait_for(lambda: weighs(0.0), LATEST_S), newest()
         finally:
             work.stop()
         rests = len(client.estimates)
