@@ -52,7 +52,7 @@ ABOUT = {
     "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
     "/driver/torque": "torque on or off",
     "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
-    "payload also while the probe is under way",
+    "payload also while the probe is under way, and with `running` all the time, with `changed`",
     "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",
@@ -63,6 +63,7 @@ ABOUT = {
     "/identifier/status": "progress, and what the hand should hold now",
     "/identifier/calibrate_robot": "empty hand: learn the robot; once, and when something has changed",
     "/identifier/record_container_baseline": "make the container's sequence with the empty container, and keep the recording",
+    "/identifier/weigh": "what the hand held in the last `weigh_seconds` of whatever motion",
     "/identifier/cancel": "end the job; what was recorded is kept",
     "/virtual/status": "what the virtual hand holds",
     "/virtual/motors": "what is really going on: true positions [rad, m], and as effort the current in each motor [A]",

@@ -348,10 +348,22 @@ def runs_or_motion(recording: Recording, robot: Robot, held: Mapping[str, float]
     Raises:
         RecordingError: it holds neither.
     """
+    if _under_a_controller(recording, robot):
+        return motion_of(recording, joints=_turning(robot), held=held)
     try:
         return cut_runs(recording, held=held, joints=list(robot.drive_trains))
     except DrivenAtOnce:
         return motion_of(recording, joints=_turning(robot), held=held)
+
+
+def _under_a_controller(recording: Recording, robot: Robot) -> bool:
+    """Whether a recording can only be a motion: currents were measured and none was commanded, or only motions were calibrated."""
+    inputs = recording.inputs
+    if recording.joints.current is None or inputs is None:
+        return False
+    if inputs.measured:
+        return robot.motion_calibration is not None and robot.calibration is None
+    return not inputs.current_A.any()
 
 
 def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording:

@@ -13,12 +13,14 @@ import os
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
 from rcl_interfaces.msg import SetParametersResult
@@ -28,6 +30,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
+from threadpoolctl import threadpool_limits
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros import progress
@@ -37,6 +40,8 @@ from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError,
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.running import CENTRE_STD_M, RunningEstimate, RunningWeight
+from proprio_ros.motions import MOVED_RAD
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import (
@@ -50,7 +55,7 @@ from proprio_ros.nodes.runtime import (
     run_node,
 )
 from proprio_ros.probes import all_probes, probe_named
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import Carried, Probe
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.replay import ReplayOptions, replay, robot_of, write_report
 from proprio_ros.report import write_calibration_report
@@ -89,13 +94,16 @@ TAIL_S = 0.3
 BEHIND_S = 0.2
 LATEST_S = 30.0
 """On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""
+WEIGH = "weigh"
+"""The job that needs no excitation: whoever moves the arm, moves it."""
+RUNNING_PERIOD_S = 0.1
 OLD_S = 86400.0
 """Age of a baseline that is worth a warning: nobody remembers what was changed since."""
 
 
 def _services() -> dict[str, str]:
     """Kind of job and its service: the robot's, and of each probe one to identify and one to record its baseline."""
-    services = {"robot": "calibrate_robot"}
+    services = {"robot": "calibrate_robot", WEIGH: "weigh"}
     for probe in all_probes():
         services[probe.name] = f"calibrate_{probe.name}"
         if probe.baseline is not None:
@@ -120,6 +128,12 @@ def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
             Parameter(limit.name, limit.default, limit.description, limit.lowest, limit.highest, dynamic=True)
         )
     return parameters
+
+
+_NO_MOTIONS = (
+    "there is no calibration of motions; record the arm with an empty hand while it works, run `proprio calibrate BAG --output "
+    "FILE`, and give that file as the parameter calibration"
+)
 
 
 class JobError(ProprioError):
@@ -163,6 +177,10 @@ class IdentifierNode(ManagedNode):
                   "What effort of the joint states means where nothing else says what drives the joints: N.m, A, mA or raw."),
         Parameter("frame_prefix", "", "Before the frame of payload and markers, as robot_state_publisher's: arm1/."),
         Parameter("report", True, "Write the result and an HTML report beside every recording."),
+        Parameter("weigh_seconds", 15.0, "How much of the latest motion weigh takes [s].", 5.0, 120.0),
+        Parameter("running", False,
+                  "Estimate the mass in the hand all the time, whatever moves the arm, and publish it ten times a second. Off by "
+                  "default, since it takes a tenth of a processor core and replaces what a service published."),
         Parameter("live_period", 0.03, "Pause between estimates while a run is under way [s]; 0 turns them off.", 0.0, 10.0),
     )  # fmt: skip
 
@@ -179,6 +197,8 @@ class IdentifierNode(ManagedNode):
         self._unsaved: list[Session] = []
         self._live: LiveEstimate | None = None
         self._heard: list[RawMessage] | None = None
+        self._kept: deque[RawMessage] | None = None  # joint states of the last seconds, for weigh
+        self._arrived: deque[tuple[int, Any]] | None = None  # joint states that the running estimate has not seen
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._concluded = False
         self._asking = False
@@ -233,11 +253,12 @@ class IdentifierNode(ManagedNode):
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
             listener = self._listener(self.resolve_topic_name(topic), role, kind)
-            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=lambda: self._job is None)
+            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=self._may_skip)
         self._motors_topic = self.resolve_topic_name("motors")
         self.create_subscription(DiagnosticStatus, "motors", self._on_motors, LATCHED, raw=True)
         self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
         self._topics = self._stated_topics()
+        self._prepare_weighing()
         if self._topics["command_topic"]:
             self.every(0.5, self._listen_to_command)
         name = self.values["excitation_node"]
@@ -257,9 +278,13 @@ class IdentifierNode(ManagedNode):
     def activate(self) -> None:
         self._closing = False
         self._tell("idle", "ready")
+        if self._running is not None:
+            self._arrived = deque(maxlen=5000)
+            threading.Thread(target=self._weigh_on, args=(self._running,), name="running estimate", daemon=True).start()
 
     def deactivate(self) -> None:
         self._closing = True
+        self._arrived = None
         job = self._job
         if job is not None:
             job.cancelled.set()
@@ -373,7 +398,13 @@ class IdentifierNode(ManagedNode):
                     self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
             elif role == "applied_effort":
                 self._effort_at_s = time.monotonic()
-            session, heard = self._session, self._heard
+            session, heard, kept, arrived = self._session, self._heard, self._kept, self._arrived
+            if role == "joint_states" and kept is not None:
+                kept.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
+                while now_ns - kept[0].time_ns > 1e9 * self.values["weigh_seconds"]:
+                    kept.popleft()
+            if role == "joint_states" and arrived is not None:
+                arrived.append((now_ns, bytes(data)))
             if heard is not None:
                 heard.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
             if session is None:
@@ -462,7 +493,8 @@ class IdentifierNode(ManagedNode):
         self._concluded = False
         try:
             self._withdraw()
-            self._await_others()
+            if job.kind != WEIGH:
+                self._await_others()
             job.success, job.message = self._make(job)
             level = "ok" if job.success else "warning"
         except ProprioError as error:
@@ -531,6 +563,8 @@ class IdentifierNode(ManagedNode):
         """Whether a job succeeded, and what there is to say."""
         if job.kind == "robot":
             return self._calibrate(job)
+        if job.kind == WEIGH:
+            return self._weigh(job)
         name = job.kind.removesuffix("_baseline")
         if name != job.kind and name in self._service_of:
             return self._record_baseline(job, probe_named(name))
@@ -579,6 +613,138 @@ class IdentifierNode(ManagedNode):
         self._keep(lambda: keep_result(bag, estimate, command))
         self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=sources))
         return estimate
+
+    # --- weighing while the arm works ---------------------------------------------------------------------------------
+
+    def _prepare_weighing(self) -> None:
+        """Keep what weigh needs, and begin to estimate where that is asked for, if the calibration is one of motions."""
+        self._kept = None
+        self._running: Callable[..., RunningWeight] | None = None
+        robot = robot_of(None if self._calibration else self.values["robot"], self._calibration)
+        if robot.motion_calibration is None:
+            if self.values["running"]:
+                self.say("warning", f"the running estimate is off: {_NO_MOTIONS}")
+            return
+        self._kept = deque()
+        if self.values["running"]:
+            facts = self._setting(probe_named("payload"), None).facts.payload
+            std = float(np.max(facts.com_std)) or CENTRE_STD_M
+            make = partial(RunningWeight, robot, robot.motion_calibration, centre_m=facts.com, centre_std_m=std)
+            make()  # so that a calibration of another arm is refused now
+            others = [name for name in robot.model.independent_joints if name not in robot.motion_calibration.joints]
+            self._running, self._others = make, others
+            self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
+            self._hand = self.values["frame_prefix"] + robot.payload_frame
+            self._centre = [float(axis) for axis in facts.com]
+
+    def _may_skip(self) -> bool:
+        """Whether only the newest joint state matters now."""
+        return self._job is None and self._kept is None
+
+    def _measured_unit(self) -> str:
+        """What the effort of the joint states is: as stated, or N m where a driver publishes as ours does; empty: nobody says."""
+        stated = str(self.values["effort_unit"])
+        return stated or ("N.m" if time.monotonic() - self._effort_at_s <= STALE_S else "")
+
+    def _weigh(self, job: Job) -> tuple[bool, str]:
+        """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""
+        seconds = self.values["weigh_seconds"]
+        if self._kept is None:
+            raise JobError(f"not weighed: {_NO_MOTIONS}")
+        unit = self._measured_unit()
+        if unit in ("", "raw"):
+            raise JobError(
+                "not weighed: nothing says what the effort of the joint states is; give the parameter effort_unit"
+            )
+        if time.monotonic() - self._state_at_s > STALE_S:
+            raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
+        kept = list(self._kept)
+        if not self._moved(kept):
+            raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
+        setting = self._setting(probe_named("payload"), None)
+        options = replace(setting.options, effort_unit=unit)
+        session = Session(self._data, WEIGH)
+        for message in kept:
+            session.add(*message)
+        bag, warning = session.save()
+        if warning:
+            self.say("warning", warning)
+        try:
+            estimate = self._identify(job, bag, options, partial(self._publish, setting))
+        except RecordingError as error:
+            raise JobError(f"not weighed: {error}; recording: {bag}") from error
+        answer = _interval_of(estimate)
+        said = f"the last {seconds:g} s{self._used}; recording: {bag}"
+        return (True, f"payload {answer}, {said}") if answer else (False, f"{_refusal_of(estimate)}; {said}")
+
+    def _moved(self, kept: list[RawMessage]) -> bool:
+        """Whether any joint of the robot moved in these joint states."""
+        least: dict[str, float] = {}
+        most: dict[str, float] = {}
+        for raw in kept:
+            message = deserialize_message(raw.data, JointState)
+            for name, position in zip(message.name, message.position, strict=False):
+                if math.isfinite(position):
+                    least[name], most[name] = (
+                        min(position, least.get(name, position)),
+                        max(position, most.get(name, position)),
+                    )
+        return any(most[name] - low > MOVED_RAD for name, low in least.items() if name.encode() in self._joints)
+
+    def _weigh_on(self, make: Callable[..., RunningWeight]) -> None:
+        """The running estimate: in a thread of its own while the node is active."""
+        arrived = self._arrived
+        latest: dict[str, tuple[float, float]] = {}
+        published_s = -math.inf
+        running: RunningWeight | None = None
+        with threadpool_limits(1, user_api="blas"):
+            while arrived is not None and arrived is self._arrived:
+                if not arrived:
+                    time.sleep(0.02)
+                    continue
+                now_ns, data = arrived.popleft()
+                message = deserialize_message(data, JointState)
+                unit = self._measured_unit()
+                if unit in ("", "raw") or not message.effort:
+                    continue
+                for name, position, effort in zip(message.name, message.position, message.effort, strict=False):
+                    if name in self._per_current:
+                        latest[name] = position, _current_A(effort, unit, self._per_current[name])
+                if running is None:
+                    heard = dict(zip(message.name, message.position, strict=False))
+                    running = make(held={name: heard[name] for name in self._others if name in heard})
+                if running.joints[0] not in message.name or any(name not in latest for name in running.joints):
+                    continue
+                time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
+                rows = [latest[name] for name in running.joints]
+                if running.add(time_s, [row[0] for row in rows], [row[1] for row in rows]) and self._job is None:
+                    estimate = running.estimate()
+                    if estimate is not None and time.monotonic() - published_s >= 0.8 * RUNNING_PERIOD_S:
+                        published_s = time.monotonic()
+                        behind_s = 1e-9 * (self.get_clock().now().nanoseconds - now_ns)
+                        self._publish_running(estimate, behind_s)
+
+    def _publish_running(self, estimate: RunningEstimate, behind_s: float) -> None:
+        mass, (low, high) = estimate.mass_kg, estimate.ci95_kg
+        entries: dict[str, Any] = {
+            "probe": "payload", "running": True, "final": False, "changed": estimate.changed,
+            "seconds_since_change": estimate.time_s - estimate.since_s, "seconds_of_motion": estimate.motion_s,
+            "seconds_at_rest": 0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s,
+            "seconds_behind": behind_s,
+            "payload_mass": mass if estimate.known else "not determined", "payload_mass.unit": "kg",
+            "payload_mass.std": estimate.std_kg, "payload_mass.ci95": [low, high], "calibration": str(self._calibration or "none"),
+        }  # fmt: skip
+        words = shown("kg", mass, Z95 * estimate.std_kg, spec=spec_for("kg", estimate.std_kg), between=" +- ")
+        words = f"changed just now: {words}" if estimate.changed else words
+        self._publish_estimate("ok", "payload", f"running: {words}", entries)
+        if not estimate.known:
+            return self._withdraw()
+        now, held = self.get_clock().now().nanoseconds, max(mass, 0.0)
+        self._numbers["mass"].publish(messages.number(held))
+        self._standing["mass"] = partial(self._numbers["mass"].publish, messages.number(math.nan))
+        self._payload.publish(messages.inertia(now, self._hand, Carried(held, self._centre, np.full((3, 3), math.nan))))
+        self._standing["payload"] = partial(self._withdraw_payload, self._hand)
+        return None
 
     def _record_baseline(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
@@ -827,8 +993,9 @@ class IdentifierNode(ManagedNode):
     def _publish_failure(self, job: Job) -> None:
         """That there is no estimate, and why, in the place of the last."""
         entries: dict[str, Any] = {"probe": job.kind, "final": True, "verdict": "failed", "reason.1": job.message}
-        if job.kind in (probe.name for probe in all_probes()):
-            entries[probe_named(job.kind).answer[0]] = "not determined"
+        kind = "payload" if job.kind == WEIGH else job.kind
+        if kind in (probe.name for probe in all_probes()):
+            entries[probe_named(kind).answer[0]] = "not determined"
         entries["calibration"] = str(self._calibration or "none")
         self._publish_estimate("error", job.kind, job.message, entries)
 
@@ -921,6 +1088,11 @@ def _interval_of(estimate: Estimate) -> str:
         return ""
     spec = spec_for(value.unit, value.std if isinstance(value.std, float) else None)
     return f"{shown(value.unit, value.value, spec=spec)}, 95 % interval {shown(value.unit, *value.ci95, spec=spec)}"
+
+
+def _current_A(effort: float, unit: str, effort_per_current: float) -> float:
+    """What flows in a motor by the effort of a joint state."""
+    return {"A": 1.0, "mA": 1e-3}.get(unit, 1.0 / effort_per_current) * effort
 
 
 def _refusal_of(estimate: Estimate) -> str:
