@@ -54,7 +54,15 @@ from proprio_ros.identification.judge import (
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, joints_of, prepare_run
-from proprio_ros.identification.reasons import of_run
+from proprio_ros.identification.reasons import Reason, of_run
+from proprio_ros.identification.swings import (
+    MISSED_SHARE,
+    MUCH_WORSE,
+    are_swings,
+    missed_share,
+    said_missed,
+    swing_error,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
@@ -66,6 +74,9 @@ ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 the mass, by 1 to 2 % in each run. Half of the difference then counts as uncertainty."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
+
+SWING_ROUNDS = 4
+"""How often the error of a simulated swing is looked at again."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +129,8 @@ def weigh(
         screen_run(robot, prepared, found)
     if not weighing:
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
+    if are_swings(usable):
+        return _weigh_swings(robot, usable, facts, options, found, len(runs))
     drift = _drift(robot, usable[weighing:], facts, options)
 
     nominal = solve_load(robot, usable, facts, options, Role.FROZEN, rough=robot.is_calibrated(joints_of(usable)))
@@ -131,6 +144,46 @@ def weigh(
                 "under its priors"
             )
     return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs), drift)
+
+
+def _weigh_swings(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    found: Findings,
+    run_count: int,
+) -> Estimate:
+    """From free swings; those that are followed worse than the calibration's count for less."""
+    known = robot.swing_error
+    for _ in range(SWING_ROUNDS):
+        rough = solve_load(robot, runs, facts, options, Role.FROZEN, rough=True)
+        opened = solve_load(robot, runs, facts, options, Role.FREE, start=rough)
+        again = solve_load(robot, runs, facts, options, Role.FREE)
+        opened = again if again.chi2 < opened.chi2 else opened
+        posterior = Posterior(opened.problem, opened.values)
+        error = max(swing_error(posterior), known)
+        if error <= 1.05 * robot.swing_error:
+            break
+        robot = replace(robot, swing_error=error)
+        runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
+    share = missed_share(posterior)
+    misfit = said_missed(share) if share > MISSED_SHARE else ""
+    if not misfit and known and error > MUCH_WORSE * known:
+        misfit = Reason(
+            "misfit",
+            f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
+            "torque off all the time, and is the object's place and shape as stated?",
+        )
+    if not robot.is_calibrated(joints_of(runs)):
+        found.reasons.append(
+            Reason(
+                "not_calibrated",
+                "a free swing tells gravity moment over inertia: what the robot file leaves open of the rotor's inertia counts; two "
+                "swings with known loads tell it (calibrate --reference BAG=KG --reference BAG=KG)",
+            )
+        )
+    return _conclude(robot, runs, facts, options, rough, opened, found, run_count, "", misfit)
 
 
 def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> str:
@@ -198,13 +251,15 @@ def _conclude(
     found: Findings,
     run_count: int,
     drift: str,
+    misfit_of_swing: str = "",
 ) -> Estimate:
     known = robot.is_calibrated(joints_of(runs))
-    fit = nominal if nominal.explains and not known else opened
+    swings = runs[0].run.free
+    fit = nominal if nominal.explains and not known and not swings else opened
     assessed = Assessment(fit, "payload_mass", runs, known, opened)
     budget = assessed.budget()
     mass = assessed.value
-    if not known:
+    if not known and not swings:
         # the nominal mass may sit anywhere inside the open fit's interval: count how far
         assessed.widen(mass - float(opened.values[assessed.row]))
         # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
@@ -216,7 +271,7 @@ def _conclude(
     if apart is not None and apart.half is not None:
         assessed.widen(apart.half)
     std = assessed.std
-    moving = [] if fit.explains else _moving_starts(robot, runs, facts, options, fit)
+    moving = [] if fit.explains or swings else _moving_starts(robot, runs, facts, options, fit)
 
     def refusals() -> Iterator[Refusal]:
         if not np.isfinite(fit.chi2):
@@ -224,6 +279,8 @@ def _conclude(
             yield rejected("unsimulated", unsimulated, unsimulated + ": check the robot file's inertias")
         if drift:
             yield rejected("drift", "the robot has changed since its calibration", drift)
+        if misfit_of_swing:
+            yield rejected("misfit", "the model does not explain the recording", misfit_of_swing)
         yield from contradicted(apart)
         if on_bound(fit):
             yield rejected(
@@ -251,7 +308,7 @@ def _conclude(
                 f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to separate friction from weight: "
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
-        if fit is opened and Z95 * std > options.widest_interval_kg:
+        if fit is opened and not swings and Z95 * std > options.widest_interval_kg:
             yield not_identifiable(
                 "interval_too_wide",
                 "the interval is too wide to state a mass",
@@ -266,7 +323,7 @@ def _conclude(
                 "more than one mass explains the recording: " + ", ".join(f"{1e3 * m:.1f} g" for m in (mass, *others)),
             )
 
-    searched = nominal if nominal.explains or len(opened.solution.cost) == 1 else opened
+    searched = nominal if (nominal.explains and not swings) or len(opened.solution.cost) == 1 else opened
     best = float(searched.physical("payload_mass")[searched.solution.best])
     estimate = judge(
         robot,
@@ -282,12 +339,13 @@ def _conclude(
             searched.solution.iterations, options, margin=0.5, final=fit,
         ),
         budget=budget,
-        assumptions=_assumptions(robot, facts, options, fit is nominal),
+        assumptions=_assumptions(robot, facts, options, fit is nominal, swings),
         apart=apart,
         open_drive_train=budget,
         useful=Useful(options.wide_share, options.wide_floor_kg),
     )  # fmt: skip
-    if estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE) and not known and not known_exactly(robot, runs):
+    open_still = not known and not swings and not known_exactly(robot, runs)
+    if estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE) and open_still:
         return replace(estimate, reasons=(*estimate.reasons, *never_reversed(runs)))
     return estimate
 
@@ -360,13 +418,16 @@ def scan_masses(mass: float) -> np.ndarray:
     return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
 
 
-def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, nominal: bool) -> tuple[str, ...]:
+def _assumptions(
+    robot: Robot, facts: PayloadFacts, options: WeighingOptions, nominal: bool, swings: bool
+) -> tuple[str, ...]:
     place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
     return (
         f"the payload is rigid, {facts.shape.description}"
         + (" (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else "")
         + f", its centre at [{place}] mm in {robot.payload_frame}",
-        "each probe starts from rest; the held joints stand at their recorded mean",
+        ("no torque but gravity's and friction's, whose size differs from swing to swing" if swings else "each probe starts from rest")
+        + "; the held joints stand at their recorded mean",
         f"robot file {robot.source.name}, "
         + ("calibrated" if robot.is_calibrated() else "not calibrated")
         + (
