@@ -452,9 +452,7 @@ def _input_topic(bag: _Bag, name: str | None, state: _Topic) -> _Topic | None:
     return None
 
 
-def _torque_off(
-    bag: _Bag, state: _Topic, clock_ns: int, last_ns: int, notes: list[str]
-) -> tuple[tuple[int, int], ...]:
+def _torque_off(bag: _Bag, state: _Topic, clock_ns: int, last_ns: int, notes: list[str]) -> tuple[tuple[int, int], ...]:
     """When torque was off, on the clock of the joint states; last_ns is the last of their stamps."""
     namespace = state.name.rpartition("/")[0]
     candidates = _called([t for t in bag.topics if t.size and t.msgtype == BOOL], TORQUE_ENABLED, namespace)

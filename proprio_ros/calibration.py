@@ -128,7 +128,9 @@ class Calibration:
     def joints(self) -> tuple[str, ...]:
         """Joints whose drive trains were calibrated; a free swing does without a torque constant, which may be stated exactly."""
         swung = {run["joint"] for run in self.runs} if self.swing_error > 0.0 else set()
-        known = (str(key[1]) for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung))
+        known = (
+            str(key[1]) for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung)
+        )
         return tuple(dict.fromkeys(known))
 
     def without(self, keys: set[Key]) -> Calibration:

@@ -35,6 +35,12 @@ from proprio_ros.robot import Robot, load_robot
 from proprio_ros.schema import header, reason_codes
 from proprio_ros.threads import one_blas_thread
 
+FREE_SWING = (
+    "it tells gravity moment over inertia, without any torque constant: a mass with a calibration from swings with two known loads "
+    "(calibrate --reference BAG=KG --reference BAG=KG)"
+)
+"""What a free swing is good for."""
+
 
 @dataclass(frozen=True)
 class RunCheck:
@@ -42,11 +48,12 @@ class RunCheck:
 
     Attributes:
         duration_s: How long the joint was driven [s].
-        travel: From the first to the last sample [rad or m, as ``unit`` says].
-        current_A: The largest of its currents, with its sign [A].
+        travel: From the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span.
+        current_A: The largest of its currents, with its sign [A]; 0 in a free swing.
         samples: Joint states while it was driven.
         problem: Why it is not usable, or an empty string.
         notes: What else a reader should know.
+        free: Whether it is a free swing: torque was off.
     """
 
     name: str
@@ -58,6 +65,7 @@ class RunCheck:
     samples: int
     problem: str = ""
     notes: tuple[str, ...] = ()
+    free: bool = False
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -68,6 +76,7 @@ class RunCheck:
             "unit": self.unit,
             "current_A": self.current_A,
             "samples": self.samples,
+            "free_swing": self.free,
             "usable": not self.problem,
             "problem": self.problem or None,
             "problem_code": reason_codes([self.problem])[0] if self.problem else None,
@@ -151,7 +160,15 @@ class BagCheck:
         for run in self.runs:
             moved = f"{1e3 * run.current_A:+.0f} mA for {run.duration_s:.2f} s, travel {run.travel:+.3f} {run.unit}"
             judged = f"not usable, {run.problem}" if run.problem else "usable"
-            lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
+            if run.free:
+                lines.append(
+                    f"  a free swing of {run.joint}: torque off, {run.duration_s:.2f} s until it hangs still, "
+                    f"over {run.travel:.2f} {run.unit}, {run.samples} samples: {judged}"
+                )
+                if not run.problem:
+                    lines.append(f"    {FREE_SWING}")
+            else:
+                lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
             lines += [f"    note: {note}" for note in run.notes]
         if self.motion is not None:
             lines.append(
@@ -253,13 +270,19 @@ def _bag_check(
         float(intervals.max()),
         contents.topics,
         contents.states,
-        None if recording.inputs is None else recording.inputs.source,
+        _input_of(recording, runs),
         _unit_of(recording.inputs, {name: kind for name, kind, _ in contents.topics}, effort_unit),
         runs,
         problem,
         recording.notes + (() if motion is not None else unit_not_used(recording.inputs, effort_unit)),
         motion,
     )
+
+
+def _input_of(recording: Recording, runs: Sequence[RunCheck]) -> str | None:
+    if any(run.free for run in runs):
+        return "none, torque is off"
+    return None if recording.inputs is None else recording.inputs.source
 
 
 def _unit_of(inputs: InputRecord | None, types: dict[str, str], effort_unit: str | None) -> str | None:
@@ -272,7 +295,7 @@ def _unit_of(inputs: InputRecord | None, types: dict[str, str], effort_unit: str
 
 def _run_check(robot: Robot, run: Run) -> RunCheck:
     joint = robot.model.joint(run.joint)
-    travel = float(run.position[-1] - run.position[0])
+    travel = float(np.ptp(run.position)) if run.free else float(run.position[-1] - run.position[0])
     largest = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
     slides = joint.kind == "prismatic"
     found = Findings()
@@ -285,7 +308,9 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         problem = str(error)
     unit = "m" if slides else "rad"
     notes = (*run.notes, *(reason.removeprefix(f"{run.name}: ") for reason in found.reasons))
-    return RunCheck(run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes)
+    return RunCheck(
+        run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes, run.free
+    )
 
 
 def _unusable_closing(run: PreparedRun) -> str:

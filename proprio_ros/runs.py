@@ -102,7 +102,7 @@ def cut_runs(
     if inputs is None:
         raise RecordingError(
             f"{recording.name}: the recording holds no input current; record /applied_effort or /current_command,"
-            " or name the topic with --command-topic"
+            " or name the topic with --command-topic (of a joint that swings freely, record /torque_enabled)"
         )
     record = recording.joints
     intervals = _intervals(recording.name, record, inputs, tuple(joints))
@@ -132,7 +132,9 @@ def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
         if joint not in record.names or not active.any():
             continue
         for interval in _intervals_of_joint(record, inputs, joint, active):
-            begins = [begin for begin, end in recording.torque_off_ns if begin < interval.end_ns and end > interval.onset_ns]
+            begins = [
+                begin for begin, end in recording.torque_off_ns if begin < interval.end_ns and end > interval.onset_ns
+            ]
             end_ns = min([interval.end_ns, *begins])
             if _span(record, joint, interval._replace(end_ns=end_ns)) > MOVING_SPAN:
                 return True
@@ -155,7 +157,9 @@ def _swings(recording: Recording, held: dict[str, float], joints: tuple[str, ...
         inside = (record.times_ns >= off_ns + int(RELEASE_S * 1e9)) & (record.times_ns < on_ns)
         inside &= record.times_ns <= off_ns + int(LONGEST_SWING_S * 1e9)
         if int(inside.sum()) < MIN_SAMPLES:
-            problems.append(f"{said} only {int(inside.sum())} joint states come while it is off: record on until it hangs still")
+            problems.append(
+                f"{said} only {int(inside.sum())} joint states come while it is off: record on until it hangs still"
+            )
             continue
         spans = np.ptp(record.position[inside], axis=0)
         fell = [record.names[column] for column in columns if spans[column] > FELL_SPAN]
@@ -179,7 +183,9 @@ def _swing(name: str, record: JointRecord, joint: str, inside: BoolArray, held: 
     repeated = _repeated(record, inside, column)
     if repeated.any():
         inside = inside & ~repeated
-        notes.append(f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out")
+        notes.append(
+            f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out"
+        )
     rows = np.flatnonzero(inside)
     position = record.position[rows, column]
     away = np.flatnonzero(np.abs(position - position[-1]) > STANDS_STILL)

@@ -48,12 +48,14 @@ REST_S = 0.2
 AWAY_READINGS = 4.0
 """Farther from there than this, in counts with their noise, it was still on its way."""
 START_STD, START_VELOCITY_STD = 0.1, 2.0
-"""How far off the first reading of a free swing, and the slope of its first samples, may be: next to nothing is assumed [rad, rad/s]."""
+"""How far off a free swing's first reading, and the slope of its first samples, may be: next to nothing is assumed [rad, rad/s]."""
 SLOPE_S = 0.08
 """Over which that slope is taken [s]."""
 FIRST_SWING_ERROR = 0.02
 """What is taken for the error of a simulated swing until the swing shows it [rad]."""
-NOT_IN_A_SWING = ("torque_constant", "load_friction", "delay")
+SLOW = 0.1
+"""Below this speed the direction of a swing is not read off its samples for certain [rad/s]."""
+NOT_IN_A_SWING = ("torque_constant", "delay")
 """Without a current, nothing depends on these."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
@@ -112,7 +114,9 @@ class PreparedRun:
         rest: start position from the samples before onset.
         limited: whether the supply may limit the current inside the window, as far as the recording says.
         load: what the hand is known to hold; None means the payload to be weighed.
-        yielding: names of held joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``.
+        yielding: names of held joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing it
+            is the load that each kilogram's weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``.
+        arm_as_payload: payload that would load the gears as the arm does [kg]; only known of free swings.
     """
 
     run: Run
@@ -128,6 +132,7 @@ class PreparedRun:
     yielding: tuple[str, ...] = ()
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
+    arm_as_payload: float = 0.0
 
     @property
     def times_s(self) -> np.ndarray:
@@ -298,7 +303,7 @@ def prepare_run(
     else:
         others = [n for n in robot.model.independent_joints if n != run.joint]
         coefficients = _arm_coefficients(robot, run, others)
-        motions = held_motions(robot, run, coefficients.pose)
+        motions = {} if run.free else held_motions(robot, run, coefficients.pose)
         if motions:
             starts = {name: motion.start for name, motion in motions.items()}
             run = replace(run, held={**run.held, **starts})
@@ -336,6 +341,11 @@ def prepare_run(
         noise = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
         where = load.facts if load is not None else facts or PayloadFacts()
         yielding_times_s, yielding_load = loads_of_yielding(robot, run, motions, where, noise)
+    arm_as_payload = 0.0
+    if run.free and coefficients.payload.any():
+        facts_of_it = load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
+        arm_as_payload, per_kg = _weight_on_gears(run, coefficients, facts_of_it)
+        yielding_times_s, yielding_load = run.times_s, np.stack([np.zeros_like(per_kg), per_kg], axis=1)
     return PreparedRun(
         run,
         used,
@@ -350,7 +360,28 @@ def prepare_run(
         yielding=tuple(motions),
         yielding_times_s=yielding_times_s,
         yielding_load=yielding_load,
+        arm_as_payload=arm_as_payload,
     )
+
+
+def _weight_on_gears(run: Run, coefficients: Coefficients, facts: PayloadFacts) -> tuple[float, np.ndarray]:
+    """What friction that grows with the load acts on in a free swing.
+
+    With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way it
+    goes is read off the recording, so that this friction is a known load times one unknown.
+
+    Returns:
+        the payload [kg] that weighs on the joint as the arm does, and the size of the moment of 1 kg with the sign of the
+        velocity at each sample [N m/kg], shape (K,).
+    """
+    per_mass = payload_parameters(np.ones(1), facts.com[None], facts.shape.second_moment_per_mass)[0]
+    _, cos, sin, constant = coefficients.payload @ per_mass
+    arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
+    width = max(round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1, 3)
+    smooth = np.convolve(np.pad(run.position, width // 2, mode="edge"), np.full(width, 1.0 / width), "valid")
+    side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
+    moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)
+    return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
@@ -698,7 +729,7 @@ class Problem:
                 dp[:, row, INDEX[parameter], at[key]] = sign
             if run.run.free:
                 self._change_friction(row, p, dp, values)
-            if run.load is None:
+            elif run.load is None:
                 p[:, row, INDEX["carried"]] = values[:, at["payload_mass"]]
                 dp[:, row, INDEX["carried"], at["payload_mass"]] = 1.0
             else:
@@ -707,7 +738,11 @@ class Problem:
         return p, dp
 
     def _change_friction(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
-        """Warm gears, fresh grease: dry and viscous friction of a swing are the joint's times the same factor."""
+        """Warm gears, fresh grease: all friction of a swing is the joint's times the same factor.
+
+        The gears carry no motor's torque but the weight, and lose the same part of it; ``carried`` is what they lose per moment
+        of a kilogram.
+        """
         at, joint = self.index, self.runs[row].run.joint
         change = at["friction_change", row]
         factor = 1.0 + values[:, change]
@@ -715,6 +750,14 @@ class Problem:
             p[:, row, INDEX[kind]] *= factor
             dp[:, row, INDEX[kind], at[kind, joint]] = factor
             dp[:, row, INDEX[kind], change] = values[:, at[kind, joint]]
+        run, load_friction = self.runs[row], at["load_friction", joint]
+        mass = run.arm_as_payload + (values[:, at["payload_mass"]] if run.load is None else run.load.mass)
+        lost, carried = values[:, load_friction], INDEX["carried"]
+        p[:, row, carried] = factor * lost * mass
+        dp[:, row, carried, load_friction] = factor * mass
+        dp[:, row, carried, change] = lost * mass
+        if run.load is None:
+            dp[:, row, carried, at["payload_mass"]] = factor * lost
 
     def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""

@@ -455,11 +455,11 @@ def _noise_parts(run: PreparedRun, noise: _Noise) -> tuple[float, np.ndarray]:
 def _starts(problem: Problem) -> np.ndarray:
     """Solver coordinates to start from: the file's values at a few levels of friction, shape (S, F)."""
     coordinates = problem.coordinates
-    levels = FRICTION_STARTS
+    levels: Sequence[float] = FRICTION_STARTS
     if problem.runs[0].run.free:
         p, _ = problem.parameters(problem.base[None], problem.free[:1])
         largest = float(np.hypot(p[..., INDEX["gravity_cos"]], p[..., INDEX["gravity_sin"]]).max())
-        levels = tuple(share * largest for share in SWING_FRICTION_STARTS)
+        levels = [share * largest for share in SWING_FRICTION_STARTS]
     starts = np.tile(coordinates.prior_mean, (len(levels), 1))
     for column, row in enumerate(problem.free):
         unknown = problem.unknowns[row]

@@ -22,11 +22,14 @@ from proprio_ros.identification.reasons import Reason
 
 MISSED_SHARE = 0.03
 """A simulation that misses a swing by more than this share of its span (rms) does not explain it."""
-MUCH_WORSE = 3.0
+MUCH_WORSE = 6.0
 """A swing may be followed so many times worse than those of the calibration before it contradicts them."""
 CHANGING = 0.5
 """Friction that differs by more than this share from swing to swing is no friction."""
 MOST_CORRELATED = 0.95
+USUAL_SHARE, USUAL_SAMPLES = 0.01, 8.0
+"""What a simulation usually misses of a swing's span, and how many independent samples that word counts as: two swings alone may
+be followed better than the next one by chance."""
 
 
 def are_swings(runs: Sequence[PreparedRun]) -> bool:
@@ -52,7 +55,10 @@ def swing_error(posterior: Posterior) -> float:
     longer = (1.0 + correlation) / (1.0 - correlation)
     independent = samples / longer
     used = min(float(posterior.leverage().sum()), 0.7 * independent)
-    return float(np.sqrt(square / samples * longer * independent / (independent - used)))
+    found = square / samples * longer * independent / (independent - used)
+    usual = (USUAL_SHARE * max(float(np.ptp(run.position)) for run in posterior.problem.runs)) ** 2
+    left = independent - used
+    return float(np.sqrt((left * found + USUAL_SAMPLES * usual) / (left + USUAL_SAMPLES)))
 
 
 def stamp_jitter(posterior: Posterior) -> float:

@@ -67,7 +67,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
@@ -75,6 +75,7 @@ the mass, by 1 to 2 % in each run. Half of the difference then counts as uncerta
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
 
+SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 SWING_ROUNDS = 4
 """How often the error of a simulated swing is looked at again."""
 
@@ -156,17 +157,16 @@ def _weigh_swings(
 ) -> Estimate:
     """From free swings; those that are followed worse than the calibration's count for less."""
     known = robot.swing_error
+    options = replace(options, starts_kg=_swing_starts(robot, runs[0], facts))
+    opened = searched = solve_load(robot, runs, facts, options, Role.FREE)
     for _ in range(SWING_ROUNDS):
-        rough = solve_load(robot, runs, facts, options, Role.FROZEN, rough=True)
-        opened = solve_load(robot, runs, facts, options, Role.FREE, start=rough)
-        again = solve_load(robot, runs, facts, options, Role.FREE)
-        opened = again if again.chi2 < opened.chi2 else opened
         posterior = Posterior(opened.problem, opened.values)
         error = max(swing_error(posterior), known)
         if error <= 1.05 * robot.swing_error:
             break
         robot = replace(robot, swing_error=error)
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
+        opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
     share = missed_share(posterior)
     misfit = said_missed(share) if share > MISSED_SHARE else ""
     if not misfit and known and error > MUCH_WORSE * known:
@@ -179,11 +179,19 @@ def _weigh_swings(
         found.reasons.append(
             Reason(
                 "not_calibrated",
-                "a free swing tells gravity moment over inertia: what the robot file leaves open of the rotor's inertia counts; two "
-                "swings with known loads tell it (calibrate --reference BAG=KG --reference BAG=KG)",
+                "a free swing tells gravity moment over inertia: what the robot file leaves open of the rotor's inertia counts; "
+                "two swings with known loads tell it (calibrate --reference BAG=KG --reference BAG=KG)",
             )
         )
-    return _conclude(robot, runs, facts, options, rough, opened, found, run_count, "", misfit)
+    return _conclude(robot, runs, facts, options, searched, opened, found, run_count, "", misfit)
+
+
+def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
+    """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass."""
+    per_mass = payload_parameters(np.ones(1), facts.com[None], facts.shape.second_moment_per_mass)[0]
+    own = float(run.coefficients.arm[0]) + robot.drive_trains[run.run.joint].armature.value
+    doubling = own / max(float((run.coefficients.payload @ per_mass)[0]), 1e-9)
+    return tuple(doubling * share for share in SWING_STARTS)
 
 
 def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> str:
@@ -426,7 +434,7 @@ def _assumptions(
         f"the payload is rigid, {facts.shape.description}"
         + (" (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else "")
         + f", its centre at [{place}] mm in {robot.payload_frame}",
-        ("no torque but gravity's and friction's, whose size differs from swing to swing" if swings else "each probe starts from rest")
+        ("friction differs from swing to swing, by one factor each" if swings else "each probe starts from rest")
         + "; the held joints stand at their recorded mean",
         f"robot file {robot.source.name}, "
         + ("calibrated" if robot.is_calibrated() else "not calibrated")
