@@ -517,7 +517,9 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
         else:
             unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
         unknowns.append(Unknown("onset", 0.0, _onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
-        unknowns.append(Unknown("disturbance", 0.0, robot.torque_disturbance, scope=row).at_role(drive_role))
+        # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
+        disturbance = 0.0 if run.run.free else robot.torque_disturbance
+        unknowns.append(Unknown("disturbance", 0.0, disturbance, scope=row).at_role(drive_role))
     return unknowns
 
 

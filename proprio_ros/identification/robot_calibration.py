@@ -350,7 +350,7 @@ def _fit_what_agrees(
 def _outlier(robot: Robot, fitted: _Fitted) -> int | None:
     """The run that contradicts the others: predicted badly, or explained only by a torque that no other run needs."""
     outlier = contradicting(fitted.posterior)
-    if outlier is not None or fitted.noise.torque_disturbance == 0.0:
+    if outlier is not None or fitted.noise.torque_disturbance == 0.0 or fitted.problem.runs[0].run.free:
         return outlier
     found, learnt = _of_runs("disturbance", fitted.problem, fitted.posterior, fitted.noise.torque_disturbance)
     if len(found) < 3:
@@ -526,14 +526,9 @@ def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise:
     """The same of free swings, whose residuals are not independent."""
     found, learnt = _of_runs("friction_change", problem, posterior, noise.friction_spread)
     spread = _spread(robot.friction_spread, found, learnt)
-    disturbance = noise.torque_disturbance
-    if disturbance > 0.0:
-        found, learnt = _of_runs("disturbance", problem, posterior, disturbance)
-        disturbance = _spread(robot.torque_disturbance, found, learnt)
     return replace(
         noise,
         stamp_jitter_s=max(stamp_jitter(posterior), robot.stamp_jitter_s),
-        torque_disturbance=disturbance,
         friction_spread=spread,
         swing_error=swing_error(posterior),
     )

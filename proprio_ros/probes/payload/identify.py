@@ -56,6 +56,8 @@ from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, joints_of, prepare_run
 from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.identification.swings import (
+    FRICTION_LAW,
+    FRICTION_LAW_SHARE,
     MISSED_SHARE,
     MUCH_WORSE,
     are_swings,
@@ -267,6 +269,10 @@ def _conclude(
     assessed = Assessment(fit, "payload_mass", runs, known, opened)
     budget = assessed.budget()
     mass = assessed.value
+    if swings:
+        law = FRICTION_LAW_SHARE * abs(mass)
+        assessed.widen(law)
+        budget = sorted([*budget, (FRICTION_LAW, law)], key=lambda entry: -entry[1])
     if not known and not swings:
         # the nominal mass may sit anywhere inside the open fit's interval: count how far
         assessed.widen(mass - float(opened.values[assessed.row]))
