@@ -56,6 +56,9 @@ REGISTER, LARGEST_COUNT = 65536, 4096
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+BOOL = "std_msgs/msg/Bool"
+TORQUE_ENABLED = "torque_enabled"
+"""Topic that says whether the motors' torque is on."""
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 
 MIN_SAMPLES = 5
@@ -90,6 +93,7 @@ _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/String": "string data",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "std_msgs/msg/Bool": "bool data",
     "std_msgs/msg/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
     "std_msgs/msg/MultiArrayLayout": "MultiArrayDimension[] dim\nuint32 data_offset",
     "std_msgs/msg/Float64MultiArray": "MultiArrayLayout layout\nfloat64[] data",
@@ -461,6 +465,29 @@ def _input_topic(bag: _Bag, name: str | None, state: _Topic) -> _Topic | None:
         if candidates:
             return candidates[0]
     return None
+
+
+def _torque_off(bag: _Bag, state: _Topic, clock_ns: int, last_ns: int, notes: list[str]) -> tuple[tuple[int, int], ...]:
+    """When torque was off, on the clock of the joint states; last_ns is the last of their stamps."""
+    namespace = state.name.rpartition("/")[0]
+    candidates = _called([t for t in bag.topics if t.size and t.msgtype == BOOL], TORQUE_ENABLED, namespace)
+    if len(candidates) != 1:
+        if candidates:
+            notes.append(f"{_listed(candidates)} may all say when torque is off; none of them was used.")
+        return ()
+    messages = bag.messages(candidates[0])
+    shift_ns = clock_ns if abs(clock_ns) > FOREIGN_CLOCK_NS else 0
+    stretches: list[tuple[int, int]] = []
+    off_ns: int | None = None
+    for time_ns, message in messages:
+        if not message.data and off_ns is None:
+            off_ns = time_ns + shift_ns
+        elif message.data and off_ns is not None:
+            stretches.append((off_ns, time_ns + shift_ns))
+            off_ns = None
+    if off_ns is not None and off_ns < last_ns:
+        stretches.append((off_ns, last_ns))
+    return tuple(stretches)
 
 
 # --- messages to columns ---------------------------------------------------------------------------------------------
@@ -839,7 +866,7 @@ def read_recording(
     Returns:
         The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
         'N.m' and `joints.current` only where effort_unit says which; `inputs` is None when nothing about the input was
-        recorded.
+        recorded, or only an effort of an unstated unit beside a known stretch without torque (see `torque_off_ns`).
 
     Raises:
         RecordingError: The bag cannot be read, or does not hold what is needed.
@@ -858,6 +885,7 @@ def read_recording(
         if command is not None and command != state:
             clock_ns = _clock(columns)
             inputs = _commands(bag, command, clock_ns, nominal_torque_constants, joint_order, columns.names, notes)
+        torque_off = _torque_off(bag, state, _clock(columns), int(_times(columns, state, []).max()), notes)
         notes = bag.notes + notes
     driven: list[str] = []
     if inputs is not None:
@@ -874,9 +902,10 @@ def read_recording(
     record = JointRecord(
         times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported
     )
-    if inputs is None and not states_only:
+    # zero current needs no unit
+    if inputs is None and not states_only and not (torque_off and effort_unit is None):
         inputs = _measured(path, state, record, reported is not None, effort_unit)
-    return Recording(path.resolve().name, record, inputs, tuple(notes))
+    return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
 
 
 def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:

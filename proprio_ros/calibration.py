@@ -61,6 +61,8 @@ NOISE: dict[str, Number] = {
     "stamp_jitter_s": Number("standard deviation of the stamps", "s", 0.0, 0.1),
     "torque_disturbance_N_m": Number("torque that differs from run to run", "N m", 0.0, 100.0),
     "start_velocity_rad_s": Number("of a held joint when its probe begins", "rad/s", 0.0, 10.0, open=True),
+    "friction_spread": Number("friction that differs from one free swing to the next, relative", "", 0.0, 1.0),
+    "swing_error_rad": Number("simulated less measured free swing, in which samples share an error", "rad", 0.0, 10.0),
 }
 _RUN: dict[str, Form] = {
     "name": Text(longest=9000),
@@ -91,6 +93,8 @@ class Calibration:
         stamp_jitter_s: Standard deviation of the stamps.
         torque_disturbance: Standard deviation of a torque that differs from run to run [N m].
         start_velocity: Standard deviation of the velocity at which probes begin [rad/s].
+        friction_spread: Relative standard deviation of friction from one free swing to the next; 0 where none was calibrated with.
+        swing_error: Error of simulated free swings, see `Robot.swing_error` [rad].
         runs: One mapping per run used: name, joint, current_A, load_kg, samples.
         motors: Of the arm, by joint, where its recordings say so.
     """
@@ -104,6 +108,8 @@ class Calibration:
     start_velocity: float = 0.01
     runs: tuple[Mapping[str, Any], ...] = ()
     motors: Motors = field(default_factory=dict)
+    friction_spread: float = 0.0
+    swing_error: float = 0.0
 
     @functools.cached_property
     def names(self) -> tuple[str, ...]:
@@ -125,8 +131,12 @@ class Calibration:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints whose drive trains were calibrated."""
-        return tuple(str(key[1]) for key in self.keys if key[0] == "torque_constant")
+        """Joints whose drive trains were calibrated; a free swing does without a torque constant, which may be stated exactly."""
+        swung = {run["joint"] for run in self.runs} if self.swing_error > 0.0 else set()
+        known = (
+            str(key[1]) for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung)
+        )
+        return tuple(dict.fromkeys(known))
 
     def without(self, keys: set[Key]) -> Calibration:
         """The same with some unknowns marginalised out; keys that it does not hold are ignored."""
@@ -147,6 +157,11 @@ class Calibration:
             "torque_disturbance_N_m": short(self.torque_disturbance),
             "start_velocity_rad_s": short(self.start_velocity),
             **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
+            **(
+                {"friction_spread": short(self.friction_spread), "swing_error_rad": short(self.swing_error)}
+                if self.swing_error > 0.0
+                else {}
+            ),
             "unknowns": {
                 name_of(key): {"value": short(known.value, 15), "std": short(known.std, 15), "unit": _unit(key)}
                 for key, known in self.quantities.items()
@@ -196,9 +211,9 @@ class Calibration:
         if np.linalg.eigvalsh(matrix)[0] < _SMALLEST_EIGENVALUE:
             raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
         scale = np.array(stds)
-        residual_scale, stamp_jitter_s, torque_disturbance, start_velocity = (
+        residual_scale, stamp_jitter_s, torque_disturbance, start_velocity, friction_spread, swing_error = (
             read_as(section.get(name, default), NOISE[name], f"{where}: {name}")
-            for name, default in zip(NOISE, (1.0, 0.0, 0.0, 0.01), strict=True)
+            for name, default in zip(NOISE, (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
         )
         return cls(
             tuple(keys),
@@ -210,6 +225,8 @@ class Calibration:
             start_velocity,
             tuple(runs),
             motors,
+            friction_spread,
+            swing_error,
         )
 
 

@@ -44,6 +44,11 @@ UNUSABLE_EFFORT = ("unsigned_register", "effort_stale", "constant_effort")
 """Findings after which no torque can be made of a measured effort."""
 DOUBTFUL_EFFORT = (*UNUSABLE_EFFORT, "effort_without_sign")
 """Findings after which an effort is not compared with gravity: a joint that only ever lifts has one sign, too."""
+FREE_SWING = (
+    "it tells gravity moment over inertia, without any torque constant: a mass with a calibration from swings with two known loads "
+    "(calibrate --reference BAG=KG --reference BAG=KG)"
+)
+"""What a free swing is good for."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +57,13 @@ class RunCheck:
 
     Attributes:
         duration_s: How long the joint was driven [s].
-        travel: From the first to the last sample [rad or m, as ``unit`` says].
-        current_A: The largest of its currents, with its sign [A].
+        travel: From the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span.
+        current_A: The largest of its currents, with its sign [A]; 0 in a free swing.
         samples: Joint states while it was driven.
         problem: Why it is not usable, or an empty string.
         notes: What else a reader should know.
         mass_half_width_kg: About half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing.
+        free: Whether it is a free swing: torque was off.
     """
 
     name: str
@@ -70,6 +76,7 @@ class RunCheck:
     problem: str = ""
     notes: tuple[str, ...] = ()
     mass_half_width_kg: float | None = None
+    free: bool = False
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -80,6 +87,7 @@ class RunCheck:
             "unit": self.unit,
             "current_A": self.current_A,
             "samples": self.samples,
+            "free_swing": self.free,
             "usable": not self.problem,
             "problem": self.problem or None,
             "problem_code": reason_codes([self.problem])[0] if self.problem else None,
@@ -226,7 +234,15 @@ class BagCheck:
             judged = f"not usable, {run.problem}" if run.problem else "usable"
             if not run.problem and run.mass_half_width_kg is not None:
                 judged += f"; alone it tells a light object's mass to about +-{_grams(run.mass_half_width_kg)}"
-            lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
+            if run.free:
+                lines.append(
+                    f"  a free swing of {run.joint}: torque off, {run.duration_s:.2f} s until it hangs still, "
+                    f"over {run.travel:.2f} {run.unit}, {run.samples} samples: {judged}"
+                )
+                if not run.problem:
+                    lines.append(f"    {FREE_SWING}")
+            else:
+                lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
             lines += [f"    note: {note}" for note in run.notes]
         if self.motion is not None and len(self.motion.joints) == 1:
             lines.append(
@@ -390,7 +406,7 @@ def _bag_check(
         float(intervals.max()),
         contents.topics,
         contents.states,
-        None if recording.inputs is None else recording.inputs.source,
+        _input_of(recording, runs),
         _unit_of(recording.inputs, {name: kind for name, kind, _ in contents.topics}, effort_unit),
         runs,
         problem,
@@ -488,7 +504,8 @@ def _advice(
     """What to record instead, or beside it."""
     advice = []
     record = recording.joints
-    if recording.inputs is None and record.reported_effort is None:
+    free = any(run.free for run in runs)
+    if recording.inputs is None and record.reported_effort is None and not free:
         advice.append(
             "what the motors gave, too: their torque or current as effort in /joint_states, or commands in /applied_effort or "
             "/current_command"
@@ -505,9 +522,15 @@ def _advice(
             "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
             + (" and both for 15 s or longer" if short else "")
         )
-    elif any(not run.problem for run in runs) and not robot.is_calibrated():
+    elif any(not run.problem for run in runs) and not free and not robot.is_calibrated():
         advice.append("runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold")
     return tuple(advice)
+
+
+def _input_of(recording: Recording, runs: Sequence[RunCheck]) -> str | None:
+    if any(run.free for run in runs):
+        return "none, torque is off"
+    return None if recording.inputs is None else recording.inputs.source
 
 
 def _unit_of(inputs: InputRecord | None, types: dict[str, str], effort_unit: str | None) -> str | None:
@@ -520,7 +543,7 @@ def _unit_of(inputs: InputRecord | None, types: dict[str, str], effort_unit: str
 
 def _run_check(robot: Robot, run: Run) -> RunCheck:
     joint = robot.model.joint(run.joint)
-    travel = float(run.position[-1] - run.position[0])
+    travel = float(np.ptp(run.position)) if run.free else float(run.position[-1] - run.position[0])
     largest = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
     slides = joint.kind == "prismatic"
     found = Findings()
@@ -534,11 +557,11 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
     unit = "m" if slides else "rad"
     notes = (*run.notes, *(reason.removeprefix(f"{run.name}: ") for reason in found.reasons))
     try:
-        width_kg = None if problem or slides else mass_from_run(robot, run)
+        width_kg = None if problem or slides or run.free else mass_from_run(robot, run)
     except RobotError:
         width_kg = None
     return RunCheck(
-        run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes, width_kg
+        run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes, width_kg, run.free
     )
 
 

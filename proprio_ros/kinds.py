@@ -63,6 +63,7 @@ KINDS: dict[str, Kind] = {
     "v0": Kind("rad/s", "start velocity", "run"),
     "onset": Kind("s", "delay that differs from run to run", "run"),
     "disturbance": Kind("N m", "torque that differs from run to run", "run"),
+    "friction_change": Kind("1", "friction that differs from swing to swing", "run"),
     # what is looked for
     "payload_mass": Kind("kg", "payload mass"),
     "payload_com": Kind("m", "centre of mass of the payload"),

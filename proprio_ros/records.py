@@ -26,6 +26,9 @@ MEASURED_EFFORT = "measured effort"
 ZERO_CURRENT_A = 1e-6
 """A commanded current up to this is a command of zero [A]."""
 
+TORQUE_OFF = "torque off"
+"""`Run.source` of a free swing: the current is zero because torque was off, whatever else was recorded."""
+
 LOST_AFTER_PERIODS = 2.5
 """A gap longer than this many median periods means that messages were lost, not that one came late."""
 
@@ -187,12 +190,14 @@ class Recording:
         joints: Joint states.
         inputs: Input currents; None when the recording has nothing about them.
         notes: Every repair made while reading, one sentence each.
+        torque_off_ns: From when to when torque was off [ns], one pair per stretch, on the clock of the joint states.
     """
 
     name: str
     joints: JointRecord
     inputs: InputRecord | None
     notes: tuple[str, ...] = ()
+    torque_off_ns: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         _show(self)
@@ -229,6 +234,9 @@ class PointTrack:
 @dataclass(frozen=True)
 class Run:
     """One probe: a joint starts at rest, a current drives it alone, the others are held. Times count from its onset.
+
+    Or one free swing: torque went off, and gravity moves the joint from where and however fast it was. Its times count from
+    the first sample used, its current is zero, and nothing is said of what was before.
 
     Attributes:
         name: Name of the recording, with the run's number behind it when there are several.
@@ -270,6 +278,11 @@ class Run:
     notes: tuple[str, ...] = ()
     reported_effort: FloatArray | None = None
     held_position: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def free(self) -> bool:
+        """Whether it is a free swing: nothing but gravity and friction moves the joint."""
+        return self.source == TORQUE_OFF
 
     def __post_init__(self) -> None:
         _show(self)

@@ -123,6 +123,8 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
             f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "
             "a time, from rest with a constant current"
         )
+    if (swings := [run.name for run in runs if run.free]) and not probe.takes_swings:
+        raise RecordingError(f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives")
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
     for path in baseline_paths:

@@ -14,6 +14,7 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.records import (
     INSTANT_S,
     LOST_AFTER_PERIODS,
+    TORQUE_OFF,
     ZERO_CURRENT_A,
     BoolArray,
     FloatArray,
@@ -52,6 +53,19 @@ MIN_SAMPLES = 5
 """Fewer samples than this say nothing about a motion that starts at rest."""
 
 
+RELEASE_S = 0.05
+"""A servo that was told to let go may take so long; what it does meanwhile is no free swing [s]."""
+
+FELL_SPAN = 0.1
+"""Where torque is off, a joint that moves more than this swings, and one that moves less is held by its friction [rad]."""
+
+LONGEST_SWING_S = 5.0
+"""Of a swing: what comes later is told by friction more than by weight, and costs computing time [s]."""
+
+STANDS_STILL = 0.005
+"""A joint that stays this close to where it ends has come to rest [rad]."""
+
+
 class DrivenAtOnce(RecordingError):
     """Several joints were driven at once: a motion, and no run."""
 
@@ -77,7 +91,9 @@ def cut_runs(
     """Cut the runs out of a recording, in the order in which they happened.
 
     A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods
-    (at most 0.3 s) belongs to the run, a longer one ends it.
+    (at most 0.3 s) belongs to the run, a longer one ends it. Where the recording says that torque was off, a joint that then
+    falls gives a free swing. Of a recording that has both, the probes that a command drove are taken, except those that only
+    held the joint; a zero current alone never makes a swing, since a driver may hold the joint at rest then.
 
     Args:
         recording: The recording.
@@ -92,10 +108,12 @@ def cut_runs(
         RecordingError: No joint was driven, an unknown or unrecorded one was, or every run has fewer than five samples.
     """
     inputs = recording.inputs
+    if recording.torque_off_ns and (inputs is None or not _driven_by_command(recording, inputs)):
+        return _swings(recording, dict(held or {}), tuple(joints))
     if inputs is None:
         raise RecordingError(
             f"{recording.name}: the recording holds no input current; record /applied_effort or /current_command,"
-            " or name the topic with --command-topic"
+            " or name the topic with --command-topic (of a joint that swings freely, record /torque_enabled)"
         )
     record = recording.joints
     intervals = _intervals(recording.name, record, inputs, tuple(joints))
@@ -113,6 +131,97 @@ def cut_runs(
         raise too_short[0]
     # a push that was broken off at once says nothing, and must not cost the others
     return tuple(replace(run, notes=(*run.notes, *(f"left out: {error}" for error in too_short))) for run in runs)
+
+
+def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
+    """Whether a command moved a joint while torque was on; a controller's measured current is no probe."""
+    record = recording.joints
+    if inputs.measured:
+        return False
+    for column, joint in enumerate(inputs.names):
+        active = np.abs(inputs.current_A[:, column]) > ZERO_CURRENT_A
+        if joint not in record.names or not active.any():
+            continue
+        for interval in _intervals_of_joint(record, inputs, joint, active):
+            begins = [
+                begin for begin, end in recording.torque_off_ns if begin < interval.end_ns and end > interval.onset_ns
+            ]
+            end_ns = min([interval.end_ns, *begins])
+            if _span(record, joint, interval._replace(end_ns=end_ns)) > MOVING_SPAN:
+                return True
+    return False
+
+
+def _swings(recording: Recording, held: dict[str, float], joints: tuple[str, ...]) -> tuple[Run, ...]:
+    """A free swing for each stretch without torque in which one joint falls."""
+    record, problems, runs = recording.joints, [], []
+    columns = [record.column(joint) for joint in joints if joint in record.names]
+    if not columns:
+        raise RecordingError(
+            f"{recording.name}: torque goes off, but no position of {', '.join(joints)} was recorded; "
+            f"recorded: {', '.join(record.names)}"
+        )
+    for number, (off_ns, on_ns) in enumerate(recording.torque_off_ns, start=1):
+        name = recording.name if len(recording.torque_off_ns) == 1 else f"{recording.name}#{number}"
+        off_s = 1e-9 * (off_ns - int(record.times_ns[0]))
+        said = f"{name}: torque goes off {off_s:.2f} s after the first joint state, but"
+        inside = (record.times_ns >= off_ns + int(RELEASE_S * 1e9)) & (record.times_ns < on_ns)
+        inside &= record.times_ns <= off_ns + int(LONGEST_SWING_S * 1e9)
+        if int(inside.sum()) < MIN_SAMPLES:
+            problems.append(
+                f"{said} only {int(inside.sum())} joint states come while it is off: record on until it hangs still"
+            )
+            continue
+        spans = np.ptp(record.position[inside], axis=0)
+        fell = [record.names[column] for column in columns if spans[column] > FELL_SPAN]
+        if len(fell) != 1:
+            problems.append(
+                f"{said} {', '.join(fell)} fall at once: hold all joints but one"
+                if fell
+                else f"{said} no joint falls by {FELL_SPAN:g} rad: let go of it where gravity pulls at it"
+            )
+            continue
+        runs.append(_swing(name, record, fell[0], inside, held))
+    if not runs:
+        raise RecordingError(problems[0])
+    return tuple(replace(run, notes=(*run.notes, *(f"left out: {problem}" for problem in problems))) for run in runs)
+
+
+def _swing(name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]) -> Run:
+    """One free swing, until the joint hangs still: then friction alone decides where."""
+    column = record.column(joint)
+    notes = []
+    repeated = _repeated(record, inside, column)
+    if repeated.any():
+        inside = inside & ~repeated
+        notes.append(
+            f"{int(repeated.sum())} joint states repeat the one before although {joint} moves; they were left out"
+        )
+    rows = np.flatnonzero(inside)
+    position = record.position[rows, column]
+    away = np.flatnonzero(np.abs(position - position[-1]) > STANDS_STILL)
+    rows = rows[: min(int(away[-1]) + 3, len(rows))] if len(away) else rows
+    times_s = (record.times_ns[rows] - record.times_ns[rows[0]]) / 1e9
+    others = {other: record.position[rows, record.column(other)] for other in record.names if other != joint}
+    return Run(
+        name=name,
+        joint=joint,
+        onset_ns=int(record.times_ns[rows[0]]),
+        times_s=times_s,
+        position=record.position[rows, column],
+        before_times_s=np.zeros(0),
+        before_position=np.zeros(0),
+        held={other: float(values.mean()) for other, values in others.items()}
+        | {other: float(value) for other, value in held.items() if other != joint},
+        held_span={other: 0.0 for other in held if other != joint}
+        | {other: float(np.ptp(values)) for other, values in others.items() if other not in held},
+        input_times_s=np.zeros(1),
+        input_current_A=np.zeros(1),
+        duration_s=float(times_s[-1]),
+        source=TORQUE_OFF,
+        notes=tuple(notes),
+        held_position={other: values for other, values in others.items() if other not in held},
+    )
 
 
 def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> list[_Interval]:

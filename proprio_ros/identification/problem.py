@@ -47,6 +47,16 @@ REST_S = 0.2
 """Where a joint rests is determined from so much of what was recorded before the onset [s]."""
 AWAY_READINGS = 4.0
 """Farther from there than this, in counts with their noise, it was still on its way."""
+START_STD, START_VELOCITY_STD = 0.1, 2.0
+"""How far off a free swing's first reading, and the slope of its first samples, may be: next to nothing is assumed [rad, rad/s]."""
+SLOPE_S = 0.08
+"""Over which that slope is taken [s]."""
+FIRST_SWING_ERROR = 0.02
+"""What is taken for the error of a simulated swing until the swing shows it [rad]."""
+SLOW = 0.1
+"""Below this speed the direction of a swing is not read off its samples for certain [rad/s]."""
+NOT_IN_A_SWING = ("torque_constant", "delay")
+"""Without a current, nothing depends on these."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
@@ -104,7 +114,9 @@ class PreparedRun:
         rest: start position from the samples before onset.
         limited: whether the supply may limit the current inside the window, as far as the recording says.
         load: what the hand is known to hold; None means the payload to be weighed.
-        yielding: names of held joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``.
+        yielding: names of held joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing it
+            is the load that each kilogram's weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``.
+        arm_as_payload: payload that would load the gears as the arm does [kg]; only known of free swings.
     """
 
     run: Run
@@ -120,6 +132,7 @@ class PreparedRun:
     yielding: tuple[str, ...] = ()
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
+    arm_as_payload: float = 0.0
 
     @property
     def times_s(self) -> np.ndarray:
@@ -130,8 +143,14 @@ class PreparedRun:
         return self.run.position[: self.used]
 
     @property
+    def start_velocity(self) -> float:
+        """Slope of the first samples [rad/s]: with what a free swing about begins."""
+        first = max(int(np.searchsorted(self.times_s, SLOPE_S)), 3)
+        return float(np.polyfit(self.times_s[:first], self.position[:first], 1)[0])
+
+    @property
     def travel(self) -> float:
-        """Signed largest excursion from rest inside the used window."""
+        """Signed largest excursion from rest, or from the start of a free swing, inside the used window."""
         excursion = self.position - self.rest.value
         return float(excursion[np.argmax(np.abs(excursion))])
 
@@ -284,7 +303,7 @@ def prepare_run(
     else:
         others = [n for n in robot.model.independent_joints if n != run.joint]
         coefficients = _arm_coefficients(robot, run, others)
-        motions = held_motions(robot, run, coefficients.pose)
+        motions = {} if run.free else held_motions(robot, run, coefficients.pose)
         if motions:
             starts = {name: motion.start for name, motion in motions.items()}
             run = replace(run, held={**run.held, **starts})
@@ -297,7 +316,7 @@ def prepare_run(
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
     lower, upper = joint.lower / drive.transmission, joint.upper / drive.transmission
-    counted = np.ones_like(followed) if past_fast else followed
+    counted = np.ones_like(followed) if past_fast or run.free else followed
     used, reason, hit_limit = _usable_window(run, velocity, counted, drive, lower, upper)
     reading = robot.residual_scale * float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
     jitter = robot.stamp_jitter_s
@@ -306,8 +325,12 @@ def prepare_run(
         # learnt from residuals holds as it is: whatever makes them grow with speed is in it, and not in the intervals.
         jitter = min(jitter, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
     sigma = np.hypot(reading, velocity[:used] * jitter)
+    if run.free:
+        sigma = np.hypot(sigma, robot.swing_error or FIRST_SWING_ERROR)
     resting = _at_rest(run, drive)
-    if len(resting):
+    if run.free:
+        rest = Quantity(float(run.position[0]), START_STD)
+    elif len(resting):
         # at rest the rounding error repeats, so only the noise averages out
         noise = drive.encoder_noise / np.sqrt(len(resting))
         rest = Quantity(float(np.mean(resting)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)))
@@ -318,6 +341,11 @@ def prepare_run(
         noise = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
         where = load.facts if load is not None else facts or PayloadFacts()
         yielding_times_s, yielding_load = loads_of_yielding(robot, run, motions, where, noise)
+    arm_as_payload = 0.0
+    if run.free and coefficients.payload.any():
+        facts_of_it = load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
+        arm_as_payload, per_kg = _weight_on_gears(run, coefficients, facts_of_it)
+        yielding_times_s, yielding_load = run.times_s, np.stack([np.zeros_like(per_kg), per_kg], axis=1)
     return PreparedRun(
         run,
         used,
@@ -327,12 +355,33 @@ def prepare_run(
         coefficients,
         sigma,
         rest,
-        limited=not followed[1:used].all(),
+        limited=not run.free and not followed[1:used].all(),
         load=load,
         yielding=tuple(motions),
         yielding_times_s=yielding_times_s,
         yielding_load=yielding_load,
+        arm_as_payload=arm_as_payload,
     )
+
+
+def _weight_on_gears(run: Run, coefficients: Coefficients, facts: PayloadFacts) -> tuple[float, np.ndarray]:
+    """What friction that grows with the load acts on in a free swing.
+
+    With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way it
+    goes is read off the recording, so that this friction is a known load times one unknown.
+
+    Returns:
+        the payload [kg] that weighs on the joint as the arm does, and the size of the moment of 1 kg with the sign of the
+        velocity at each sample [N m/kg], shape (K,).
+    """
+    per_mass = payload_parameters(np.ones(1), facts.com[None], facts.shape.second_moment_per_mass)[0]
+    _, cos, sin, constant = coefficients.payload @ per_mass
+    arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
+    width = max(round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1, 3)
+    smooth = np.convolve(np.pad(run.position, width // 2, mode="edge"), np.full(width, 1.0 / width), "valid")
+    side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
+    moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)
+    return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
@@ -461,14 +510,23 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
     unknowns = [u.at_role(drive_role) for u in unknowns]
     for row, run in enumerate(runs):
         unknowns.append(Unknown("q0", run.rest.value, run.rest.std, scope=row))
-        unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
+        if run.run.free:
+            unknowns.append(Unknown("v0", run.start_velocity, START_VELOCITY_STD, scope=row))
+            change = Unknown("friction_change", 0.0, robot.friction_spread, -0.9, scope=row)
+            unknowns.append(change.at_role(drive_role))
+        else:
+            unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
         unknowns.append(Unknown("onset", 0.0, _onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
-        unknowns.append(Unknown("disturbance", 0.0, robot.torque_disturbance, scope=row).at_role(drive_role))
+        # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
+        disturbance = 0.0 if run.run.free else robot.torque_disturbance
+        unknowns.append(Unknown("disturbance", 0.0, disturbance, scope=row).at_role(drive_role))
     return unknowns
 
 
 def _onset_std(robot: Robot, run: PreparedRun) -> float:
     """How the delay differs from run to run; where the input is measured effort, its onset is only known to one period."""
+    if run.run.free:  # no command begins it
+        return 0.0
     period = float(np.median(np.diff(run.run.times_s))) if run.run.source == MEASURED_EFFORT else 0.0
     return float(np.hypot(robot.onset_jitter_s, period / 2.0))
 
@@ -525,7 +583,7 @@ class Problem:
             self.measured[row, : run.used] = run.position
             self.weight[row, : run.used] = 1.0 / run.sigma
         # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
-        bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS}
+        bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, "friction_change"}
         free = [unknowns[row] for row in self.free]
         kinds = {u.kind for u in free}
         self._affine = kinds.isdisjoint(bent)
@@ -546,6 +604,8 @@ class Problem:
         run, owner = self.runs[row], unknown.scope
         if unknown.kind in PAYLOAD_TERMS:
             return run.load is None
+        if run.run.free and unknown.kind in NOT_IN_A_SWING:
+            return False
         match KINDS[unknown.kind].of:
             case "run":
                 return owner == row
@@ -664,16 +724,42 @@ class Problem:
                 ("q0", row): ("q0", 1.0),
                 ("v0", row): ("v0", 1.0),
             }
+            if run.run.free:
+                direct = {key: to for key, to in direct.items() if to[0] not in NOT_IN_A_SWING}
             for key, (parameter, sign) in direct.items():
                 p[:, row, INDEX[parameter]] += sign * values[:, at[key]]
                 dp[:, row, INDEX[parameter], at[key]] = sign
-            if run.load is None:
+            if run.run.free:
+                self._change_friction(row, p, dp, values)
+            elif run.load is None:
                 p[:, row, INDEX["carried"]] = values[:, at["payload_mass"]]
                 dp[:, row, INDEX["carried"], at["payload_mass"]] = 1.0
             else:
                 p[:, row, INDEX["carried"]] = run.load.mass
             self._start_reading(row, p, dp, values)
         return p, dp
+
+    def _change_friction(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
+        """Warm gears, fresh grease: all friction of a swing is the joint's times the same factor.
+
+        The gears carry no motor's torque but the weight, and lose the same part of it; ``carried`` is what they lose per moment
+        of a kilogram.
+        """
+        at, joint = self.index, self.runs[row].run.joint
+        change = at["friction_change", row]
+        factor = 1.0 + values[:, change]
+        for kind in ("coulomb", "viscous"):
+            p[:, row, INDEX[kind]] *= factor
+            dp[:, row, INDEX[kind], at[kind, joint]] = factor
+            dp[:, row, INDEX[kind], change] = values[:, at[kind, joint]]
+        run, load_friction = self.runs[row], at["load_friction", joint]
+        mass = run.arm_as_payload + (values[:, at["payload_mass"]] if run.load is None else run.load.mass)
+        lost, carried = values[:, load_friction], INDEX["carried"]
+        p[:, row, carried] = factor * lost * mass
+        dp[:, row, carried, load_friction] = factor * mass
+        dp[:, row, carried, change] = lost * mass
+        if run.load is None:
+            dp[:, row, carried, at["payload_mass"]] = factor * lost
 
     def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""

@@ -32,6 +32,7 @@ from proprio_ros.identification.planning import advise, weighable
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,
+    FIRST_SWING_ERROR,
     KnownLoad,
     PreparedRun,
     Problem,
@@ -40,15 +41,27 @@ from proprio_ros.identification.problem import (
     robot_unknowns,
 )
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.swings import (
+    CHANGING,
+    MISSED_SHARE,
+    are_swings,
+    missed_share,
+    said_missed,
+    stamp_jitter,
+    swing_error,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import INDEX
 from proprio_ros.sim.payload import PayloadFacts
 
 FRICTION_STARTS = (0.005, 0.02, 0.06)
 """Coulomb friction [N m] from which the fit starts: low, for a model that sticks has no gradient."""
+SWING_FRICTION_STARTS = (0.03, 0.1, 0.25)
+"""The same for free swings, as shares of the largest gravity moment: the gears are driven from behind."""
 EVIDENCE_ROUNDS = 15
 PSEUDO_RUNS = 2.0
 """Weight of the robot file's word on run-to-run torque, in runs."""
@@ -92,12 +105,15 @@ class _Noise:
     Attributes:
         residual_scale: of readings, over the file's; stamp_jitter_s: of stamps.
         torque_disturbance: of torque from run to run [N m]; start_velocity: with which runs begin [rad/s].
+        friction_spread, swing_error: of free swings, see `Robot`.
     """
 
     residual_scale: float
     stamp_jitter_s: float
     torque_disturbance: float
     start_velocity: float
+    friction_spread: float = 0.0
+    swing_error: float = 0.0
 
     def near(self, other: _Noise) -> bool:
         """Whether nothing differs by more than 2 %."""
@@ -154,6 +170,7 @@ def calibrate(
         return CalibrationEstimate(
             robot.name, Verdict.NOT_IDENTIFIABLE, tuple(found.reasons), len(runs), None, notes=tuple(found.notes)
         )
+    swings = are_swings(usable)
     if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
         raise ConfigurationError(
             f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known, "
@@ -185,6 +202,19 @@ def calibrate(
             f"run to run; the robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot "
             "in the recordings (weights, unit of the current, gears?), or something pulls at it",
         )
+    elif swings and (share := missed_share(fitted.posterior)) > MISSED_SHARE:
+        verdict = Verdict.REJECTED
+        found.reasons.insert(0, said_missed(share))
+    elif swings and fitted.noise.friction_spread > CHANGING:
+        verdict = Verdict.REJECTED
+        found.reasons.insert(
+            0,
+            Reason(
+                "misfit",
+                f"misfit: the swings only agree if friction differs by {100 * fitted.noise.friction_spread:.0f} % from one to the "
+                "next: are the loads as stated, and is their inertia?",
+            ),
+        )
     hand = _empty_hand(fitted)
     if hand is not None and abs(hand.pull) > NOT_EMPTY:
         verdict = Verdict.REJECTED
@@ -196,7 +226,13 @@ def calibrate(
     if apart:
         found.notes.append(f"{apart} of {len(ends)} starts ended in a worse place; the best was taken")
     found.reasons.extend(_far_from_file(fitted))
-    found.reasons.extend(never_reversed(used))
+    if swings:
+        found.notes.append(
+            f"free swings tell nothing of the torque constant of {', '.join(joints_of(used))}: weigh from free swings with this "
+            "calibration; what a current drives would carry the robot file's torque constant"
+        )
+    else:
+        found.reasons.extend(never_reversed(used))
     calibration = whole = _as_calibration(fitted)
     one_way = _driven_one_way(robot, used)
     if verdict is Verdict.ACCEPTED and len(used) == 1:
@@ -218,7 +254,7 @@ def calibrate(
     solved = time.perf_counter()
     suggestions: list[ProbePlan] = []
     can_weigh: Weighable | None = None
-    if advice and verdict is not Verdict.REJECTED:
+    if advice and verdict is not Verdict.REJECTED and not swings:
         progress("looking for the run that would help most")
         if one_way:  # then nothing is worth advice but the other way
             found_runs = advise(robot.with_calibration(whole), tuple(one_way), 10 * advice)
@@ -255,6 +291,8 @@ def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool
     for run in runs:
         drive = run.drive
         is_open = drive.torque_constant.std > 0.0 and drive.coulomb.std > 0.0
+        if run.run.free:  # goes both ways by itself
+            continue
         if is_open and robot.model.joint(run.run.joint).kind != "prismatic":
             ways.setdefault(run.run.joint, set()).add(run.travel > 0.0)
     return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}
@@ -312,7 +350,7 @@ def _fit_what_agrees(
 def _outlier(robot: Robot, fitted: _Fitted) -> int | None:
     """The run that contradicts the others: predicted badly, or explained only by a torque that no other run needs."""
     outlier = contradicting(fitted.posterior)
-    if outlier is not None or fitted.noise.torque_disturbance == 0.0:
+    if outlier is not None or fitted.noise.torque_disturbance == 0.0 or fitted.problem.runs[0].run.free:
         return outlier
     found, learnt = _of_runs("disturbance", fitted.problem, fitted.posterior, fitted.noise.torque_disturbance)
     if len(found) < 3:
@@ -392,14 +430,20 @@ def _not_separated(robot: Robot, fitted: _Fitted, calibration: Calibration) -> t
 
 
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: _Noise) -> Problem:
-    robot = replace(robot, torque_disturbance=noise.torque_disturbance, start_velocity=noise.start_velocity)
+    robot = replace(
+        robot,
+        torque_disturbance=noise.torque_disturbance,
+        start_velocity=noise.start_velocity,
+        friction_spread=noise.friction_spread,
+    )
     unknowns = robot_unknowns(robot, runs, Role.FREE)
     return Problem(robot, [_with_noise(run, noise) for run in runs], PayloadFacts(), unknowns)
 
 
 def _with_noise(run: PreparedRun, noise: _Noise) -> PreparedRun:
     reading, jitter = _noise_parts(run, noise)
-    return replace(run, sigma=np.hypot(reading, jitter))
+    sigma = np.hypot(reading, jitter)
+    return replace(run, sigma=np.hypot(sigma, noise.swing_error) if run.run.free else sigma)
 
 
 def _noise_parts(run: PreparedRun, noise: _Noise) -> tuple[float, np.ndarray]:
@@ -411,23 +455,31 @@ def _noise_parts(run: PreparedRun, noise: _Noise) -> tuple[float, np.ndarray]:
 def _starts(problem: Problem) -> np.ndarray:
     """Solver coordinates to start from: the file's values at a few levels of friction, shape (S, F)."""
     coordinates = problem.coordinates
-    starts = np.tile(coordinates.prior_mean, (len(FRICTION_STARTS), 1))
+    levels: Sequence[float] = FRICTION_STARTS
+    if problem.runs[0].run.free:
+        p, _ = problem.parameters(problem.base[None], problem.free[:1])
+        largest = float(np.hypot(p[..., INDEX["gravity_cos"]], p[..., INDEX["gravity_sin"]]).max())
+        levels = [share * largest for share in SWING_FRICTION_STARTS]
+    starts = np.tile(coordinates.prior_mean, (len(levels), 1))
     for column, row in enumerate(problem.free):
         unknown = problem.unknowns[row]
-        if unknown.kind == "coulomb" and unknown.value < min(FRICTION_STARTS):
-            starts[:, column] = np.minimum(FRICTION_STARTS, unknown.value + 2.0 * unknown.std)
+        if unknown.kind == "coulomb" and unknown.value < min(levels):
+            starts[:, column] = np.minimum(levels, unknown.value + 2.0 * unknown.std)
     return coordinates.internal(starts)
 
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
     """Maximum a posteriori of all unknowns, the noise by its evidence."""
-    noise = _Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity)
+    noise = _Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity, robot.friction_spread)
+    swings = runs[0].run.free
+    if swings:
+        noise = replace(noise, swing_error=FIRST_SWING_ERROR)
     problem = _problem(robot, runs, noise)
     solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=40)
     values = problem.all_values(problem.coordinates.physical(solution.internal[solution.best][None]))[0]
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
-        better = _evidence(robot, problem, posterior, noise)
+        better = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
         settled = better.near(noise)
         noise = better
         problem = _problem(robot, runs, noise)
@@ -470,6 +522,18 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: _Nois
     return _Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
 
 
+def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: _Noise) -> _Noise:
+    """The same of free swings, whose residuals are not independent."""
+    found, learnt = _of_runs("friction_change", problem, posterior, noise.friction_spread)
+    spread = _spread(robot.friction_spread, found, learnt)
+    return replace(
+        noise,
+        stamp_jitter_s=max(stamp_jitter(posterior), robot.stamp_jitter_s),
+        friction_spread=spread,
+        swing_error=swing_error(posterior),
+    )
+
+
 def _of_runs(kind: str, problem: Problem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
     """An unknown of every run, and how much of it the recording determines rather than its prior (0 to 1); shapes (R,)."""
     place = problem.free.tolist()
@@ -506,4 +570,6 @@ def _as_calibration(fitted: _Fitted) -> Calibration:
             }
             for run in problem.runs
         ),
+        friction_spread=fitted.noise.friction_spread if fitted.noise.swing_error > 0.0 else 0.0,
+        swing_error=fitted.noise.swing_error,
     )

@@ -170,6 +170,7 @@ class Probe(ABC, Generic[Facts]):
         solvers, profiles: that ``replay`` may be asked for.
         live: whether there is an estimate while a run is under way.
         takes_motions: whether recordings in which several joints were driven at once determine it.
+        takes_swings: whether free swings determine it.
         prepares: what takes long to prepare, in words; empty: nothing.
         baseline, limits, example: see there; ``example`` None: no demo.
     """
@@ -186,6 +187,7 @@ class Probe(ABC, Generic[Facts]):
     profiles: ClassVar[tuple[str, ...]] = ("default",)
     live: ClassVar[bool] = False
     takes_motions: ClassVar[bool] = False
+    takes_swings: ClassVar[bool] = False
     prepares: ClassVar[str] = ""
     baseline: ClassVar[Baseline | None] = None
     limits: ClassVar[tuple[Limit, ...]] = ()

@@ -43,6 +43,9 @@ class Robot:
         torque_disturbance: Standard deviation of a torque that is there in one run and not in the next, such as friction
             that is not the same every time [N m].
         start_velocity: Standard deviation of the velocity at which a held joint is when its probe begins [rad/s].
+        friction_spread: Standard deviation of friction from one free swing to the next, relative.
+        swing_error: What neighbouring samples of a free swing share of the error of its simulation: standard deviation that one
+            sample must have so that independent ones weigh as much [rad]. Calibrations and swings themselves show it.
         link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
             relative mass, each coordinate of its centre of mass [m], relative inertia about it.
         residual_scale: Residuals of a calibration over what encoder and stamps explain.
@@ -70,6 +73,8 @@ class Robot:
     onset_jitter_s: float = 0.0
     torque_disturbance: float = 0.0
     start_velocity: float = 0.01
+    friction_spread: float = 0.15
+    swing_error: float = 0.0
     link_mass_std: float = 0.0
     link_com_std: float = 0.0
     link_inertia_std: float = 0.0
@@ -136,6 +141,8 @@ class Robot:
             delay=known.get("delay", self.delay),
             torque_disturbance=calibration.torque_disturbance,
             start_velocity=calibration.start_velocity,
+            friction_spread=calibration.friction_spread or self.friction_spread,
+            swing_error=calibration.swing_error,
             residual_scale=calibration.residual_scale,
             stamp_jitter_s=calibration.stamp_jitter_s,
             calibration=calibration,
@@ -254,6 +261,7 @@ _ROBOT = {
     "onset_jitter_s": _Field(Number("standard deviation of the delay from run to run", "s", 0.0, 0.1), 0.001),
     "torque_disturbance_N_m": _Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
     "start_velocity_rad_s": _Field(NOISE["start_velocity_rad_s"], 0.01),
+    "friction_spread": _Field(NOISE["friction_spread"], 0.15),
     "link_mass_std": _Field(Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05),
     "link_com_std_m": _Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.005),
     "link_inertia_std": _Field(Number("relative inertia about it", "", 0.0, 10.0), 0.2),
@@ -581,6 +589,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         onset_jitter_s=given["onset_jitter_s"],
         torque_disturbance=disturbance,
         start_velocity=given["start_velocity_rad_s"],
+        friction_spread=given["friction_spread"],
         link_mass_std=given["link_mass_std"],
         link_com_std=given["link_com_std_m"],
         link_inertia_std=given["link_inertia_std"],

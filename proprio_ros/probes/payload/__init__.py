@@ -54,6 +54,7 @@ class Payload(Probe[PayloadJob]):
     profiles = ("default", "paper")
     live = True
     takes_motions = True
+    takes_swings = True
     example = Example(
         flag="mass",
         metavar="KG",
@@ -99,6 +100,8 @@ class Payload(Probe[PayloadJob]):
             return weigh_in_motion(robot, recorded.motions, recorded.baseline_motions, facts.payload, stated_centre)
         if facts.paper is None:
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
+        if swings := [run.name for run in recorded.runs if run.free]:
+            raise RecordingError(f"{swings[0]} is a free swing; the paper's method wants a joint that a current drives")
         stated = facts.paper
         if recorded.text is not None:
             stated = as_published(stated, recorded.text.setting, facts.stated)

@@ -54,12 +54,22 @@ from proprio_ros.identification.judge import (
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, joints_of, prepare_run
-from proprio_ros.identification.reasons import of_run
+from proprio_ros.identification.reasons import Reason, of_run
+from proprio_ros.identification.swings import (
+    FRICTION_LAW,
+    FRICTION_LAW_SHARE,
+    MISSED_SHARE,
+    MUCH_WORSE,
+    are_swings,
+    missed_share,
+    said_missed,
+    swing_error,
+)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
@@ -70,6 +80,10 @@ DECIDES = 0.1
 """A guess that is worth less than this share of the standard deviation is not worth a sentence."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
+
+SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
+SWING_ROUNDS = 4
+"""How often the error of a simulated swing is looked at again."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +134,8 @@ def weigh(
         screen_run(robot, prepared, found)
     if not weighing:
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
+    if are_swings(usable):
+        return _weigh_swings(robot, usable, facts, options, found, len(runs))
     drift = _drift(robot, usable[weighing:], facts, options)
 
     nominal = solve_load(robot, usable, facts, options, Role.FROZEN, rough=robot.is_calibrated(joints_of(usable)))
@@ -133,6 +149,53 @@ def weigh(
                 "under its priors"
             )
     return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs), drift)
+
+
+def _weigh_swings(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    found: Findings,
+    run_count: int,
+) -> Estimate:
+    """From free swings; those that are followed worse than the calibration's count for less."""
+    known = robot.swing_error
+    options = replace(options, starts_kg=_swing_starts(robot, runs[0], facts))
+    opened = searched = solve_load(robot, runs, facts, options, Role.FREE)
+    for _ in range(SWING_ROUNDS):
+        posterior = Posterior(opened.problem, opened.values)
+        error = max(swing_error(posterior), known)
+        if error <= 1.05 * robot.swing_error:
+            break
+        robot = replace(robot, swing_error=error)
+        runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
+        opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
+    share = missed_share(posterior)
+    misfit = said_missed(share) if share > MISSED_SHARE else ""
+    if not misfit and known and error > MUCH_WORSE * known:
+        misfit = Reason(
+            "misfit",
+            f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
+            "torque off all the time, and is the object's place and shape as stated?",
+        )
+    if not robot.is_calibrated(joints_of(runs)):
+        found.reasons.append(
+            Reason(
+                "not_calibrated",
+                "a free swing tells gravity moment over inertia: what the robot file leaves open of the rotor's inertia counts; "
+                "two swings with known loads tell it (calibrate --reference BAG=KG --reference BAG=KG)",
+            )
+        )
+    return _conclude(robot, runs, facts, options, searched, opened, found, run_count, "", misfit)
+
+
+def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
+    """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass."""
+    per_mass = payload_parameters(np.ones(1), facts.com[None], facts.shape.second_moment_per_mass)[0]
+    own = float(run.coefficients.arm[0]) + robot.drive_trains[run.run.joint].armature.value
+    doubling = own / max(float((run.coefficients.payload @ per_mass)[0]), 1e-9)
+    return tuple(doubling * share for share in SWING_STARTS)
 
 
 def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> str:
@@ -200,13 +263,19 @@ def _conclude(
     found: Findings,
     run_count: int,
     drift: str,
+    misfit_of_swing: str = "",
 ) -> Estimate:
     known = robot.is_calibrated(joints_of(runs))
-    fit = nominal if nominal.explains and not known else opened
+    swings = runs[0].run.free
+    fit = nominal if nominal.explains and not known and not swings else opened
     assessed = Assessment(fit, "payload_mass", runs, known, opened)
     budget = assessed.budget()
     mass = assessed.value
-    if not known:
+    if swings:
+        law = FRICTION_LAW_SHARE * abs(mass)
+        assessed.widen(law)
+        budget = sorted([*budget, (FRICTION_LAW, law)], key=lambda entry: -entry[1])
+    if not known and not swings:
         # the nominal mass may sit anywhere inside the open fit's interval: count how far
         assessed.widen(mass - float(opened.values[assessed.row]))
         # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
@@ -222,7 +291,7 @@ def _conclude(
         assessed.widen(guess.std)
     sources = sorted([*budget, *((f"{g.key}, guessed", g.std) for g in guesses)], key=lambda entry: -entry[1])
     std = assessed.std
-    moving = [] if fit.explains else _moving_starts(robot, runs, facts, options, fit)
+    moving = [] if fit.explains or swings else _moving_starts(robot, runs, facts, options, fit)
 
     def refusals() -> Iterator[Refusal]:
         if not np.isfinite(fit.chi2):
@@ -230,6 +299,8 @@ def _conclude(
             yield rejected("unsimulated", unsimulated, unsimulated + ": check the robot file's inertias")
         if drift:
             yield rejected("drift", "the robot has changed since its calibration", drift)
+        if misfit_of_swing:
+            yield rejected("misfit", "the model does not explain the recording", misfit_of_swing)
         yield from contradicted(apart)
         if on_bound(fit):
             yield rejected(
@@ -264,7 +335,7 @@ def _conclude(
                 "more than one mass explains the recording: " + ", ".join(f"{1e3 * m:.1f} g" for m in (mass, *others)),
             )
 
-    searched = nominal if nominal.explains or len(opened.solution.cost) == 1 else opened
+    searched = nominal if (nominal.explains and not swings) or len(opened.solution.cost) == 1 else opened
     best = float(searched.physical("payload_mass")[searched.solution.best])
     estimate = judge(
         robot,
@@ -280,13 +351,14 @@ def _conclude(
             searched.solution.iterations, options, margin=0.5, final=fit,
         ),
         budget=sources,
-        assumptions=_assumptions(robot, facts, options, fit is nominal),
+        assumptions=_assumptions(robot, facts, options, fit is nominal, swings),
         apart=apart,
         open_drive_train=budget,
         useful=Useful(options.wide_share, options.wide_floor_kg),
         guesses=guesses,
     )  # fmt: skip
-    if estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE) and not known and not known_exactly(robot, runs):
+    open_still = not known and not swings and not known_exactly(robot, runs)
+    if estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE) and open_still:
         return replace(estimate, reasons=(*estimate.reasons, *never_reversed(runs)))
     return estimate
 
@@ -371,13 +443,16 @@ def scan_masses(mass: float) -> np.ndarray:
     return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
 
 
-def _assumptions(robot: Robot, facts: PayloadFacts, options: WeighingOptions, nominal: bool) -> tuple[str, ...]:
+def _assumptions(
+    robot: Robot, facts: PayloadFacts, options: WeighingOptions, nominal: bool, swings: bool
+) -> tuple[str, ...]:
     place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
     return (
         f"the payload is rigid, {facts.shape.description}"
         + (" (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else "")
         + f", its centre at [{place}] mm in {robot.payload_frame}",
-        "each probe starts from rest; the held joints stand at their recorded mean",
+        ("friction differs from swing to swing, by one factor each" if swings else "each probe starts from rest")
+        + "; the held joints stand at their recorded mean",
         f"robot file {robot.source.name}, "
         + ("calibrated" if robot.is_calibrated() else "not calibrated")
         + (

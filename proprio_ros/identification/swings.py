@@ -1,0 +1,103 @@
+"""Free swings: how well a simulation follows them, counted so that intervals are honest.
+
+What a simulated swing misses is no noise of the encoder but a torque that depends on place, direction and load, and neighbouring
+samples share it. Each sample therefore counts with the standard deviation at which independent samples would tell as much:
+``rms sqrt((1 + r) / (1 - r))`` with r the correlation of neighbours (an autoregression of first order; Bayley & Hammersley 1946,
+J. R. Stat. Soc. Suppl. 8(2)), over the part of the samples that the fit's own unknowns have not used up.
+
+A swing tells the ratio of the gravity moment to the inertia, and friction over inertia. Two known loads, or one of known inertia,
+make masses of it: they tell the rotor's inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.identification.reasons import Reason
+
+MISSED_SHARE = 0.03
+"""A simulation that misses a swing by more than this share of its span (rms) does not explain it."""
+MUCH_WORSE = 6.0
+"""A swing may be followed so many times worse than those of the calibration before it contradicts them."""
+CHANGING = 0.5
+"""Friction that differs by more than this share from swing to swing is no friction."""
+MOST_CORRELATED = 0.95
+FRICTION_LAW, FRICTION_LAW_SHARE = "friction_law", 0.015
+"""Source of uncertainty, and its standard deviation as a share of the mass: gears follow no law of friction better. Masses of real
+servos that were let go came out 1.3 to 1.9 % off with whatever law explained the swings (docs: validation)."""
+USUAL_SHARE, USUAL_SAMPLES = 0.01, 16.0
+"""What a simulation usually misses of a swing's span, and how many independent samples that word counts as: two swings alone may
+be followed better than the next one by chance."""
+
+
+def are_swings(runs: Sequence[PreparedRun]) -> bool:
+    """Whether the runs are free swings.
+
+    Raises:
+        RecordingError: Some are, and some are not.
+    """
+    free = [run.run.name for run in runs if run.run.free]
+    driven = [run.run.name for run in runs if not run.run.free]
+    if free and driven:
+        raise RecordingError(f"{free[0]} is a free swing and {driven[0]} is driven by a current: give them apart")
+    return bool(free)
+
+
+def swing_error(posterior: Posterior) -> float:
+    """See the module [rad]."""
+    off = _missed(posterior)
+    square = sum(float(part @ part) for part in off)
+    near = sum(float(part[1:] @ part[:-1]) for part in off)
+    correlation = float(np.clip(near / max(square, 1e-300), 0.0, MOST_CORRELATED))
+    samples = len(posterior.residual)
+    longer = (1.0 + correlation) / (1.0 - correlation)
+    independent = samples / longer
+    used = min(float(posterior.leverage().sum()), 0.7 * independent)
+    found = square / samples * longer * independent / (independent - used)
+    usual = (USUAL_SHARE * max(float(np.ptp(run.position)) for run in posterior.problem.runs)) ** 2
+    left = independent - used
+    return float(np.sqrt((left * found + USUAL_SAMPLES * usual) / (left + USUAL_SAMPLES)))
+
+
+def stamp_jitter(posterior: Posterior) -> float:
+    """Of the stamps [s]: how much more neighbouring samples differ from each other where the joint is fast."""
+    moved, squares = [], []
+    at = 0
+    for run, part in zip(posterior.problem.runs, _missed(posterior), strict=True):
+        velocity = posterior.velocity[at : at + len(part)]
+        at += len(part)
+        rough = np.sqrt(2.0 / 3.0) * (part[1:-1] - 0.5 * (part[2:] + part[:-2]))
+        reading = float(np.hypot(run.drive.encoder_resolution / np.sqrt(12.0), run.drive.encoder_noise))
+        moved.append(velocity[1:-1] ** 2)
+        squares.append(rough**2 - reading**2)
+    speed2, square = np.concatenate(moved), np.concatenate(squares)
+    return float(np.sqrt(max(float(square @ speed2), 0.0) / max(float(speed2 @ speed2), 1e-300)))
+
+
+def missed_share(posterior: Posterior) -> float:
+    """The worst run's rms residual over its span."""
+    return max(
+        float(np.sqrt(np.mean(part**2)) / max(np.ptp(run.position), 1e-9))
+        for run, part in zip(posterior.problem.runs, _missed(posterior), strict=True)
+    )
+
+
+def said_missed(share: float) -> Reason:
+    """That no swing of this joint explains the recording."""
+    return Reason(
+        "misfit",
+        f"misfit: the best simulated swing misses the recorded one by {100.0 * share:.1f} % of its span (rms): does the joint hang "
+        "free, was torque off all the time, and are the loads as stated?",
+    )
+
+
+def _missed(posterior: Posterior) -> list[np.ndarray]:
+    """Residuals of each run [rad]."""
+    sigma = np.concatenate([run.sigma for run in posterior.problem.runs])
+    off = posterior.residual * sigma
+    return [off[posterior.run == row] for row in range(len(posterior.problem.runs))]
