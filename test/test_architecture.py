@@ -188,6 +188,7 @@ ROOMS: dict[str, set[str]] = {
     "excitation": {"errors", "reading", "records", "resources", "robot"},
     "nodes": {
         "errors",
+        "motions",
         "motors",
         "progress",
         "quantity",
