@@ -2,9 +2,9 @@
 
     python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated]
 
-Each arm of six joints (``--joints 4``: a small one in slow motion) runs random sines under a computed-torque controller, once empty and once with a payload of 0.1 to 2 kg (each
-fourth with nothing). Links are off the URDF by 8 %, torque constants by 1 %; friction depends on place, load and run; current and
-position are noisy, and the torque is late.
+Each arm of six joints (``--joints 4``: a small one in slow motion) runs random sines under a computed-torque controller, once empty
+and once with a payload of 0.1 to 2 kg (20 to 200 g; each fourth with nothing). Links are off the URDF by 8 % (2 %), torque
+constants by 1 %; friction depends on place, load and run; current and position are noisy, and the torque is late.
 """
 
 from __future__ import annotations
