@@ -57,6 +57,9 @@ SLOW = 0.1
 """Below this speed the direction of a swing is not read off its samples for certain [rad/s]."""
 NOT_IN_A_SWING = ("torque_constant", "delay")
 """Without a current, nothing depends on these."""
+KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, "stribeck", "stribeck_velocity")
+"""Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
+learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)
@@ -587,7 +590,10 @@ class Problem:
         free = [unknowns[row] for row in self.free]
         kinds = {u.kind for u in free}
         self._affine = kinds.isdisjoint(bent)
-        self._ripple = [tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS) for run in self.runs]
+        self._ripple = [
+            (-1, -1) if run.run.free else tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
+            for run in self.runs
+        ]
         self._ripples = not kinds.isdisjoint(RIPPLE_TERMS) or any(
             self.base[row] != 0.0 for pair in self._ripple for row in pair if row >= 0
         )
@@ -604,7 +610,8 @@ class Problem:
         run, owner = self.runs[row], unknown.scope
         if unknown.kind in PAYLOAD_TERMS:
             return run.load is None
-        if run.run.free and unknown.kind in NOT_IN_A_SWING:
+        kept = unknown.kind in KEPT_IN_A_SWING and owner == run.run.joint
+        if run.run.free and (kept or unknown.kind in NOT_IN_A_SWING):
             return False
         match KINDS[unknown.kind].of:
             case "run":
@@ -702,15 +709,16 @@ class Problem:
                     d[:, :, column] += factor * change
             zero_row = at.get(("zero", joint))
             if zero_row is not None:
-                z = values[:, zero_row]
+                z = np.full(guesses, self.base[zero_row]) if run.run.free else values[:, zero_row]
                 cos, sin = np.cos(z), np.sin(z)
                 ga, gb = g[:, 1].copy(), g[:, 2].copy()
                 da, db = d[:, 1].copy(), d[:, 2].copy()
                 g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
                 d[:, 1] = da * cos[:, None] + db * sin[:, None]
                 d[:, 2] = db * cos[:, None] - da * sin[:, None]
-                d[:, 1, zero_row] += g[:, 2]
-                d[:, 2, zero_row] -= g[:, 1]
+                if not run.run.free:
+                    d[:, 1, zero_row] += g[:, 2]
+                    d[:, 2, zero_row] -= g[:, 1]
             p[:, row, _GRAVITY_ROWS] = g
             dp[:, row, _GRAVITY_ROWS] = d
             direct: dict[Key, tuple[str, float]] = {
@@ -725,7 +733,10 @@ class Problem:
                 ("v0", row): ("v0", 1.0),
             }
             if run.run.free:
-                direct = {key: to for key, to in direct.items() if to[0] not in NOT_IN_A_SWING}
+                for kind in ("stribeck", "stribeck_velocity"):
+                    p[:, row, INDEX[kind]] = self.base[at[kind, joint]]
+                left_out = (*NOT_IN_A_SWING, *KEPT_IN_A_SWING)
+                direct = {key: to for key, to in direct.items() if to[0] not in left_out}
             for key, (parameter, sign) in direct.items():
                 p[:, row, INDEX[parameter]] += sign * values[:, at[key]]
                 dp[:, row, INDEX[parameter], at[key]] = sign
