@@ -156,7 +156,7 @@ class BagCheck:
         if self.motion is not None and len(self.motion.joints) == 1:
             lines.append(
                 f"  a motion of one joint under a controller, {self.motion.times_s[-1]:.1f} s: tells how it swings (`replay "
-                "--probe payload`), and the mass where the torque is known and one with an empty hand is beside it (`--baseline EMPTY`)"
+                "--probe payload`), and the mass where the torque is known and one with an empty hand is there (`--baseline EMPTY`)"
             )
         elif self.motion is not None:
             lines.append(

@@ -186,8 +186,8 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
         yield not_identifiable(
             "interval_too_wide",
             "the motion says too little",
-            f"{motion.name}: the effort of {fit.joint} is gravity's and friction's and shows no inertia: the joint moves too slowly, "
-            "or the effort was computed, not measured; let the motor accelerate it",
+            f"{motion.name}: the effort of {fit.joint} is gravity's and friction's and shows no inertia: the joint moves too "
+            "slowly, or the effort was computed, not measured; let the motor accelerate it",
         )
     if unexplained > UNEXPLAINED_SHARE or inertia <= 0.0:
         share = f"{percent} of its effort is not explained" if inertia > 0.0 else "its inertia came out negative"
