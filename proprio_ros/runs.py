@@ -277,7 +277,8 @@ def _refuse_controlled(name: str, record: JointRecord, inputs: InputRecord, join
     """
     for joint in set(joints) & set(inputs.names) & set(record.names):
         smooth = median_filter(inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest")
-        if np.std(smooth) > MEASURED_CURRENT_FLOOR_A and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:
+        loud = float(np.mean(np.abs(smooth - np.median(smooth)) > MEASURED_CURRENT_FLOOR_A))
+        if loud > 0.5 and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:
             raise _under_controller(name, joint)
 
 
