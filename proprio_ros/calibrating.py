@@ -179,9 +179,9 @@ def write_calibration(
     for name in ("correlation", "deviations"):
         if name in settings:
             section[name] = LiteralScalarString(settings[name])
-    for name in ("torque_scale",):
-        if name in settings:
-            section[name] = _on_one_line(settings[name])
+    if isinstance(calibration, MotionCalibration):
+        section["torque_scale"] = _on_one_line(settings["torque_scale"])
+        section["joints"] = [_on_one_line(joint) for joint in settings["joints"]]
     content = CommentedMap(nested_settings(robot.model, overrides or {}))
     content.insert(0, "extends", _reference_to(robot.source, path))
     if isinstance(calibration, Calibration):

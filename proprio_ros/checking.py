@@ -156,7 +156,7 @@ class BagCheck:
         if self.motion is not None:
             lines.append(
                 f"  a motion of {len(self.motion.moved)} joints at once, {self.motion.times_s[-1]:.1f} s: tells the payload's mass "
-                "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`)"
+                "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`, or `calibrate EMPTY`)"
             )
         lines += [f"  problem: {self.problem}"] * bool(self.problem)
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])

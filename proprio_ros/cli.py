@@ -150,10 +150,13 @@ def _parser() -> argparse.ArgumentParser:
         "calibrate",
         help="learn the robot from empty-hand runs",
         description="Learn torque constants, friction, armature and the arm's weight from runs with nothing in the hand, and "
-        "optionally with a weighed reference. Lift, lower and drive each joint; `proprio plan` and the result say which runs help.",
+        "optionally with a weighed reference. Lift, lower and drive each joint; `proprio plan` and the result say which runs help. "
+        "Bags in which several joints moved at once do, too: they calibrate the arm for weighing in motion.",
         epilog="Exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide.",
     )
-    calibrate.add_argument("bags", nargs="*", metavar="BAG", help="runs with nothing in the hand")
+    calibrate.add_argument(
+        "bags", nargs="*", metavar="BAG", help="runs, or motions of several joints, with nothing in the hand"
+    )
     calibrate.add_argument(
         "--reference",
         nargs="+",

@@ -6,13 +6,12 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       runs: [{name: .., duration_s: 50.0, load_kg: 0.0}, ..]     # load_kg: of a weighed reference
       torque_scale: {value: 1.0, std: 0.01}                      # true torque over that of the robot file's torque constants
       arm_over_urdf: 1.04                                        # what the torques say the arm weighs, over its URDF's masses
-      joints:
-        joint1: {torque_constant_N_m_per_A: 1.78, residual_N_m: 0.02, correlated_windows: 3.5}
+      joints: [{name: joint1, torque_constant_N_m_per_A: 1.78, residual_N_m: 0.02, correlated_windows: 3.5}, ..]
       unknowns:
         coulomb[joint1]: {value: 0.05, std: 0.004, unit: N m, run_to_run: 0.01}
       correlation: |                                             # lower triangle, a line per unknown in the order above
         1
-      deviations: |                                              # what leaving out each stretch changes, in the unknowns' std
+      deviations: |                                              # which way each stretch pulls, in the unknowns' std
         0.1
 """
 
@@ -53,6 +52,7 @@ _RUN: dict[str, Form] = {
     "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
 }
 _JOINT: dict[str, Form] = {
+    "name": Text(),
     "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
     "residual_N_m": Number("what the model leaves over; 0: the joint did not move", "N m", 0.0, 1e4),
     "correlated_windows": Number("over so many windows the residuals are correlated", "", 1.0, 1e4),
@@ -80,8 +80,8 @@ class MotionCalibration:
         torque_constants: That the currents were multiplied with [N m/A], shape (n,).
         values: Friction is the mean of the runs; shape (P,).
         covariance: As a prior of the next fit, correlated residuals and the robot file's own priors counted; shape (P, P).
-        deviations: How the values move when one stretch is left out, so scaled that the sum of the rows' outer products is the
-            covariance of the jackknife; shape (stretches, P).
+        deviations: Which way each stretch of 2.5 s pulls the values: the sum of the rows' outer products is a covariance that
+            assumes nothing about the residuals within a stretch; shape (stretches, P).
         friction_spread: Standard deviation of viscous friction, Coulomb friction and offset from run to run, in the order of
             `FRICTION_TERMS` and then of the joints; shape (3 n,).
         residual: rms of the mean torque in a window that is left over [N m], shape (n,).
@@ -114,12 +114,12 @@ class MotionCalibration:
 
     @property
     def stretches(self) -> int:
-        """That were left out in turn."""
+        """Of 2.5 s that were fitted."""
         return len(self.deviations)
 
     @property
     def std(self) -> FloatArray:
-        """Of every value, shape (P,): the larger of what the fit and what the jackknife says."""
+        """Of every value, shape (P,): the larger of what the fit and what its stretches say."""
         return np.sqrt(np.maximum(np.diag(self.covariance), (self.deviations**2).sum(axis=0)))
 
     @property
@@ -141,10 +141,10 @@ class MotionCalibration:
             "runs": [dict(run) for run in self.runs],
             "torque_scale": {"value": short(self.torque_scale), "std": short(self.torque_scale_std)},
             "arm_over_urdf": short(self.arm_over_urdf),
-            "joints": {
-                joint: dict(zip(_JOINT, (short(constant, 15), short(rms), short(windows)), strict=True))
+            "joints": [
+                dict(zip(_JOINT, (joint, short(constant, 15), short(rms), short(windows)), strict=True))
                 for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
-            },
+            ],
             "unknowns": unknowns,
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": "".join(" ".join(f"{c:.9g}" for c in row) + "\n" for row in self.deviations / std),
@@ -164,18 +164,18 @@ class MotionCalibration:
         runs = part_of(section, "runs", list, where)
         for number, run in enumerate(runs, 1):
             _forms(run, _RUN, f"{where}: runs: {number}")
-        stated = part_of(section, "joints", Mapping, where)
-        joints = tuple(str(joint) for joint in stated)
-        numbers = np.array([_forms(stated[name], _JOINT, f"{where}: joints: {name}") for name in stated]).reshape(-1, 3)
+        stated = part_of(section, "joints", list, where)
+        entries = [_forms(entry, _JOINT, f"{where}: joints: {n}") for n, entry in enumerate(stated, 1)]
+        joints = tuple(entry[0] for entry in entries)
+        numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
         keys = term_keys(joints)
         unknowns = part_of(section, "unknowns", Mapping, where)
         names = [name_of(key) for key in keys]
-        if not joints or list(unknowns) != names:
-            lost = [name for name in names if name not in unknowns] or [name for name in unknowns if name not in names]
-            raise RobotError(
-                f"{where}: unknowns: {shortly(lost[0]) if lost else 'their order'}: expected those of {', '.join(joints)}, in the "
-                "order in which they were written; calibrate again"
-            )
+        if not joints or set(unknowns) != set(names):
+            wrong = sorted(set(names) ^ {str(name) for name in unknowns}) or ["no joints"]
+            raise RobotError(f"{where}: unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again")
+        # a file may have been written again in another order: its correlations follow that
+        place = [list(unknowns).index(name) for name in names]
         values, stds, spread = [], [], []
         for key, name in zip(keys, names, strict=True):
             unit, at = UNITS[key[0]], f"{where}: unknowns: {name}"
@@ -194,6 +194,7 @@ class MotionCalibration:
             spread += more
         scale = np.array(stds)
         correlation = correlation_of(part_of(section, "correlation", str, where), len(keys), f"{where}: correlation")
+        correlation = correlation[np.ix_(place, place)]
         if np.linalg.eigvalsh(correlation)[0] < -1e-9:
             raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
         rows = numbers_of(part_of(section, "deviations", str, where), f"{where}: deviations")
@@ -207,7 +208,7 @@ class MotionCalibration:
             numbers[:, 0],
             np.array(values),
             correlation * scale[:, None] * scale,
-            np.array(rows) * scale,
+            np.array(rows)[:, place] * scale,
             np.array(spread),
             numbers[:, 1],
             numbers[:, 2],

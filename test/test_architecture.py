@@ -172,6 +172,7 @@ ROOMS: dict[str, set[str]] = {
         "resources",
         "robot",
         "bags",
+        "motions",
         "runs",
         "identification",
         "probes",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,15 @@ import numpy as np
 import pytest
 
 from proprio_ros.cli import main
-from proprio_ros.errors import RecordingError
-from proprio_ros.motions import motion_of
+from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.motion_prior import fit_calibrated, fit_empty
+from proprio_ros.motions import Motion, motion_of
+from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.records import InputRecord, JointRecord, Recording
+from proprio_ros.replay import ReplayOptions, bag_motion
+from proprio_ros.robot import load_robot
+from proprio_ros.sim.payload import PayloadFacts
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings_real"
 UR10E = {
@@ -174,3 +181,196 @@ def test_check_says_what_a_motion_is_good_for(capsys: pytest.CaptureFixture[str]
     assert main(["check", bag, "--robot", str(ur10e), "--effort-unit", "A", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["bags"][0]
     assert found["motion"]["joints"] == list(UR10E) and found["motion"]["duration_s"] > 50.0
+
+
+def calibrated(ur10e: Path, output: Path, *bags: str, more: tuple[str, ...] = ()) -> int:
+    words = [str(REAL / bag) for bag in bags]
+    return main(
+        ["calibrate", *words, "--robot", str(ur10e), "--effort-unit", "A", "--output", str(output), "--json", *more]
+    )
+
+
+@pytest.fixture(scope="module")
+def calibration_14(ur10e: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("calibration") / "ur10e_14.yaml"
+    assert calibrated(ur10e, path, "ur10e_empty_14", more=("--report", str(path.with_suffix(".html")))) == 0
+    return path
+
+
+def weighed(capsys: pytest.CaptureFixture[str], calibration: Path, bag: str, *more: str) -> tuple[int, dict]:
+    capsys.readouterr()
+    words = ["replay", str(REAL / bag), "--probe", "payload", "--calibration", str(calibration), "--effort-unit", "A"]
+    code = main([*words, "--json", *more])
+    return code, json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.long
+def test_a_real_arm_weighs_with_a_calibration_by_a_motion(
+    capsys: pytest.CaptureFixture[str], calibration_14: Path
+) -> None:
+    code, answer = weighed(capsys, calibration_14, "ur10e_loaded_14")
+    assert code == 0, answer["reasons"]
+    mass = answer["estimates"][0]
+    assert mass["ci95"][0] < 2.805 < mass["ci95"][1] and mass["ci95"][1] - mass["ci95"][0] < 0.05 * 2.805
+    assert abs(mass["value"] - 2.805) < 0.03 * 2.805
+    assert answer["calibration"]["name"] == "ur10e_14.yaml"
+    assert any("torque constants" in words and "1.0 %" in words for words in answer["assumptions"])
+    page = calibration_14.with_suffix(".html").read_text()
+    assert "ur10e_empty_14, first half" in page and "weighs 3000 g" in page
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("other", ["ur10e_empty_12", "ur10e_empty_15"])
+def test_a_real_empty_hand_weighs_nothing_by_the_calibration(
+    capsys: pytest.CaptureFixture[str], calibration_14: Path, other: str
+) -> None:
+    code, answer = weighed(capsys, calibration_14, other)
+    mass = answer["estimates"][0]
+    assert code == 0 and mass["value"] < 0.05 and mass["ci95"][0] == 0.0 and mass["ci95"][1] < 0.1
+
+
+@pytest.mark.long
+def test_a_baseline_that_is_not_empty_contradicts_the_calibration(
+    capsys: pytest.CaptureFixture[str], calibration_14: Path
+) -> None:
+    code, answer = weighed(capsys, calibration_14, "ur10e_empty_12", "--baseline", str(REAL / "ur10e_loaded_14"))
+    assert code == 3 and answer["reason_codes"] == ["drift"]
+
+
+@pytest.mark.long
+def test_several_empty_motions_and_a_reference_calibrate(
+    capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "all.yaml"
+    empty = ("ur10e_empty_12", "ur10e_empty_14", "ur10e_empty_15")
+    capsys.readouterr()
+    assert calibrated(ur10e, path, *empty, more=("--reference", f"{REAL / 'ur10e_loaded_14'}=2.805")) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["runs"] == 4 and [run["load_kg"] for run in answer["motion"]["runs"]] == [0.0, 0.0, 0.0, 2.805]
+    assert abs(answer["motion"]["torque_scale"] - 1.0) < 0.02 and answer["motion"]["torque_scale_std"] < 0.012
+    assert all(abs(each["mass_kg"]) < each["half_width95_kg"] < 0.05 for each in answer["motion"]["weighed_empty"])
+    code, answer = weighed(capsys, path, "ur10e_loaded_14")
+    assert code == 0 and abs(answer["estimates"][0]["value"] - 2.805) < 0.01
+    # a reference of half its mass is no reference
+    more = ("--reference", f"{REAL / 'ur10e_loaded_14'}=1.4")
+    assert calibrated(ur10e, tmp_path / "wrong.yaml", "ur10e_empty_14", more=more) == 3
+    assert not (tmp_path / "wrong.yaml").exists()
+    assert json.loads(capsys.readouterr().out)["reason_codes"] == ["misfit"]
+
+
+def test_a_reference_without_an_empty_motion_is_refused(
+    capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path
+) -> None:
+    more = ("--reference", f"{REAL / 'ur10e_loaded_14'}=2.805")
+    assert calibrated(ur10e, tmp_path / "none.yaml", more=more) == 2
+    assert "one with an empty hand" in capsys.readouterr().err
+
+
+def half(motion: Motion, late: bool) -> Motion:
+    rows = (motion.times_s >= 0.5 * motion.times_s[-1]) == late
+    times_s = motion.times_s[rows] - motion.times_s[rows][0]
+    return replace(motion, times_s=times_s, position=motion.position[rows], current_A=motion.current_A[rows])
+
+
+@pytest.fixture(scope="module")
+def slow() -> Motion:
+    """Twenty seconds of a small arm in slow motion."""
+    if not (REAL / "omx_empty_1").exists():
+        pytest.skip("needs the real recordings")
+    options = ReplayOptions(effort_unit="raw")
+    return bag_motion(REAL / "omx_empty_1", load_robot("open_manipulator_x"), options, {"gripper_left_joint": 0.0})
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_ten_slow_seconds_weigh_what_ten_others_held(slow: Motion, late: bool) -> None:
+    robot = load_robot("open_manipulator_x")
+    known = replace(robot, motion_calibration=fit_empty(robot, [half(slow, not late)]))
+    answer = weigh_in_motion(known, [half(slow, late)], [], PayloadFacts())
+    assert answer.verdict is Verdict.ACCEPTED, answer.reasons
+    mass = answer.values[0]
+    assert isinstance(mass.value, float) and mass.value < 0.005
+    assert mass.ci95[0] == 0.0 and mass.ci95[1] < 0.015
+    # the arm fits its URDF only with torque constants that are off by a sixth
+    known_to = re.search(r"torque constants .* to ([0-9.]+) %", " ".join(answer.assumptions))
+    assert known_to is not None and float(known_to[1]) > 15.0
+
+
+def test_what_a_slow_motion_calibrates_says_that_the_scale_is_open(
+    capsys: pytest.CaptureFixture[str], slow: Motion, tmp_path: Path
+) -> None:
+    words = ["--set", "held.gripper_left_joint=0.0", "--effort-unit", "raw", "--output", str(tmp_path / "omx.yaml")]
+    assert main(["calibrate", str(REAL / "omx_empty_1"), *words]) == 0
+    text = capsys.readouterr().out
+    assert "--reference BAG=KG" in text and "times what its URDF says" in text
+
+
+def test_a_calibration_comes_back_from_its_file(slow: Motion, tmp_path: Path) -> None:
+    from proprio_ros.calibrating import write_calibration
+
+    robot = load_robot("open_manipulator_x")
+    given = fit_empty(robot, [slow])
+    write_calibration(tmp_path / "omx.yaml", robot, given)
+    read = load_robot(tmp_path / "omx.yaml")
+    back = read.motion_calibration
+    assert back is not None and not read.is_calibrated()
+    assert back.keys == given.keys and back.runs == given.runs and back.fingerprint == given.fingerprint
+    for name in ("values", "torque_constants", "friction_spread", "residual", "correlation", "std"):
+        np.testing.assert_allclose(getattr(back, name), getattr(given, name), rtol=1e-6, err_msg=name)
+    one, other = (fit_calibrated(robot, [slow], calibration) for calibration in (given, back))
+    np.testing.assert_allclose(one.values[:4], other.values[:4], rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(one.std[:4], other.std[:4], rtol=1e-3)
+
+
+def test_torque_constants_that_changed_since_are_refused(slow: Motion) -> None:
+    robot = load_robot("open_manipulator_x")
+    known = fit_empty(robot, [slow])
+    changed = robot.with_overrides({"joints.joint2.drive_train.torque_constant_N_m_per_A": 1.9})
+    with pytest.raises(RobotError, match="torque constant of joint2"):
+        fit_calibrated(changed, [slow], known)
+
+
+def test_runs_and_motions_are_calibrated_apart(
+    capsys: pytest.CaptureFixture[str], slow: Motion, tmp_path: Path
+) -> None:
+    run = Path(__file__).resolve().parents[1] / "bags" / "realistic_s00_empty_00_joint3" / "bag_mcap"
+    words = ["--set", "held.gripper_left_joint=0.0", "--effort-unit", "raw", "--output", str(tmp_path / "omx.yaml")]
+    assert main(["calibrate", str(REAL / "omx_empty_1"), str(run), *words]) == 2
+    assert "one or the other" in capsys.readouterr().err
+    assert main(["calibrate", str(REAL / "omx_empty_1"), *words]) == 0
+    assert main(["replay", str(run), "--probe", "payload", "--calibration", str(tmp_path / "omx.yaml")]) == 2
+    assert "made from motions" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.pop("correlation"), "correlation is missing"),
+        (lambda c: c.update(correlation="1\n"), "lower triangle of 60"),
+        (lambda c: c.update(deviations="1 2\n"), "rows of 60"),
+        (lambda c: c["unknowns"].pop("coulomb[joint3]"), "coulomb"),
+        (lambda c: c["unknowns"]["coulomb[joint3]"].update(std=-1.0), "must be positive"),
+        (lambda c: c["unknowns"]["coulomb[joint3]"].update(unit="N"), "unit must be"),
+        (
+            lambda c: c["unknowns"]["coulomb[joint3]"].pop("run_to_run"),
+            "coulomb.joint3.: expected value, std, run_to_run",
+        ),
+        (lambda c: c["joints"][0].update(residual_N_m="x"), "expected a number"),
+        (lambda c: c["torque_scale"].update(std=0.0), "torque_scale: std"),
+        (lambda c: c["runs"][0].pop("load_kg"), "runs: 1"),
+        (lambda c: c["joints"].pop(), "unknowns: .*joint4"),
+    ],
+)
+def test_a_broken_calibration_file_is_refused(slow: Motion, tmp_path: Path, change, words: str) -> None:
+    from ruamel.yaml import YAML
+
+    from proprio_ros.calibrating import write_calibration
+
+    robot, path = load_robot("open_manipulator_x"), tmp_path / "omx.yaml"
+    write_calibration(path, robot, fit_empty(robot, [slow]))
+    yaml = YAML(typ="safe", pure=True)
+    content = yaml.load(path)
+    change(content["motion_calibration"])
+    with path.open("w") as stream:
+        yaml.dump(content, stream)
+    with pytest.raises(RobotError, match="motion_calibration: .*" + words):
+        load_robot(path)

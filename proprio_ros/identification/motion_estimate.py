@@ -218,7 +218,7 @@ def _weighable(
         if referenced
         else "torque constants are known no better: a motion with a weighed object, --reference BAG=KG, would tell them"
     )
-    if not referenced and abs(calibration.arm_over_urdf - 1.0) > share / 2 and share > 0.1:
+    if not referenced and share > 0.0 and abs(calibration.arm_over_urdf - 1.0) > 0.5 * share > 0.02:
         because = (
             f"by its torques the arm weighs {calibration.arm_over_urdf:.2f} times what its URDF says, and torque constants or URDF "
             "are off by that: a motion with a weighed object, --reference BAG=KG, would tell which"

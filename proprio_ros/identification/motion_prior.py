@@ -5,7 +5,9 @@ calibration's values with its whole covariance; the run's own friction lies arou
 
 Neighbouring windows share an error (friction that depends on place and temperature), so each says less than an equation of its own:
 the weights count residuals as correlated as they are found to be. Without that, what a slow motion leaves open would be
-decided by noise instead of by the robot file.
+decided by noise instead of by the robot file. Intervals take the larger of two words: the fit's own with those weights, and what
+stretches of 2.5 s pull each their own way (Liang & Zeger 1986, Biometrika 73), which assumes nothing about a stretch. Leaving
+them out in turn, as `motion_fit` does, says far too much where four are all there is: each then has a leverage of its own.
 """
 
 from __future__ import annotations
@@ -17,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.motion_fit import (
     ARM_SHARE,
     BLOCK_S,
     CONSTANTS,
     ITERATIONS,
     LEAST_LOAD_FRICTION_STD,
+    LEAST_TORQUE_STD,
     LINK_SHARE,
     MIN_BLOCKS,
     PARAMETER_NAMES,
@@ -47,6 +50,8 @@ from proprio_ros.robot import ReducedModel, Robot
 FloatArray = NDArray[np.float64]
 LEAST_SPREAD_SHARE = 0.1
 """Friction of one run differs from that of the next by at least this share: motors warm up."""
+HELD_WITHIN = 0.1
+"""What a hand holds lies within this share of the arm's reach, unless its place is stated: one standard deviation."""
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 
 
@@ -153,10 +158,12 @@ class _Solution:
         values: Shape (U,).
         covariance: Of data and prior, with correlated residuals counted, shape (U, U).
         information: What the data alone say, shape (U, U).
-        deviations: Rows of the jackknife, see `MotionCalibration`, shape (stretches, U).
+        deviations: By stretch, see `MotionCalibration`, shape (stretches, U).
         residual: Of each equation [N m], shape (E,).
         rms, correlation: By joint, shape (n,); 0 and 1 where it did not move.
         payload_prior: Standard deviations of the payload's parameters under their prior, shape (10,).
+        scaled: The equations times their weights, shape (E, U).
+        weight: Shape (E,).
     """
 
     values: FloatArray
@@ -167,6 +174,13 @@ class _Solution:
     rms: FloatArray
     correlation: FloatArray
     payload_prior: FloatArray
+    scaled: FloatArray
+    weight: FloatArray
+
+    def follows(self, rows: NDArray[np.bool_], torque: FloatArray) -> FloatArray:
+        """How the payload's parameters follow a torque [N m] that is added to some equations, shape (10,)."""
+        result: FloatArray = self.covariance[:PARAMETERS] @ (self.scaled[rows].T @ (self.weight * torque)[rows])
+        return result
 
     def mass_and_std(self) -> tuple[float, float]:
         """As the recording itself leaves it [kg]."""
@@ -179,10 +193,15 @@ class _Solution:
         return result
 
     def noise(self) -> FloatArray:
-        """What the recording itself leaves open of the payload: the larger of what jackknife and fit say, shape (10, 10)."""
-        jackknife = self.deviations[:, :PARAMETERS].T @ self.deviations[:, :PARAMETERS]
+        """What the recording itself leaves open of the payload: the larger of what stretches and fit say, shape (10, 10)."""
+        between = self.deviations[:, :PARAMETERS].T @ self.deviations[:, :PARAMETERS]
         formal = self.covariance[:PARAMETERS] @ self.information @ self.covariance[:, :PARAMETERS]
-        return jackknife if jackknife[0, 0] > formal[0, 0] else formal
+        return larger(between, formal)
+
+
+def larger(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Of two covariances of the payload, that with the larger variance of the mass."""
+    return one if one[0, 0] > other[0, 0] else other
 
 
 def _solve(
@@ -226,16 +245,12 @@ def _solve(
     information, side = scaled.T @ scaled, scaled.T @ target
     values, posterior = _posterior(information, side, prior.values, covariance)
     labels = np.unique(problem.block)
-    deviations = np.zeros((len(labels), len(values)))
-    for row, label in enumerate(labels):
-        out = problem.block == label
-        without = information - scaled[out].T @ scaled[out]
-        left, _ = _posterior(without, side - scaled[out].T @ target[out], prior.values, covariance)
-        deviations[row] = left - values
-    deviations *= np.sqrt((len(labels) - 1) / len(labels))
+    left_over = target - scaled @ values
+    scores = np.array([scaled[problem.block == label].T @ left_over[problem.block == label] for label in labels])
+    deviations = np.sqrt(len(labels) / max(len(labels) - 1, 1)) * scores @ posterior
     return _Solution(
         values, posterior, information, deviations, right - matrix @ values, rms, correlation,
-        np.sqrt(np.diag(covariance))[:PARAMETERS],
+        np.sqrt(np.diag(covariance))[:PARAMETERS], scaled, weight,
     )  # fmt: skip
 
 
@@ -324,7 +339,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
             if first != other:
                 a, b = (PARAMETERS + arm + 3 * count * n for n in (first, other))
                 prior.covariance[a : a + 3 * count, b : b + 3 * count] = 0.0
-    solution = _solve(problem, prior, 0.3 * reach_m(robot, model), None, None)
+    solution = _solve(problem, prior, HELD_WITHIN * reach_m(robot, model), None, None)
     # the mean of the runs' friction
     mean = np.zeros((15 * count, len(solution.values)))
     mean[range(arm), range(PARAMETERS, PARAMETERS + arm)] = 1.0
@@ -336,7 +351,9 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     by_urdf = problem.matrix[:, bodies] @ prior.values[bodies]
     over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
     scale_std = max(relative_torque_std(robot, name) for name in model.joint_names)
-    if abs(over_urdf - 1.0) > URDF_SHARE:
+    # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
+    arm_std = robot.arm_scale.std
+    if abs(over_urdf - 1.0) > (2.0 * np.hypot(arm_std, scale_std) if arm_std > 0.0 else URDF_SHARE):
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     return MotionCalibration(
         joints=model.joint_names,
@@ -359,7 +376,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
 
 def _with_payload(robot: Robot, model: ReducedModel, prior: Prior) -> Prior:
     """The prior with the payload's ten parameters before it: anything up to what the arm itself weighs."""
-    spread = np.square(sizes(arm_kg(model), 0.3 * reach_m(robot, model)))
+    spread = np.square(sizes(arm_kg(model), HELD_WITHIN * reach_m(robot, model)))
     size = len(prior.values) + PARAMETERS
     covariance = np.zeros((size, size))
     covariance[range(PARAMETERS), range(PARAMETERS)] = spread
@@ -385,7 +402,8 @@ def fit_calibrated(
         centre: As for `fit_motions`.
 
     Raises:
-        RecordingError: A motion is of no use, or all together are too short.
+        RecordingError: A motion is of no use, of other joints, or all together are too short.
+        RobotError: Torque constants are no longer those of the calibration.
     """
     motions = [*loaded, *empty]
     for motion in motions:
@@ -395,6 +413,13 @@ def fit_calibrated(
                 "calibrate with motions of all of them"
             )
     joints, held = calibration.joints, dict(motions[0].held)
+    for joint, constant in zip(joints, calibration.torque_constants, strict=True):
+        now = robot.drive_trains[joint].torque_constant.value
+        if abs(now / constant - 1.0) > 1e-6:
+            raise RobotError(
+                f"{robot.source.name}: the torque constant of {joint} is {now:g} N m/A, but motions were calibrated with "
+                f"{constant:g}: calibrate again"
+            )
     model = robot.model.lock(list(joints), held, robot.gravity)
     count = len(model.joint_names)
     parts = [equations(robot, motion, joints) for motion in motions]
@@ -416,19 +441,31 @@ def fit_calibrated(
         known.covariance[at, at] += calibration.friction_spread**2
         honest[at] += calibration.friction_spread**2
     prior = _with_payload(robot, model, known)
-    length_m = 0.3 * reach_m(robot, model)
+    length_m = HELD_WITHIN * reach_m(robot, model)
     centre_std = None if centre is None else np.asarray(centre[1])
     solution = _solve(problem, prior, length_m, centre_std, calibration)
     payload = solution.values[:PARAMETERS]
     stretch = solution.noise()
-    # how the payload follows the calibration's values
+    # how the payload follows what its prior is made of: the calibration's values, friction that runs differ by, its own size
     by_prior = solution.by_prior()
     follows = np.zeros((PARAMETERS, 15 * count))
     np.add.at(follows.T, rows, by_prior[:, PARAMETERS:].T)
-    moved = calibration.deviations @ follows.T
-    opened, by_stretches = by_prior @ solution.covariance[:, :PARAMETERS], moved.T @ moved
-    by_scale = calibration.torque_scale_std * payload
-    variances = np.array([part[0, 0] for part in (stretch, opened, by_stretches)] + [by_scale[0] ** 2])
+    own = np.concatenate([solution.payload_prior, np.zeros(arm), np.tile(calibration.friction_spread, len(motions))])
+    opened = (by_prior * own**2) @ by_prior.T
+    by_calibration = larger(
+        follows @ calibration.deviations.T @ calibration.deviations @ follows.T,
+        follows @ calibration.covariance @ follows.T,
+    )
+    # all torque constants off together, and each on its own: where a mass comes from the difference of two joints, the latter is
+    # the greater part
+    carried = problem.matrix[:, :PARAMETERS] @ payload
+    apart = np.array([solution.follows(problem.joint == n, carried) for n in range(count)])
+    referenced = any(run["load_kg"] > 0.0 for run in calibration.runs)
+    each = [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in model.joint_names]
+    apart *= np.array(each)[:, None]
+    together = calibration.torque_scale_std * payload
+    by_scale = np.outer(together, together) + apart.T @ apart
+    variances = np.array([part[0, 0] for part in (stretch, opened, by_calibration, by_scale)])
     # what few stretches say of their own scatter is uncertain: Satterthwaite 1946, Biometrics Bulletin 2
     freedom = np.array([blocks - 1, np.inf, calibration.stretches - 1, np.inf])
     effective = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
@@ -442,7 +479,7 @@ def fit_calibrated(
             _solve(problem.only(kept), prior, length_m, centre_std, calibration) for kept in (~late, late | ~carrying)
         )
         halves = (early_half.mass_and_std(), late_half.mass_and_std())
-    names = (STRETCHES, UNDETERMINED, "what differed from stretch to stretch of the calibration", CONSTANTS)
+    names = (STRETCHES, UNDETERMINED, "what the calibration leaves open", CONSTANTS)
     scale, keys = calibration.torque_scale, calibration.keys
     terms = [
         *(
@@ -458,7 +495,7 @@ def fit_calibrated(
         joints=model.joint_names,
         terms=tuple(terms),
         values=np.concatenate([scale * payload, solution.values[PARAMETERS:]]),
-        covariance=scale**2 * (stretch + opened + by_stretches + np.outer(by_scale, by_scale)),
+        covariance=scale**2 * (stretch + opened + by_calibration + by_scale),
         parts={name: scale * float(np.sqrt(variance)) for name, variance in zip(names, variances, strict=True)},
         blocks=blocks,
         residual=rms_by_joint(solution.residual[carrying], problem.joint[carrying], count),

@@ -1,8 +1,8 @@
 """How well arms drawn at random weigh what they carry while several joints move: coverage, error and width, in MuJoCo.
 
-    python test/benchmarks/motions.py [--arms 60] [--first 100] [--seconds 20]
+    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated]
 
-Each arm of six joints runs random sines under a computed-torque controller, once empty and once with a payload of 0.1 to 2 kg (each
+Each arm of six joints (``--joints 4``: a small one in slow motion) runs random sines under a computed-torque controller, once empty and once with a payload of 0.1 to 2 kg (each
 fourth with nothing). Links are off the URDF by 8 %, torque constants by 1 %; friction depends on place, load and run; current and
 position are noisy, and the torque is late.
 """
@@ -19,9 +19,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 
-from arm_in_motion import Twin, write_robot
+from arm_in_motion import FOUR, SIX, Twin, write_robot
 
 from proprio_ros.identification.motion_fit import fit_motions
+from proprio_ros.identification.motion_prior import fit_calibrated, fit_empty
 from proprio_ros.robot import load_robot
 
 
@@ -31,17 +32,24 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=60)
     parser.add_argument("--first", type=int, default=100, help="seed of the first arm")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each motion")
+    parser.add_argument("--joints", type=int, choices=(4, 6), default=6)
+    parser.add_argument(
+        "--calibrated", action="store_true", help="with what `proprio calibrate` makes of the empty one"
+    )
     options = parser.parse_args()
+    build = SIX if options.joints == 6 else FOUR
     with tempfile.TemporaryDirectory() as folder:
-        robot = load_robot(write_robot(Path(folder)))
+        robot = load_robot(write_robot(Path(folder), build=build))
     errors, halves, seconds = [], [], []
     for seed in range(options.first, options.first + options.arms):
-        arm, rng = Twin(seed), np.random.default_rng(10_000 + seed)
-        mass = 0.0 if seed % 4 == 0 else float(np.exp(rng.uniform(np.log(0.1), np.log(2.0))))
-        held = (mass, np.array([0.05, 0.0, 0.0]) + 0.05 * rng.standard_normal(3))
+        arm = Twin(seed, build)
+        mass, _ = held = arm.payload(np.random.default_rng(10_000 + seed))
         empty, loaded = arm.record("empty", options.seconds), arm.record("loaded", options.seconds, held)
         begun_s = time.process_time()
-        fit = fit_motions(robot, [loaded], [empty])
+        if options.calibrated:
+            fit = fit_calibrated(robot, [loaded], fit_empty(robot, [empty]))
+        else:
+            fit = fit_motions(robot, [loaded], [empty])
         seconds.append(time.process_time() - begun_s)
         errors.append(float(fit.values[0]) - mass)
         halves.append(fit.quantile * float(fit.std[0]))
