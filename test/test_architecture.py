@@ -196,6 +196,7 @@ ROOMS: dict[str, set[str]] = {
         "resources",
         "robot",
         "bags",
+        "motions",
         "runs",
         "identification",
         "probes",

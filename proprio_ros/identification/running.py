@@ -26,7 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.motion_fit import HOP_SHARE, SLOW_RAD_S, WINDOW_S, _moved_to_body
+from proprio_ros.identification.motion_fit import (
+    HOP_SHARE,
+    LEAST_TORQUE_STD,
+    SLOW_RAD_S,
+    WINDOW_S,
+    _moved_to_body,
+    relative_torque_std,
+)
 from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, torque_regressor
 from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.motions import LONGEST_GAP_S
@@ -155,6 +162,8 @@ class RunningWeight:
         self._constant = calibration.torque_constants
         self._scale = calibration.torque_scale
         self._scale_std = calibration.torque_scale_std
+        referenced = any(float(run["load_kg"]) > 0.0 for run in calibration.runs)
+        self._apart_std = [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in self.joints]
         self._calibration = calibration
         point = np.zeros((4, 4))
         point[3] = point[:, 3] = [*centre_m, 1.0]
@@ -183,6 +192,7 @@ class RunningWeight:
         self._steps: list[float] = []
         self._fresh_s: float | None = None
         self._mass: tuple[float, float] | None = None
+        self._apart = 0.0
         self._looked_s = self._first_s = self._changed_at_s = float("nan")
         self._moved_s = float("nan")
         self._told_until_s = -np.inf
@@ -296,13 +306,14 @@ class RunningWeight:
             self._told_until_s = -np.inf
         self._fresh_s = onset_s
         self._mass = solution.mass_kg, solution.std_kg
+        self._apart = rows.apart(solution)
 
     def estimate(self) -> RunningEstimate | None:
         """What the hand holds now; None before anything moved."""
         if self._mass is None:
             return None
         mass, std = self._mass
-        std = float(np.hypot(std, mass * self._scale_std)) * self._scale
+        std = float(np.linalg.norm([std, mass * self._scale_std, mass * self._apart])) * self._scale
         mass *= self._scale
         since = self._changed_at_s if np.isfinite(self._changed_at_s) else self._first_s
         begun = self._fresh_s if self._fresh_s is not None else self._steps[-1] if self._steps else -np.inf
@@ -401,6 +412,14 @@ class _Rows:
         values = inverse @ (design.T @ self.right)
         mass, std = values[0] * arm._widest_kg, np.sqrt(inverse[0, 0]) * arm._widest_kg
         return _Solution(float(mass), float(std), design, self.right - design @ values, inverse)
+
+    def apart(self, solution: _Solution) -> float:
+        """What torque constants that err each on its own put on the mass, relative to it: parallel joints weigh by a difference."""
+        shares = []
+        for number in range(len(self._arm.joints)):
+            mine = solution.design[self.joint == number]
+            shares.append(float(solution.inverse[0] @ (mine.T @ mine[:, 0])))
+        return float(np.linalg.norm(np.array(shares) * self._arm._apart_std))
 
     def after(self, onset_s: float) -> int:
         """How many windows begin after an instant."""

@@ -253,7 +253,8 @@ class IdentifierNode(ManagedNode):
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
             listener = self._listener(self.resolve_topic_name(topic), role, kind)
-            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=self._may_skip)
+            skip = partial(self._may_skip, role)
+            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=lambda: self._job is None)
         self._motors_topic = self.resolve_topic_name("motors")
         self.create_subscription(DiagnosticStatus, "motors", self._on_motors, LATCHED, raw=True)
         self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
@@ -637,9 +638,9 @@ class IdentifierNode(ManagedNode):
             self._hand = self.values["frame_prefix"] + robot.payload_frame
             self._centre = [float(axis) for axis in facts.com]
 
-    def _may_skip(self) -> bool:
-        """Whether only the newest joint state matters now."""
-        return self._job is None and self._kept is None
+    def _may_skip(self, role: str) -> bool:
+        """Whether only the newest message of a topic matters now."""
+        return self._job is None and (self._kept is None or role != "joint_states")
 
     def _measured_unit(self) -> str:
         """What the effort of the joint states is: as stated, or N m where a driver publishes as ours does; empty: nobody says."""

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import rclpy
@@ -47,16 +47,23 @@ IDLE_PAUSE_S = 0.008
 250 Hz had its idle listeners take a quarter of a core each. A service call still waits for three or four of them only."""
 
 
-def newest(subscription: Any, data: Any) -> Any:
-    """What came last on a subscription, taken from its queue without a wake-up for each message.
+def waiting(subscription: Any, data: Any) -> Iterator[Any]:
+    """All that came on a subscription, taken from its queue without a wake-up for each message.
 
     Args:
         subscription: Whose callback this is called from.
         data: What the callback was given.
     """
+    yield data
     with subscription.handle:
         while (more := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-            data = more[0]
+            yield more[0]
+
+
+def newest(subscription: Any, data: Any) -> Any:
+    """What came last; see `waiting`."""
+    for last in waiting(subscription, data):
+        data = last
     return data
 
 
@@ -123,6 +130,7 @@ class ManagedNode(LifecycleNode):
         *,
         raw: bool = False,
         only_newest: Callable[[], bool] = lambda: False,
+        together: Callable[[], bool] = lambda: False,
     ) -> None:
         """Subscribe, also to best-effort publishers, which a reliable subscription does not hear.
 
@@ -135,10 +143,17 @@ class ManagedNode(LifecycleNode):
             quality: Reliable.
             raw: Whether the callback takes bytes.
             only_newest: Whether, at present, all that waits but the newest may be left out.
+            together: Whether, at present, all that waits is handed on at one wake-up: a node that pauses between them keeps up.
         """
 
         def hear(message: Any) -> None:
-            callback(newest(subscriptions[-1], message) if only_newest() else message)
+            if only_newest():
+                callback(newest(subscriptions[-1], message))
+            elif together():
+                for each in waiting(subscriptions[-1], message):
+                    callback(each)
+            else:
+                callback(message)
 
         def relax(_event: Any) -> None:
             if len(subscriptions) > 1:
