@@ -152,10 +152,10 @@ class _Bag:
         """Recorder's time [ns] and message, of one topic, in the order of time; at least one."""
         return [(time_ns, _deserialise(raw, topic.msgtype)) for time_ns, raw in self._raw(topic)]
 
-    def _raw(self, topic: _Topic, most: int = MOST_BYTES_OF_ONE) -> list[tuple[int, bytes]]:
+    def _raw(self, topic: _Topic, most: int | None = None) -> list[tuple[int, bytes]]:
         """The same with the messages as they were recorded, of at most so many bytes each."""
         messages: list[tuple[int, bytes]] = []
-        size = 0
+        most, size = most or MOST_BYTES_OF_ONE, 0
         for reader in self._readers:
             wanted = [c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)]
             if not wanted:

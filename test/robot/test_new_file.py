@@ -12,6 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from proprio_ros.bags import _types
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
+from proprio_ros.forms import Text
 from proprio_ros.reading import yaml_of
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.description import hand_link, read_model
@@ -41,7 +42,7 @@ def test_every_key_is_there_with_its_default(tmp_path: Path) -> None:
     # units and meanings come from the forms that read the file
     for entry in (*_MOTOR.values(), *_DRIVE_TRAIN.values()):
         form = getattr(entry.form, "of", None) or entry.form
-        assert form.meaning in text and form.described() in text
+        assert form.meaning in text and (isinstance(form, Text) or form.described() in text)
 
 
 def test_filled_in_it_holds_what_would_hold_without_it(tmp_path: Path) -> None:
