@@ -196,7 +196,6 @@ ROOMS: dict[str, set[str]] = {
         "resources",
         "robot",
         "bags",
-        "motions",
         "runs",
         "identification",
         "probes",
