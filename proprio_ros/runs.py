@@ -43,8 +43,8 @@ REPEATED_SHARE = 0.2
 """Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
 
 STEADY_SHARE, STEADY_WITHIN = 0.8, 0.25
-"""The current of a probe is constant: so much of it lies so close to its median, once single samples are smoothed. Over 194 simulated
-probes 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
+"""The current of a probe is constant: so much of it lies so close to its median, once single samples are smoothed. Of 194
+simulated probes 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
 AT_REST_S = 0.3
 """A probe begins at rest: for so long before it the joint has not moved."""
 
