@@ -38,6 +38,8 @@ STRETCH_S = 1.0
 MIN_STRETCHES = 4
 LOAD_FRICTION_STD = 0.05
 """Gears lose part of the torque that they transmit."""
+LEAST_LENGTH_STD = 0.005
+"""Relative; a delay of a few milliseconds between torque and position, which nothing here looks for, is worth this much."""
 ITERATIONS = 8
 UPRIGHT_SHARE = 0.2
 """An axis along which this little of gravity turns anything is upright."""
@@ -122,6 +124,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     values = whole.mean(axis=0)
     moved = np.array([_choices(tables, int(label)).mean(axis=0) - values for label in stretches])
     covariance = (len(stretches) - 1) / len(stretches) * moved.T @ moved + np.cov(whole.T)
+    covariance[0, 0] += (LEAST_LENGTH_STD * values[0]) ** 2
     parts = tables[-1]
     solution = _by_torque(parts, None)
     matrix = np.vstack([part.columns for part in parts])
