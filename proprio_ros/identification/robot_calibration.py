@@ -185,6 +185,9 @@ def calibrate(
             f"run to run; the robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot "
             "in the recordings (weights, unit of the current, gears?), or something pulls at it",
         )
+    if bound := _delay_on_bound(fitted):
+        verdict = Verdict.REJECTED
+        found.reasons.insert(0, bound)
     hand = _empty_hand(fitted)
     if hand is not None and abs(hand.pull) > NOT_EMPTY:
         verdict = Verdict.REJECTED
@@ -350,6 +353,23 @@ def _far_from_file(fitted: _Fitted) -> list[str]:
         for row in _rows(fitted)
         if abs(row.value - row.prior) > FAR_FROM_FILE * row.prior_std
     ]
+
+
+def _delay_on_bound(fitted: _Fitted) -> str:
+    """A sentence where commands were stamped further from what they did than a delay can be; empty where they were not.
+
+    Such a delay is not the true one, and what is left of it goes into torque and friction.
+    """
+    row = fitted.problem.index["delay"]
+    unknown, delay = fitted.problem.unknowns[row], float(fitted.values[row])
+    spare = 0.01 * (unknown.upper - unknown.lower)
+    if unknown.std == 0.0 or unknown.lower + spare < delay < unknown.upper - spare:
+        return ""
+    return Reason(
+        "on_bound",
+        f"the joints start {shown('s', delay, spec='+.0f')} or more after their commands' stamps: have the commands and the joint "
+        "states stamped by one clock",
+    )
 
 
 def _held_out(fitted: _Fitted) -> tuple[HeldOutRun, ...]:
