@@ -367,8 +367,8 @@ def _delay_on_bound(fitted: _Fitted) -> str:
         return ""
     return Reason(
         "on_bound",
-        f"the joints start {shown('s', delay, spec='+.0f')} or more after their commands' stamps: have the commands and the joint "
-        "states stamped by one clock",
+        f"the delay from a command's stamp to what the joint does ended on its bound, {shown('s', delay, spec='+.0f')}: have "
+        "commands and joint states stamped by one clock",
     )
 
 
