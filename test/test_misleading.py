@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,11 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import spec_for
-from proprio_ros.replay import ReplayOptions, bag_runs, replay, write_report
+from proprio_ros.records import Run
+from proprio_ros.replay import ReplayOptions, bag_recording, bag_runs, replay, write_report
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.runs import cut_runs
+from proprio_ros.schema import reason_codes
 from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
@@ -258,6 +261,49 @@ def test_a_run_of_the_calibration_is_weighed_with_its_noise(bags: Path, robot: R
         weighed = weigh(known, [loaded.run])
         assert weighed.verdict is Verdict.ACCEPTED, weighed.reasons
         assert weighed.values[0].ci95[0] == 0.0  # the hand was empty
+
+
+# --- commands stamped by another clock ---------------------------------------------------------------------------------
+
+
+def stamped_off(folder: Path, robot: Robot, off_s: float) -> Sequence[Run]:
+    """The runs of a bag whose commands are stamped so much later than the joint states are."""
+    recording = bag_recording(bag_in(folder), robot, ReplayOptions())
+    assert recording.inputs is not None
+    inputs = replace(recording.inputs, times_ns=recording.inputs.times_ns + round(1e9 * off_s))
+    return cut_runs(replace(recording, inputs=inputs), joints=list(robot.drive_trains))
+
+
+@pytest.mark.parametrize(("off_s", "accepted"), [(-0.06, True), (-0.1, False)])
+def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot, off_s: float, accepted: bool) -> None:
+    """What a delay can make up for is learnt, and weighings so stamped are right; beyond, masses were 10 to 20 % off.
+
+    A weighing stamped otherwise than its calibration is refused either way.
+    """
+    folders = sorted(bags.glob("realistic_s00_empty_0[0-4]_joint3"))
+    runs = [LoadedRun(run) for folder in folders for run in stamped_off(folder, robot, off_s)]
+    estimate = calibrate(robot, runs, advice=0)
+    assert (estimate.verdict is Verdict.ACCEPTED) is accepted
+    if not accepted:
+        assert "on_bound" in reason_codes(estimate.reasons) and "one clock" in " ".join(estimate.reasons)
+        return
+    assert estimate.calibration is not None
+    known = robot.with_calibration(estimate.calibration)
+    facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.02))
+    alike = weigh(known, stamped_off(bags / BALL, known, off_s), facts)
+    low, high = alike.values[0].ci95
+    assert alike.verdict is Verdict.ACCEPTED and low <= 0.02 <= high
+    assert weigh(known, stamped_off(bags / BALL, known, 0.0), facts).verdict is Verdict.REJECTED
+
+
+@pytest.mark.parametrize("off_s", [-0.04, 0.04])
+def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(
+    bags: Path, robot: Robot, off_s: float
+) -> None:
+    learnt = calibrate(robot, empty_runs(bags, robot), advice=0).calibration
+    assert learnt is not None
+    known = robot.with_calibration(learnt)
+    assert weigh(known, stamped_off(bags / BALL, known, off_s), PayloadFacts()).verdict is Verdict.REJECTED
 
 
 # --- facts that nobody stated ------------------------------------------------------------------------------------------

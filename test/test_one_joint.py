@@ -297,11 +297,11 @@ def test_a_real_pendulum_under_five_controllers(tmp_path: Path, name: str) -> No
 
 # duty cycles, and magnitudes of a stale current, under servos' own position controllers
 SERVOS: Mapping[str, tuple[str, ...]] = {
-    "xl330_kp100_lift_and_drop": ("interval_too_wide",),
-    "xl330_kp100_sin_sin": ("interval_too_wide",),
+    "xl330_kp100_lift_and_drop": ("says_too_little",),
+    "xl330_kp100_sin_sin": ("says_too_little",),
     "xl330_kp100_sin_time_square": ("torque_scale_open",),
-    "xl330_kp400_lift_and_drop": ("interval_too_wide",),
-    "xl330_kp400_sin_sin": ("interval_too_wide",),
+    "xl330_kp400_lift_and_drop": ("says_too_little",),
+    "xl330_kp400_sin_sin": ("says_too_little",),
     "xl330_kp400_sin_time_square": ("within_friction",),
     "sts3215_lift_and_drop_0.535kg": ("misfit",),
     "sts3215_lift_and_drop_1.168kg": ("misfit",),

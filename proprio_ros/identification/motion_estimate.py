@@ -67,7 +67,7 @@ def calibrate_motions(
         weighable = _weighable(robot, motions, calibration, weighed, arm_kg(model), bool(references))
         if Z95 * weighable.std_kg > weighable.mass_kg:
             refusal = not_identifiable(
-                "interval_too_wide",
+                "says_too_little",
                 "the interval would be too wide to state a mass",
                 f"with these motions {shown('kg', weighable.mass_kg, spec='.0f')} could only be weighed to "
                 f"+-{shown('kg', Z95 * weighable.std_kg, spec='.0f')}: record longer and faster ones, through more attitudes",
@@ -145,7 +145,7 @@ def _scaled(
         read, std = float(fit.values[0]), float(fit.std[0])
         if read <= 0.0 or std > LIGHT_REFERENCE * mass_kg:
             return calibration, not_identifiable(
-                "interval_too_wide",
+                "says_too_little",
                 "the reference says nothing about the torque constants",
                 f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
                 f"{shown('kg', std, spec='.0f')}, too coarse to tell the torque constants: take a heavier one, or move longer",

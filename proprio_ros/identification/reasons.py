@@ -23,6 +23,7 @@ CODES = {
     "coarse_fit": "the residuals are coarser than the encoder; the interval is wider for it",
     "arm_unlike_urdf": "by its torques the arm weighs far more or less than its URDF says",
     "lighter_than_empty": "the hand seems lighter than it was empty",
+    "says_too_little": "the motion determines the value too coarsely to state it",
     "one_sided": "the recording bounds the value on one side at most",
     "too_wide": "the interval is wider than a stated share of the value; both are given",
     "far_from_prior": "an unknown ended further from its prior than a right model takes it",

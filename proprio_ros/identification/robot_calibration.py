@@ -215,6 +215,9 @@ def calibrate(
                 "next: are the loads as stated, and is their inertia?",
             ),
         )
+    if bound := _delay_on_bound(fitted):
+        verdict = Verdict.REJECTED
+        found.reasons.insert(0, bound)
     hand = _empty_hand(fitted)
     if hand is not None and abs(hand.pull) > NOT_EMPTY:
         verdict = Verdict.REJECTED
@@ -388,6 +391,23 @@ def _far_from_file(fitted: _Fitted) -> list[str]:
         for row in _rows(fitted)
         if abs(row.value - row.prior) > FAR_FROM_FILE * row.prior_std
     ]
+
+
+def _delay_on_bound(fitted: _Fitted) -> str:
+    """A sentence where commands were stamped further from what they did than a delay can be; empty where they were not.
+
+    Such a delay is not the true one, and what is left of it goes into torque and friction.
+    """
+    row = fitted.problem.index["delay"]
+    unknown, delay = fitted.problem.unknowns[row], float(fitted.values[row])
+    spare = 0.01 * (unknown.upper - unknown.lower)
+    if unknown.std == 0.0 or unknown.lower + spare < delay < unknown.upper - spare:
+        return ""
+    return Reason(
+        "on_bound",
+        f"the delay from a command's stamp to what the joint does ended on its bound, {shown('s', delay, spec='+.0f')}: have "
+        "commands and joint states stamped by one clock",
+    )
 
 
 def _held_out(fitted: _Fitted) -> tuple[HeldOutRun, ...]:

@@ -184,7 +184,7 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
     )
     if unexplained <= UNEXPLAINED_SHARE and unseen:
         yield not_identifiable(
-            "interval_too_wide",
+            "says_too_little",
             "the motion says too little",
             f"{motion.name}: the effort of {fit.joint} is gravity's and friction's and shows no inertia: the joint moves too "
             "slowly, or the effort was computed, not measured; let the motor accelerate it",
@@ -207,7 +207,7 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
     half = fit.quantile * float(fit.std[0])
     if half > LONGEST_SHARE * float(fit.values[0]):
         yield not_identifiable(
-            "interval_too_wide",
+            "says_too_little",
             "the motion says too little",
             f"{motion.name}: how the load swings is determined only to {float(fit.values[0]):.3f} +- {half:.3f} m: the "
             "joint must both turn through large angles and accelerate, for longer than the "
@@ -281,7 +281,7 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
         )
     if half > WIDEST_SHARE * abs(weighed.mass):
         yield not_identifiable(
-            "interval_too_wide",
+            "says_too_little",
             "the interval is too wide to state a mass",
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}; what it errs by most: "
             f"{max(weighed.parts, key=lambda part: part[1])[0]}",
