@@ -204,7 +204,7 @@ class CalibrationResult(os.PathLike[str]):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Values with their covariance; None where the runs do not determine them."""
+        """Values with their covariance; None where the runs do not determine them, or were motions (see ``estimate.motion``)."""
         return self.estimate.calibration
 
     def __fspath__(self) -> str:
@@ -247,7 +247,7 @@ class CalibrationResult(os.PathLike[str]):
 
     @property
     def _about(self) -> str:
-        return f"{self.estimate.robot}, {len(self.estimate.run_fits)} of {self.estimate.runs} runs used"
+        return f"{self.estimate.robot}, {self.estimate.used} of {self.estimate.runs} runs used"
 
     def __repr__(self) -> str:
         return f"<calibration of {self._about} ({self.verdict})>"

@@ -50,6 +50,8 @@ from proprio_ros.robot import ReducedModel, Robot
 FloatArray = NDArray[np.float64]
 LEAST_SPREAD_SHARE = 0.1
 """Friction of one run differs from that of the next by at least this share: motors warm up."""
+LOAD_FRICTION_SPREAD = 0.02
+"""The share that gears lose is not quite the same under another load."""
 HELD_WITHIN = 0.1
 """What a hand holds lies within this share of the arm's reach, unless its place is stated: one standard deviation."""
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
@@ -183,8 +185,8 @@ class _Solution:
         return result
 
     def mass_and_std(self) -> tuple[float, float]:
-        """As the recording itself leaves it [kg]."""
-        return float(self.values[0]), float(np.sqrt(self.noise()[0, 0]))
+        """What the larger of the fit's own word and that of its stretches leaves of the mass [kg]."""
+        return float(self.values[0]), float(np.sqrt(max(self.noise()[0, 0], self.covariance[0, 0])))
 
     def by_prior(self) -> FloatArray:
         """How the payload's parameters follow the prior's mean, shape (10, U)."""
@@ -257,7 +259,7 @@ def _solve(
 def _posterior(
     information: FloatArray, side: FloatArray, mean: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance; ``V - V (V + N^-1)^-1 V``, written so that neither the prior nor the data need an inverse of their own.
+    """Mean and covariance, ``(1 + V N)^-1 V``: neither the prior V nor the data N need an inverse of their own.
 
     Both are scaled by the prior's standard deviations, which differ by ten orders of magnitude.
     """
@@ -333,12 +335,11 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     arm, runs = 12 * count, len(motions)
     own = [arm + n for n in range(3 * count)]
     rows = [*range(arm), *(row for _ in motions for row in own)]
-    prior = _with_payload(robot, model, Prior(stated.values[rows], stated.covariance[np.ix_(rows, rows)]))
-    for first in range(runs):  # friction of one run says nothing about that of another
-        for other in range(runs):
-            if first != other:
-                a, b = (PARAMETERS + arm + 3 * count * n for n in (first, other))
-                prior.covariance[a : a + 3 * count, b : b + 3 * count] = 0.0
+    covariance = stated.covariance[np.ix_(rows, rows)]
+    # friction of one run says nothing about that of another: its covariances are none but its variances
+    covariance[arm:] = covariance[:, arm:] = 0.0
+    covariance[range(arm, len(rows)), range(arm, len(rows))] = np.diag(stated.covariance)[rows[arm:]]
+    prior = _with_payload(robot, model, Prior(stated.values[rows], covariance))
     solution = _solve(problem, prior, HELD_WITHIN * reach_m(robot, model), None, None)
     # the mean of the runs' friction
     mean = np.zeros((15 * count, len(solution.values)))
@@ -397,7 +398,7 @@ def fit_calibrated(
     Args:
         robot: As its file states it.
         loaded: With the payload, at least one.
-        calibration: Of this arm.
+        calibration: Of this arm; a ``torque_scale_std`` of 0 takes the torque constants as they are.
         empty: More motions with an empty hand, fitted together with the others.
         centre: As for `fit_motions`.
 
@@ -436,6 +437,9 @@ def fit_calibrated(
     rows = [*range(arm), *(row for _ in motions for row in range(arm, 15 * count))]
     known = Prior(calibration.values[rows], calibration.covariance[np.ix_(rows, rows)].copy())
     honest = np.square(calibration.std)[rows]
+    gears = range(11 * count, arm)
+    known.covariance[gears, gears] += LOAD_FRICTION_SPREAD**2
+    honest[gears] += LOAD_FRICTION_SPREAD**2
     for number in range(len(motions)):
         at = arm + 3 * count * number + np.arange(3 * count)
         known.covariance[at, at] += calibration.friction_spread**2
@@ -451,6 +455,7 @@ def fit_calibrated(
     follows = np.zeros((PARAMETERS, 15 * count))
     np.add.at(follows.T, rows, by_prior[:, PARAMETERS:].T)
     own = np.concatenate([solution.payload_prior, np.zeros(arm), np.tile(calibration.friction_spread, len(motions))])
+    own[PARAMETERS + np.array(gears)] = LOAD_FRICTION_SPREAD
     opened = (by_prior * own**2) @ by_prior.T
     by_calibration = larger(
         follows @ calibration.deviations.T @ calibration.deviations @ follows.T,
@@ -460,9 +465,7 @@ def fit_calibrated(
     # the greater part
     carried = problem.matrix[:, :PARAMETERS] @ payload
     apart = np.array([solution.follows(problem.joint == n, carried) for n in range(count)])
-    referenced = any(run["load_kg"] > 0.0 for run in calibration.runs)
-    each = [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in model.joint_names]
-    apart *= np.array(each)[:, None]
+    apart *= LEAST_TORQUE_STD if calibration.torque_scale_std > 0.0 else 0.0
     together = calibration.torque_scale_std * payload
     by_scale = np.outer(together, together) + apart.T @ apart
     variances = np.array([part[0, 0] for part in (stretch, opened, by_calibration, by_scale)])
@@ -499,7 +502,7 @@ def fit_calibrated(
         parts={name: scale * float(np.sqrt(variance)) for name, variance in zip(names, variances, strict=True)},
         blocks=blocks,
         residual=rms_by_joint(solution.residual[carrying], problem.joint[carrying], count),
-        empty_residual=calibration.residual,
+        empty_residual=np.where(calibration.residual > 0.0, calibration.residual, np.nan),
         driven=rms_by_joint(problem.right[carrying], problem.joint[carrying], count),
         quantile=float(student.ppf(0.975, effective)),
         halves=halves,
