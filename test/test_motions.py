@@ -18,7 +18,7 @@ from proprio_ros.motions import Motion, motion_of
 from proprio_ros.probes.payload import moving
 from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, bag_motion
+from proprio_ros.replay import ReplayOptions, bag_motion, runs_or_motion
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -50,6 +50,19 @@ def test_measured_current_is_taken_before_the_command() -> None:
     commanded = motion_of(recording(measured=False), joints=["a", "b"])
     assert commanded.source == "/current_command" and np.all(commanded.current_A == 2.0)
     assert "commanded one counts" in commanded.notes[-1]
+
+
+def test_what_a_controller_moves_without_any_command_is_a_motion() -> None:
+    """As this package's driver publishes it while it holds positions: commanded currents are zero, measured ones are not."""
+    robot, whole = load_robot("open_manipulator_x"), recording()
+    names = ("joint2", "joint3", "gripper_left_joint")
+    record, silent = replace(whole.joints, names=names), np.zeros((len(whole.joints.times_ns), 2))
+    held = InputRecord(record.times_ns, names[:2], silent, "/applied_effort")
+    bag = replace(whole, joints=record, inputs=held)
+    with pytest.raises(RecordingError, match="joint1 was not recorded"):  # a motion, but not of all joints
+        runs_or_motion(bag, robot, {})
+    with pytest.raises(RecordingError, match="zero throughout"):
+        runs_or_motion(replace(bag, joints=replace(record, current=None)), robot, {})
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,8 @@ STEP_SIGMAS, STAY_SIGMAS = 5.0, 3.0
 """A step of the mass this far from zero is a change, and stays one while it is this far."""
 LEAST_SHARE = 0.1
 """And so large in parts of what was held: what the load's place and gears do to its weight is no change."""
+LONG_PAUSE_S = 2.0
+"""After so long without a sample windows begin where samples come again."""
 LATEST_STEP_S = 1.5
 """How long ago, in seconds of motion, a change is looked for."""
 LEAST_AFTER = 3
@@ -174,7 +176,10 @@ class RunningWeight:
         covariance = calibration.covariance.copy()
         friction = calibration.friction
         covariance[friction, friction] += np.diag(calibration.friction_spread**2)
-        self._prior_root = np.linalg.cholesky(covariance + np.diag(1e-12 * np.diag(covariance) + 1e-18))
+        # a file rounds: what should be zero may be a little below
+        spread = np.sqrt(np.diag(covariance))
+        size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
+        self._prior_root = spread[:, None] * ways * np.sqrt(np.maximum(size, 0.0))
         self._geared = slice(11 * count, 12 * count)
         self._widest_kg = float(self._model.pseudo_inertia[:, 3, 3].sum())
         self._window_s = window_s
@@ -220,6 +225,7 @@ class RunningWeight:
                 return False
         if not self._samples:
             self._first_s = time_s
+        if not self._samples or time_s - self._samples[-1][0] > LONG_PAUSE_S:
             self._next_s = time_s + SMOOTHED_S + 0.02
         self._samples.append(row)
         new = False

@@ -281,7 +281,9 @@ class IdentifierNode(ManagedNode):
         self._tell("idle", "ready")
         if self._running is not None:
             self._arrived = deque(maxlen=5000)
-            threading.Thread(target=self._weigh_on, args=(self._running,), name="running estimate", daemon=True).start()
+            threading.Thread(
+                target=self._weigh_all_the_time, args=(self._running,), name="running estimate", daemon=True
+            ).start()
 
     def deactivate(self) -> None:
         self._closing = True
@@ -692,8 +694,18 @@ class IdentifierNode(ManagedNode):
                     )
         return any(most[name] - low > MOVED_RAD for name, low in least.items() if name.encode() in self._joints)
 
-    def _weigh_on(self, make: Callable[..., RunningWeight]) -> None:
+    def _weigh_all_the_time(self, make: Callable[..., RunningWeight]) -> None:
         """The running estimate: in a thread of its own while the node is active."""
+        try:
+            self._weigh_on(make)
+        except Exception as error:  # a defect must be reported, and must not take the services along
+            self._arrived = None
+            self.say(
+                "error", f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
+            )
+
+    def _weigh_on(self, make: Callable[..., RunningWeight]) -> None:
+        """Take what arrived, and publish what it says."""
         arrived = self._arrived
         latest: dict[str, tuple[float, float]] = {}
         published_s = -math.inf

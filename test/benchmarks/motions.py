@@ -1,6 +1,6 @@
 """How well arms drawn at random weigh what they carry while several joints move: coverage, error and width, in MuJoCo.
 
-    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated]
+    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated] [--empty]
 
 Each arm of six joints (``--joints 4``: a small one in slow motion) runs random sines under a computed-torque controller, once empty
 and once with a payload of 0.1 to 2 kg (20 to 200 g; each fourth with nothing). Links are off the URDF by 8 % (2 %), torque
@@ -36,6 +36,7 @@ def main() -> None:
     parser.add_argument(
         "--calibrated", action="store_true", help="with what `proprio calibrate` makes of the empty one"
     )
+    parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
     options = parser.parse_args()
     build = SIX if options.joints == 6 else FOUR
     with tempfile.TemporaryDirectory() as folder:
@@ -45,6 +46,8 @@ def main() -> None:
         arm = Twin(seed, build)
         mass, _ = held = arm.payload(np.random.default_rng(10_000 + seed))
         empty, loaded = arm.record("empty", options.seconds), arm.record("loaded", options.seconds, held)
+        if options.empty:
+            mass, loaded = 0.0, arm.record("empty again", options.seconds)
         begun_s = time.process_time()
         if options.calibrated:
             fit = fit_calibrated(robot, [loaded], fit_empty(robot, [empty]))

@@ -1,4 +1,4 @@
-"""How soon a virtual arm at work notices what it picks up and puts down, and how well it weighs it: an OpenManipulator-X drawn at random.
+"""How soon a virtual OpenManipulator-X at work notices what it picks up and puts down, and how well it weighs it.
 
     python test/benchmarks/running.py [--arms 4] [--first 1]
 

@@ -59,7 +59,7 @@ def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Robot]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("build", "seed", "within_kg"), [(FOUR, 3, 0.006), (FOUR, 7, 0.006), (SIX, 3, 0.06)])
+@pytest.mark.parametrize(("build", "seed", "within_kg"), [(FOUR, 3, 0.006), (FOUR, 7, 0.006), (SIX, 3, 0.03)])
 def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     robots: dict[int, Robot], build: Build, seed: int, within_kg: float
 ) -> None:
@@ -68,10 +68,12 @@ def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     known = fit_empty(robot, [arm.record("empty", 20.0)])
     fit = fit_calibrated(robot, [arm.record("loaded", 15.0, (mass, centre))], known)
     half_kg = fit.quantile * float(fit.std[0])
-    assert abs(fit.values[0] - mass) < min(half_kg, within_kg)
+    # an interval of 95 % may miss: how often is for the benchmark
+    assert abs(fit.values[0] - mass) < min(1.5 * half_kg, within_kg)
     assert half_kg < 2.5 * within_kg
     nothing = fit_calibrated(robot, [arm.record("empty again", 15.0)], known)
-    assert abs(nothing.values[0]) < nothing.quantile * float(nothing.std[0]) < within_kg
+    half_kg = nothing.quantile * float(nothing.std[0])
+    assert abs(nothing.values[0]) < 1.5 * half_kg and half_kg < within_kg
 
 
 @pytest.mark.long

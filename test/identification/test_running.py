@@ -115,6 +115,16 @@ def test_a_clock_that_was_set_back_begins_anew(case: Case) -> None:
 
 
 @pytest.mark.long
+def test_a_pause_of_a_year_takes_no_time(case: Case) -> None:
+    weight = RunningWeight(case.robot, case.calibration)
+    for pause_s in (0.0, 3e7):
+        for time_s, position, current in rows_of(case.parts[1]):
+            weight.add(pause_s + time_s, position, current)
+    estimate = weight.estimate()
+    assert estimate is not None and estimate.time_s > 3e7 and abs(estimate.mass_kg - HELD[0]) < 0.01
+
+
+@pytest.mark.long
 def test_samples_come_in_any_rhythm(case: Case) -> None:
     """Half as many, and unevenly spaced, say about the same."""
     masses = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import rclpy
 from domains import free_domain
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker
 
 from proprio_ros.bags import RawMessage, read_motors, write_messages
@@ -191,6 +193,43 @@ def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     assert "nobody publishes /applied_effort or listens to /current_command" in node._missing_input()
     assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._missing_input()
+
+
+def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none", running="true")
+    job = identifier.Job(identifier.WEIGH, "weigh")
+    with pytest.raises(identifier.JobError, match=r"no calibration of motions.*proprio calibrate BAG"):
+        node._weigh(job)
+    assert node._kept is None and node._may_skip("joint_states"), "nothing is kept for what cannot be done"
+    node._kept = deque()
+    assert not node._may_skip("joint_states") and node._may_skip("applied_effort")
+    with pytest.raises(identifier.JobError, match="give the parameter effort_unit"):
+        node._weigh(job)
+    hear = {role: node._listener(f"/{role}", role, JointState) for role in ("joint_states", "applied_effort")}
+    hear["applied_effort"](b"")
+    with pytest.raises(identifier.JobError, match="no joint states are coming"):
+        node._weigh(job)
+    for number in range(20):
+        still = messages.joint_state(
+            10**7 * number, ["joint1", "wheel"], [0.001 * (number % 2), number], [], [0.0, 0.0]
+        )
+        hear["joint_states"](serialize_message(still))
+    with pytest.raises(identifier.JobError, match="no joint moved in the last 15 s"):
+        node._weigh(job)
+    assert not list(tmp_path.iterdir()), "what is refused leaves no recording"
+
+
+def test_only_the_last_seconds_are_kept(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    node._kept = deque(
+        [RawMessage("/joint_states", "", node.get_clock().now().nanoseconds - age * 10**9, b"") for age in (16, 14)]
+    )
+    node._listener("/joint_states", "joint_states", JointState)(serialize_message(JointState()))
+    assert len(node._kept) == 2, "15 s"
+
+
+def test_what_an_effort_says_of_a_current() -> None:
+    assert [identifier._current_A(3.0, unit, 1.5) for unit in ("A", "mA", "N.m")] == [3.0, 0.003, 2.0]
 
 
 def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_the_excitation(
