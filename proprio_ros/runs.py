@@ -199,7 +199,8 @@ def _swing(name: str, record: JointRecord, joint: str, inside: BoolArray, held: 
         )
     rows = np.flatnonzero(inside)
     position = record.position[rows, column]
-    away = np.flatnonzero(np.abs(position - position[-1]) > STANDS_STILL)
+    end = np.median(position[record.times_ns[rows] >= record.times_ns[rows[-1]] - int(REST_S * 1e9)])
+    away = np.flatnonzero(np.abs(position - end) > STANDS_STILL)
     rows = rows[: min(int(away[-1]) + 3, len(rows))] if len(away) else rows
     times_s = (record.times_ns[rows] - record.times_ns[rows[0]]) / 1e9
     others = {other: record.position[rows, record.column(other)] for other in record.names if other != joint}

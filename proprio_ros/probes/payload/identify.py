@@ -351,7 +351,7 @@ def _conclude(
             searched.solution.iterations, options, margin=0.5, final=fit,
         ),
         budget=sources,
-        assumptions=_assumptions(robot, facts, options, fit is nominal, swings),
+        assumptions=_assumptions(robot, facts, options, fit is nominal and not swings, swings),
         apart=apart,
         open_drive_train=budget,
         useful=Useful(options.wide_share, options.wide_floor_kg),
