@@ -20,6 +20,7 @@ from scipy.signal import butter, filtfilt
 from scipy.stats import t as student
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.rigid_body import pseudo_inertia
 from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, torque_regressor
 from proprio_ros.kinds import KINDS
 from proprio_ros.motions import LONGEST_GAP_S, Motion
@@ -129,7 +130,7 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str]) -> Equations:
     body, body_from_payload = model.frames[robot.payload_frame]
     if body < 0:
         raise RecordingError(f"{motion.name}: {robot.payload_frame} does not move with any joint of {robot.name}")
-    payload = regressor[:, :, body] @ _moved_to_body(body_from_payload)
+    payload = regressor[:, :, body] @ moved_to_body(body_from_payload)
     torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in model.joint_names])
     direction = np.tanh(velocity / SLOW_RAD_S)
     rotor = windows.derivative(velocity, period_s)
@@ -182,19 +183,10 @@ def _across_gaps(motion: Motion, times_s: FloatArray, windows: Windows, width: i
     return crossed
 
 
-def _moved_to_body(body_from_payload: FloatArray) -> FloatArray:
+def moved_to_body(body_from_payload: FloatArray) -> FloatArray:
     """The body's parameters per unit of the payload's, which count in the payload's own frame, shape (10, 10)."""
-    columns = []
-    for unit in np.eye(PARAMETERS):
-        inertia = np.zeros((3, 3))
-        inertia[np.triu_indices(3)] = unit[4:]
-        inertia = inertia + np.triu(inertia, 1).T
-        pseudo = np.zeros((4, 4))
-        pseudo[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-        pseudo[:3, 3] = pseudo[3, :3] = unit[1:4]
-        pseudo[3, 3] = unit[0]
-        columns.append(body_parameters(body_from_payload @ pseudo @ body_from_payload.T))
-    return np.column_stack(columns)
+    turned = (body_from_payload @ pseudo_inertia(unit) @ body_from_payload.T for unit in np.eye(PARAMETERS))
+    return np.column_stack([body_parameters(pseudo) for pseudo in turned])
 
 
 STRETCHES, UNDETERMINED, CONSTANTS = (

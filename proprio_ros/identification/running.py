@@ -31,7 +31,7 @@ from proprio_ros.identification.motion_fit import (
     LEAST_TORQUE_STD,
     SLOW_RAD_S,
     WINDOW_S,
-    _moved_to_body,
+    moved_to_body,
     relative_torque_std,
 )
 from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, torque_regressor
@@ -160,7 +160,7 @@ class RunningWeight:
         self._body, body_from_payload = self._model.frames[robot.payload_frame]
         if self._body < 0:
             raise RobotError(f"{robot.payload_frame} does not move with any joint of {robot.name}")
-        self._moved = _moved_to_body(body_from_payload)
+        self._moved = moved_to_body(body_from_payload)
         self._constant = calibration.torque_constants
         self._scale = calibration.torque_scale
         self._scale_std = calibration.torque_scale_std

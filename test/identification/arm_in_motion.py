@@ -5,6 +5,7 @@ The arm that moves differs from the one in the robot file: links, friction, roto
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,8 +103,9 @@ def urdf(
     inertias: np.ndarray,
     payload: tuple[float, np.ndarray] | None = None,
     build: Build = SIX,
+    moments: Sequence[float] | None = None,
 ) -> str:
-    """The arm's URDF; a payload (mass [kg], centre in the hand [m]) is a ball in the hand."""
+    """The arm's URDF; a payload (mass [kg], centre in the hand [m]) is a ball in the hand, or has these moments of inertia [kg m^2]."""
     lines = ['<robot name="twin"><link name="base"/>']
     parent = "base"
     for n, joint in enumerate(build.joints):
@@ -119,10 +121,10 @@ def urdf(
     inertial = ""
     if payload is not None and payload[0] > 0.0:
         mass, c = payload
-        own = 0.4 * mass * 0.05**2
+        xx, yy, zz = moments or [0.4 * mass * 0.05**2] * 3
         inertial = (
             f'<inertial><origin xyz="{c[0]} {c[1]} {c[2]}"/><mass value="{mass}"/>'
-            f'<inertia ixx="{own}" iyy="{own}" izz="{own}" ixy="0" ixz="0" iyz="0"/></inertial>'
+            f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial>'
         )
     lines.append(
         f'<link name="hand">{inertial}</link><joint name="grip" type="fixed"><parent link="{parent}"/><child link="hand"/>'
@@ -195,11 +197,17 @@ class Twin:
         mass = 0.0 if self.seed % 4 == 0 else float(np.exp(rng.uniform(*np.log(self.build.payload_kg))))
         return mass, np.array([self.build.held_m, 0.0, 0.0]) + self.build.held_m * rng.standard_normal(3)
 
-    def record(self, name: str, seconds: float, payload: tuple[float, np.ndarray] | None = None) -> Motion:
+    def record(
+        self,
+        name: str,
+        seconds: float,
+        payload: tuple[float, np.ndarray] | None = None,
+        moments: Sequence[float] | None = None,
+    ) -> Motion:
         """A motion along random sines, with the payload in the hand."""
         import mujoco
 
-        spec = mujoco.MjSpec.from_string(urdf(self.masses, self.coms, self.inertias, payload, self.build))
+        spec = mujoco.MjSpec.from_string(urdf(self.masses, self.coms, self.inertias, payload, self.build, moments))
         spec.compiler.fusestatic = True
         spec.compiler.balanceinertia = True
         model = spec.compile()

@@ -103,6 +103,22 @@ def test_a_payload_and_its_place(twin: Recorded) -> None:
 
 
 @pytest.mark.long
+def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
+    """A bar of 2 kg along x and y, but not z; a small ball of the same mass has no inertia that anybody could see."""
+    robot, arm, centre = load_robot(write_robot(tmp_path)), Twin(11), np.array([0.05, 0.03, -0.02])
+    truth = (0.25, 0.25, 0.02)
+    empty = arm.record("empty", 20.0)
+    bar = weigh_in_motion(robot, [arm.record("bar", 20.0, (2.0, centre), truth)], [empty], PayloadFacts())
+    inertia = bar.value("payload_inertia")
+    told = [n for n in (0, 3, 5) if inertia.value[n] is not None]
+    assert told and all(inertia.ci95[n][0] < truth[(0, 3, 5).index(n)] < inertia.ci95[n][1] for n in told)
+    assert all(low < 0.0 < high for low, high in (inertia.ci95[n] for n in (1, 2, 4) if inertia.value[n] is not None))
+    ball = weigh_in_motion(robot, [arm.record("ball", 20.0, (2.0, centre))], [empty], PayloadFacts())
+    assert ball.value("payload_inertia").value[0] is None
+    assert "not determined by this motion" in ball.value("payload_inertia").reason
+
+
+@pytest.mark.long
 def test_an_empty_hand_weighs_nothing(twin: Recorded) -> None:
     robot, empty, _, again = twin
     estimate = weigh_in_motion(robot, [again], [empty], PayloadFacts())

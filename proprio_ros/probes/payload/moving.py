@@ -16,6 +16,8 @@ from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rej
 from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
 from proprio_ros.identification.motion_prior import fit_calibrated
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.rigid_body import inertia_about_centre, nearest_body
+from proprio_ros.identification.weak_form import PARAMETERS
 from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.motions import Motion
 from proprio_ros.quantity import shown
@@ -32,6 +34,10 @@ APART_SIGMAS = 4.0
 """Two halves of a recording that differ by more did not carry the same."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
+LEAST_SIGMAS = 5.0
+"""A mass that is not known so many times better than it is large is no divisor."""
+SEEN_SHARE = 0.5
+"""Of the spread of any load's parameters: what is known no better is not seen."""
 WIDEST_SHARE, WIDEST_OF_ARM = 0.5, 0.02
 """A mass whose half width is more than this share of it and of the arm's own mass is ``too_wide``."""
 
@@ -196,7 +202,7 @@ def _estimate(
         half = fit.quantile * std
         values = [Value("payload_mass", "kg", max(mass, 0.0), std, [max(mass - half, 0.0), max(mass + half, 0.0)])]
         if not centre_is_stated:
-            values.append(_centre(fit))
+            values.extend(_place(fit))
     return Estimate(
         probe="payload",
         robot=robot.name,
@@ -236,14 +242,49 @@ def _mean(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
-def _centre(fit: MotionFit) -> Value:
-    """Centre of mass in the payload frame, where the mass is known well enough to divide by."""
+def _place(fit: MotionFit) -> tuple[Value, Value]:
+    """Centre of mass, and inertia about it, in the payload's frame, where the mass is known well enough to divide by."""
     mass, std = float(fit.values[0]), fit.std
-    if abs(mass) < 5.0 * std[0]:
-        return Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, "too little is held to say where")
-    centre = fit.values[1:4] / mass
+    if abs(mass) < LEAST_SIGMAS * std[0] or mass <= 0.0:
+        nothing = "too little is held to say "
+        return (
+            Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, nothing + "where"),
+            Value("payload_inertia", "kg m^2", [None] * 6, [None] * 6, [None] * 6, nothing + "how it is spread"),
+        )
+    body = nearest_body(fit.values[:PARAMETERS], fit.covariance[:PARAMETERS, :PARAMETERS])
+    centre = body[1:4] / mass
     # of the quotient, to first order
     gradient = np.hstack([-centre[:, None], np.eye(3)]) / mass
     stds = np.sqrt(np.diag(gradient @ fit.covariance[:4, :4] @ gradient.T))
     bounds = [[float(c - fit.quantile * s), float(c + fit.quantile * s)] for c, s in zip(centre, stds, strict=True)]
-    return Value("payload_com", "m", centre.tolist(), stds.tolist(), bounds)
+    return Value("payload_com", "m", centre.tolist(), stds.tolist(), bounds), _inertia(fit, body)
+
+
+def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
+    """About the centre of mass: xx, xy, xz, yy, yz, zz; None where the motion says little more than that mass does."""
+    value, gradient = inertia_about_centre(body)
+    covariance = fit.covariance[:PARAMETERS, :PARAMETERS]
+    stds = np.sqrt(np.diag(gradient @ covariance @ gradient.T))
+    # a moment of inertia that may as well be zero says nothing, and a product only means something beside its moments
+    seen = stds < SEEN_SHARE * fit.payload_prior[4:]
+    moments = [0, 3, 5]
+    seen[moments] &= fit.quantile * stds[moments] < value[moments]
+    for product, (one, other) in {1: (0, 3), 2: (0, 5), 4: (3, 5)}.items():
+        seen[product] &= seen[one] or seen[other]
+    names = [name for name, told in zip(("xx", "xy", "xz", "yy", "yz", "zz"), seen, strict=True) if not told]
+    reason = ""
+    if names:
+        reason = (
+            f"{', '.join(names)} not determined by this motion: turn the hand faster about the axes that it is about"
+        )
+    return Value(
+        "payload_inertia",
+        "kg m^2",
+        [float(v) if told else None for v, told in zip(value, seen, strict=True)],
+        [float(s) if told else None for s, told in zip(stds, seen, strict=True)],
+        [
+            [float(v - fit.quantile * s), float(v + fit.quantile * s)] if told else None
+            for v, s, told in zip(value, stds, seen, strict=True)
+        ],
+        reason,
+    )
