@@ -105,7 +105,7 @@ def urdf(
     build: Build = SIX,
     moments: Sequence[float] | None = None,
 ) -> str:
-    """The arm's URDF; a payload (mass [kg], centre in the hand [m]) is a ball in the hand, or has these moments of inertia [kg m^2]."""
+    """The arm's URDF; a payload (mass [kg], centre in the hand [m]) is a ball, or has these moments [kg m^2]."""
     lines = ['<robot name="twin"><link name="base"/>']
     parent = "base"
     for n, joint in enumerate(build.joints):
