@@ -56,14 +56,15 @@ def run_in_real_time() -> bool:
     busy programs on two cores a cycle in a hundred begins 5 ms late, instead of 0.1 ms). Call it when everything is imported and
     read: whoever still starts would keep the others from a core. Threads made later inherit it. Called in the main thread, it
     takes the other threads of the process along, and has the kernel watch (RLIMIT_RTTIME): a thread that spins takes the whole
-    process back to where all others are.
+    process back to where all others are. Threads of one priority take turns (SCHED_RR): with SCHED_FIFO threads of a DDS library
+    that spin until another has gone on kept that one from every core, for good.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(10))
     except (OSError, AttributeError):
         return False
     if threading.current_thread() is threading.main_thread():
-        _schedule_all(os.SCHED_FIFO, 10)
+        _schedule_all(os.SCHED_RR, 10)
         signal.signal(signal.SIGXCPU, lambda *_: _end_spinning())
         hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
         microseconds = round(1e6 * LONGEST_SPIN_S)

@@ -179,14 +179,6 @@ def _weigh_swings(
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
             "torque off all the time, and is the object's place and shape as stated?",
         )
-    if not robot.is_calibrated(joints_of(runs)):
-        found.reasons.append(
-            Reason(
-                "not_calibrated",
-                "a free swing tells gravity moment over inertia: what the robot file leaves open of the rotor's inertia counts; "
-                "two swings with known loads tell it (calibrate --reference BAG=KG --reference BAG=KG)",
-            )
-        )
     return _conclude(robot, runs, facts, options, searched, opened, found, run_count, "", misfit)
 
 
@@ -301,6 +293,14 @@ def _conclude(
             yield rejected("drift", "the robot has changed since its calibration", drift)
         if misfit_of_swing:
             yield rejected("misfit", "the model does not explain the recording", misfit_of_swing)
+        if swings and not known and not known_exactly(robot, runs):
+            # all that moves may be lighter or heavier together: a ridge along which no interval around the best fit holds
+            yield not_identifiable(
+                "not_calibrated",
+                "a free swing alone does not tell a mass",
+                "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with swings "
+                "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)",
+            )
         yield from contradicted(apart)
         if on_bound(fit):
             yield rejected(

@@ -1,0 +1,259 @@
+"""What is said of the real recordings, in one table: how many are answered, how far off, and how many intervals hold.
+
+    python test/benchmarks/real.py [--recordings ../shared/recordings_real] [--bags]
+
+Every answer is one of the command line, asked as a user would: `proprio calibrate`, then `proprio replay`. The recordings are of
+other people's machines and not part of this repository; what each holds was weighed by who recorded it. ``--bags`` lists
+every answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import itertools
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from proprio_ros.cli import main as proprio
+from proprio_ros.quantity import Z95
+
+UR10E_N_M_PER_A = {
+    "shoulder_pan_joint": 11.976,
+    "shoulder_lift_joint": 11.976,
+    "elbow_joint": 9.838,
+    "wrist_1_joint": 10.75,
+    "wrist_2_joint": 10.67,
+    "wrist_3_joint": 10.70,
+}
+UR10E_KG = 2.805
+STS_KG = (0.535, 0.741, 0.969, 1.168)
+STS_OBJECT = ("--set", "payload.com=[0,0,0]", "--set", "payload.inertia_per_mass=[0.00255,0.00255,0.00255,0,0,0]")
+DFKI_LENGTH_M = 0.1495 / 0.3055
+XL330_KG = 0.490
+PENDULUM = """<robot name="{name}"><link name="base"/>
+<joint name="pendulum" type="continuous"><parent link="base"/><child link="rod"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+<limit velocity="30" effort="20"/></joint>
+<link name="rod"><inertial><origin xyz="0 0 {centre}"/><mass value="{mass}"/>
+<inertia ixx="{inertia}" iyy="{inertia}" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="to_tip" type="fixed"><parent link="rod"/><child link="tip"/><origin xyz="0 0 {tip}"/></joint><link name="tip"/></robot>
+"""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One question and what came out.
+
+    Attributes:
+        row: Of the table.
+        asked: In words.
+        truth: In the value's unit.
+        value, std, low, high: Of the answer; None where it was withheld.
+        verdict: As the command line says it, or why it ended without an answer.
+    """
+
+    row: str
+    asked: str
+    truth: float
+    value: float | None
+    std: float | None
+    low: float | None
+    high: float | None
+    verdict: str
+
+    @property
+    def given(self) -> bool:
+        return self.value is not None and self.verdict in ("accepted", "too_wide")
+
+    @property
+    def holds(self) -> bool:
+        return self.low is not None and self.high is not None and self.low <= self.truth <= self.high
+
+    @property
+    def sigmas(self) -> float:
+        """How far off, in standard deviations of the interval: Student's are wider than a normal distribution's."""
+        assert self.value is not None and self.low is not None and self.high is not None
+        half = max(self.high - self.value, self.value - self.low)
+        return Z95 * abs(self.value - self.truth) / half
+
+
+def said(words: Sequence[str]) -> dict[str, Any]:
+    """What the command line prints with --json; its error where there is one."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = proprio([*words, "--json"])
+    answer: dict[str, Any] = json.loads(out.getvalue() or "{}")
+    return {"exit": code, **answer}
+
+
+def asked(row: str, question: str, truth: float, words: Sequence[str], name: str = "payload_mass") -> Answer:
+    answer = said(["replay", *words, "--probe", "payload"])
+    value = next((each for each in answer.get("estimates", []) if each["name"] == name), {"value": None})
+    # how a load swings is an answer of its own, whatever is said of the mass
+    told = name != "payload_mass" and value["value"] is not None
+    verdict = "accepted" if told else answer.get("verdict") or f"exit {answer['exit']}"
+    low, high = value.get("ci95") or (None, None)
+    return Answer(row, question, truth, value["value"], value.get("std"), low, high, verdict)
+
+
+def cut(bag: Path, folder: Path, begin_s: float, end_s: float) -> Path:
+    """The messages of a bag between two times since its first."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
+        topics = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=types) for c in reader.connections}
+        first, last = (reader.start_time + int(1e9 * s) for s in (begin_s, end_s))
+        for connection, time_ns, raw in reader.messages(start=first, stop=last):
+            writer.write(topics[connection.id], time_ns, raw)
+    return folder
+
+
+def seconds_of(bag: Path) -> float:
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        return 1e-9 * reader.duration
+
+
+def pendulum(folder: Path, name: str, rod_kg: float, length_m: float, drive: str, nominal: float = 1.0) -> Path:
+    inertia = rod_kg * length_m**2 / 12.0
+    urdf = PENDULUM.format(name=name, mass=rod_kg, centre=-0.5 * length_m, tip=-length_m, inertia=inertia)
+    (folder / f"{name}.urdf").write_text(urdf)
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        f"name: {name}\nurdf: {name}.urdf\npayload_frame: tip\ngravity: [0.0, 0.0, -9.80496]\njoints:\n  pendulum:\n"
+        f"    motor: {{nominal_torque_constant_N_m_per_A: {nominal}, encoder_resolution_rad: 0.0015, encoder_noise_rad: 0.0005}}\n"
+        f"    drive_train: {{{drive}}}\n"
+    )
+    return path
+
+
+def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
+    lines = ["name: ur10e", f"urdf: {real / 'models' / 'ur10e.urdf'}", "payload_frame: wrist_3_link", "joints:"]
+    for joint, constant in UR10E_N_M_PER_A.items():
+        motor = (
+            f"nominal_torque_constant_N_m_per_A: {constant}, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
+        )
+        lines += [f"  {joint}:", f"    motor: {{{motor}, current_limit_A: 20.0}}"]
+        lines += [f"    drive_train: {{torque_constant_N_m_per_A: {constant}}}", "    usable_velocity_rad_s: 5.0"]
+    robot = folder / "ur10e.yaml"
+    robot.write_text("\n".join(lines) + "\n")
+    unit = ("--effort-unit", "A")
+    loaded, empty = real / "ur10e_loaded_14", [real / f"ur10e_empty_{n}" for n in (12, 14, 15)]
+    lasts_s = seconds_of(loaded)
+    cuts = [
+        cut(loaded, folder / f"cut_{n}", b, b + 15.0) for n, b in enumerate((0.0, 10.0, 20.0, 30.0, lasts_s - 15.0))
+    ]
+    for baseline in empty:
+        words = ("--robot", str(robot), *unit, "--baseline", str(baseline))
+        yield asked("UR10e, 2.805 kg, `--baseline`", baseline.name, UR10E_KG, [str(loaded), *words])
+        for bag in cuts:
+            yield asked("the same, 15 s", f"{bag.name}, {baseline.name}", UR10E_KG, [str(bag), *words])
+        for other in empty:
+            if other != baseline:
+                yield asked("UR10e, nothing, `--baseline`", f"{other.name}, {baseline.name}", 0.0, [str(other), *words])
+        file = folder / f"{baseline.name}.yaml"
+        said(["calibrate", str(baseline), "--robot", str(robot), *unit, "--output", str(file)])
+        words = ("--calibration", str(file), *unit)
+        yield asked("UR10e, 2.805 kg, calibrated", baseline.name, UR10E_KG, [str(loaded), *words])
+        for bag in cuts:
+            yield asked("the same, 15 s, calibrated", f"{bag.name}, {baseline.name}", UR10E_KG, [str(bag), *words])
+        for other in empty:
+            if other != baseline:
+                yield asked("UR10e, nothing, calibrated", f"{other.name}, {baseline.name}", 0.0, [str(other), *words])
+
+
+def open_manipulator(real: Path, folder: Path) -> Iterator[Answer]:
+    bag = real / "omx_empty_1"
+    half_s = 0.5 * seconds_of(bag)
+    halves = [cut(bag, folder / f"half_{n}", n * half_s, (n + 1) * half_s) for n in (0, 1)]
+    more = ("--effort-unit", "raw", "--set", "held.gripper_left_joint=0.0")
+    for one, other in (halves, halves[::-1]):
+        file = folder / f"{one.name}.yaml"
+        said(["calibrate", str(one), *more, "--output", str(file)])
+        words = ("--calibration", str(file), *more)
+        yield asked("OpenManipulator-X, nothing, 10 s", one.name, 0.0, [str(other), *words])
+
+
+def swings(real: Path, folder: Path) -> Iterator[Answer]:
+    robot = pendulum(folder, "sts3215", 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.5}")
+    bags = [real / f"sts3215_release_{mass:.3f}kg" for mass in STS_KG]
+    for count in (2, 3):
+        for known in itertools.combinations(range(len(bags)), count):
+            file = folder / f"sts_{'_'.join(map(str, known))}.yaml"
+            references = [f"{bags[n]}={STS_KG[n]}" for n in known]
+            said(["calibrate", "--reference", *references, "--robot", str(robot), *STS_OBJECT, "--output", str(file)])
+            for number in set(range(len(bags))) - set(known):
+                words = [str(bags[number]), "--calibration", str(file), *STS_OBJECT]
+                yield asked(f"STS3215 let go, {count} loads known", f"{number} by {known}", STS_KG[number], words)
+
+
+def controllers(real: Path, folder: Path) -> Iterator[Answer]:
+    robot = pendulum(folder, "dfki", 0.13, 0.5, "torque_constant_N_m_per_A: 1.0")
+    for name in ("ddp", "direct_collocation", "pd", "energy_shaping", "sac"):
+        words = [str(real / f"dfki_{name}"), "--robot", str(robot), "--effort-unit", "N.m"]
+        yield asked("AK80-6, length of the pendulum", name, DFKI_LENGTH_M, words, "equivalent_pendulum_length")
+        yield asked("AK80-6, mass", name, 0.546, words)
+    servo = pendulum(folder, "servo", 0.01, 0.1, "torque_constant_N_m_per_A: 0.36", nominal=0.36)
+    for unit in ("raw", "mA", "A", "N.m"):
+        for bag in sorted(real.glob("xl330_*")):
+            words = [str(bag), "--robot", str(servo), "--effort-unit", unit]
+            yield asked("XL330, effort is a duty cycle, as any unit", f"{bag.name} {unit}", XL330_KG, words)
+        for bag in sorted(real.glob("sts3215_*kg")):
+            if "release" not in bag.name:
+                words = [str(bag), "--robot", str(servo), "--effort-unit", unit]
+                truth = float(bag.name.rpartition("_")[2].removesuffix("kg"))
+                yield asked("STS3215 driven, effort has no sign, as any unit", f"{bag.name} {unit}", truth, words)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    shared = Path(__file__).resolve().parents[3] / "shared" / "recordings_real"
+    parser.add_argument("--recordings", type=Path, default=shared)
+    parser.add_argument("--bags", action="store_true", help="list every answer")
+    options = parser.parse_args()
+    answers: list[Answer] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for machine in (ur10e, open_manipulator, swings, controllers):
+            for answer in machine(options.recordings, Path(folder)):
+                answers.append(answer)
+                if options.bags:
+                    shown = (
+                        "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
+                    )
+                    print(
+                        f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}",
+                        file=sys.stderr,
+                    )
+    print(
+        "| asked | questions | accepted | too wide | refused | intervals that hold | largest error | farthest, in sd |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for row in dict.fromkeys(answer.row for answer in answers):
+        print(_row(row, [answer for answer in answers if answer.row == row]))
+    print(_row("all", answers, errors=False))
+
+
+def _row(name: str, answers: Sequence[Answer], errors: bool = True) -> str:
+    given = [answer for answer in answers if answer.given]
+    wide = sum(answer.verdict == "too_wide" for answer in given)
+    cells = [name, len(answers), len(given) - wide, wide, len(answers) - len(given)]
+    if not given:
+        return "| " + " | ".join(map(str, [*cells, "-", "-", "-"])) + " |"
+    worst = max(given, key=lambda answer: abs(answer.value - answer.truth))  # type: ignore[operator]
+    error = abs(worst.value - worst.truth)  # type: ignore[operator]
+    off = f"{100.0 * error / worst.truth:.1f} %" if worst.truth else f"{1e3 * error:.0f} g"
+    holds = f"{sum(answer.holds for answer in given)} of {len(given)}"
+    cells += [holds, off if errors else "", f"{max(answer.sigmas for answer in given):.1f}"]
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+if __name__ == "__main__":
+    main()
