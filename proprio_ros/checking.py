@@ -446,7 +446,7 @@ def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tu
 def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
     """A run driven by a measured effort, of which no torque can be made, is of no use."""
     for finding in seen:
-        if finding.code in UNUSABLE_EFFORT and run.joint in finding.joints and not run.problem:
+        if finding.code in UNUSABLE_EFFORT and run.joint in finding.joints and not run.problem and not run.free:
             return replace(run, problem=finding.sentence, mass_half_width_kg=None)
     return run
 
@@ -510,7 +510,7 @@ def _advice(
             "what the motors gave, too: their torque or current as effort in /joint_states, or commands in /applied_effort or "
             "/current_command"
         )
-    if any(finding.code in DOUBTFUL_EFFORT for finding in seen):
+    if not free and any(finding.code in DOUBTFUL_EFFORT for finding in seen):
         advice.append("effort as it was measured, with its sign, read anew for each joint state")
     if rate_Hz < SLOWEST_HZ:
         advice.append(f"at 50 Hz or more: {rate_Hz:.0f} Hz is too slow for a motion")

@@ -298,8 +298,8 @@ def _conclude(
             yield not_identifiable(
                 "not_calibrated",
                 "a free swing alone does not tell a mass",
-                "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with swings "
-                "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)",
+                "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with "
+                "swings of two known loads (calibrate --reference BAG=KG --reference BAG=KG)",
             )
         yield from contradicted(apart)
         if on_bound(fit):
