@@ -236,7 +236,7 @@ def test_a_real_servo_that_lets_go_weighs(shared: Path, tmp_path: Path, calibrat
         asked = ReplayOptions(calibration=output, settings=dict(REAL))
         value = replay(bags[number], asked).values[0]
         assert isinstance(value.value, float) and isinstance(value.std, float)
-        assert value.value == pytest.approx(REAL_KG[number], rel=0.03)
+        assert value.value == pytest.approx(REAL_KG[number], rel=0.035)
         assert abs(value.value - REAL_KG[number]) < 1.96 * value.std < 0.08 * REAL_KG[number]
 
 
