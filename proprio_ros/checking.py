@@ -26,7 +26,7 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.motions import SLOWEST_HZ, Motion, motion_of
 from proprio_ros.plausibility import EffortUnit, Finding, effort_per_torque, effort_units, findings, moving
 from proprio_ros.quantity import shown
-from proprio_ros.records import LOST_AFTER_PERIODS, InputRecord, Recording, Run
+from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, InputRecord, Recording, Run
 from proprio_ros.replay import (
     DEFAULT_ROBOT,
     TEXT_ROBOT,
@@ -397,6 +397,7 @@ def _bag_check(
     times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])
     intervals = np.diff(times_s)
     period = float(np.median(intervals))
+    driven_by, driven_in = _input_of(recording, runs, {name: kind for name, kind, _ in contents.topics}, effort_unit)
     return BagCheck(
         str(path),
         recording.joints.names,
@@ -406,8 +407,8 @@ def _bag_check(
         float(intervals.max()),
         contents.topics,
         contents.states,
-        _input_of(recording, runs),
-        _unit_of(recording.inputs, {name: kind for name, kind, _ in contents.topics}, effort_unit),
+        driven_by or None,
+        driven_in or None,
         runs,
         problem,
         recording.notes + (() if motion is not None else unit_not_used(recording.inputs, effort_unit)),
@@ -527,18 +528,18 @@ def _advice(
     return tuple(advice)
 
 
-def _input_of(recording: Recording, runs: Sequence[RunCheck]) -> str | None:
+def _input_of(
+    recording: Recording, runs: Sequence[RunCheck], types: dict[str, str], unit: str | None
+) -> tuple[str, str]:
+    """Where the current would come from, and what its numbers are; empty where there is none."""
+    inputs = recording.inputs
     if any(run.free for run in runs):
-        return "none, torque is off"
-    return None if recording.inputs is None else recording.inputs.source
-
-
-def _unit_of(inputs: InputRecord | None, types: dict[str, str], effort_unit: str | None) -> str | None:
-    if inputs is None:
-        return None
-    if inputs.measured:
-        return effort_unit or f"not stated: --effort-unit {'|'.join(EFFORT_UNITS)}"
-    return "N m or N, current x nominal torque constant" if "JointState" in types[inputs.source] else "A"
+        return "none, torque is off", ""
+    if inputs is None and recording.joints.reported_effort is None:
+        return "", ""
+    if inputs is None or inputs.measured:
+        return MEASURED_EFFORT, unit or f"not stated: --effort-unit {'|'.join(EFFORT_UNITS)}"
+    return inputs.source, "N m or N, current x nominal torque constant" if "JointState" in types[inputs.source] else "A"
 
 
 def _run_check(robot: Robot, run: Run) -> RunCheck:

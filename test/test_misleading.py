@@ -203,19 +203,15 @@ def not_wrong(estimate: Estimate, truth: float) -> bool:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "noise"),
-    [("xl330_kp100_up_and_down", 0.006), ("xl330_kp100_up_and_down", 0.002)],
-)
+@pytest.mark.parametrize("noise", [0.006, 0.002])
 def test_a_real_pendulum_is_not_weighed_with_a_robot_that_is_not_its(
-    shared: Path, tmp_path: Path, name: str, noise: float
+    shared: Path, tmp_path: Path, noise: float
 ) -> None:
-    """It was accepted at a third of its 490 g: its PWM is no current, and the fit bent delay and friction until that fitted."""
-    bag = shared / "recordings_real" / name
+    """It was accepted at a third of its 490 g: its PWM is no current. Under its own controller it makes no probe."""
+    bag = shared / "recordings_real" / "xl330_kp100_up_and_down"
     if not bag.exists():
         pytest.skip("the real recordings are not here")
-    estimate = real_answer(tmp_path, bag, "raw", noise)
-    assert estimate is not None and estimate.verdict is Verdict.REJECTED and "far_from_prior" in codes(estimate)
+    assert real_answer(tmp_path, bag, "raw", noise) is None
 
 
 @pytest.mark.long

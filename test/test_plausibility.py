@@ -208,7 +208,9 @@ def test_real_servos_whose_effort_is_of_no_use(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "p.urdf").write_text(PENDULUM.replace('name="a"', 'name="pendulum"'))
     robot = ("--robot", str(tmp_path / "p.urdf"), "--effort-unit", "raw")
     found = checked(capsys, str(REAL / "xl330_kp400_sin_sin"), *robot)
-    assert any("16-bit register that was read as unsigned" in note for note in found["notes"]), "mended when it was read"
+    assert any("16-bit register that was read as unsigned" in note for note in found["notes"]), (
+        "mended when it was read"
+    )
     found = checked(capsys, str(REAL / "sts3215_sin_sin_0.535kg"), *robot)
     assert {"effort_without_sign", "effort_stale"} <= {finding["code"] for finding in found["findings"]}
     # signed, and read as often as it is published

@@ -46,7 +46,7 @@ def arm(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def calibrated(bags: Path, arm: Path) -> Estimate:
     bag = bags / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
-    return replay([bag], ReplayOptions(calibration=arm))
+    return replay([bag], ReplayOptions(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}))
 
 
 def profile_of(fit: FitResult, inflation: float = 1.0, std: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
