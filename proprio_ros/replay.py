@@ -328,7 +328,7 @@ def bag_motion(path: Path, robot: Robot, options: ReplayOptions, held: Mapping[s
     Raises:
         RecordingError: it cannot be read, or nothing moves in it.
     """
-    return motion_of(bag_recording(path, robot, options), joints=_turning(robot), held=held)
+    return _motion(bag_recording(path, robot, options), robot, held)
 
 
 def bag_runs_or_motion(
@@ -351,11 +351,24 @@ def runs_or_motion(recording: Recording, robot: Robot, held: Mapping[str, float]
         RecordingError: it holds neither.
     """
     if _under_a_controller(recording, robot):
-        return motion_of(recording, joints=_turning(robot), held=held)
+        return _motion(recording, robot, held)
     try:
         return cut_runs(recording, held=held, joints=list(robot.drive_trains))
     except DrivenAtOnce:
-        return motion_of(recording, joints=_turning(robot), held=held)
+        return _motion(recording, robot, held)
+
+
+def _motion(recording: Recording, robot: Robot, held: Mapping[str, float]) -> Motion:
+    """The recording as a motion; fingers that were not recorded stand where their range allows nearest to zero, which is noted."""
+    known = {*recording.joints.names, *held}
+    slides = [robot.model.joint(name) for name in robot.model.independent_joints if name not in known]
+    taken = {each.name: float(np.clip(0.0, each.lower, each.upper)) for each in slides if each.kind == "prismatic"}
+    motion = motion_of(recording, joints=_turning(robot), held={**taken, **held})
+    notes = tuple(
+        f"{recording.name}: {name} was not recorded and is taken to stand at {value:g} m; --set held.{name}=VALUE states it"
+        for name, value in taken.items()
+    )
+    return replace(motion, notes=motion.notes + notes)
 
 
 def _under_a_controller(recording: Recording, robot: Robot) -> bool:
