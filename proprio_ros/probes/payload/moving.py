@@ -265,10 +265,10 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     value, gradient = inertia_about_centre(body)
     covariance = fit.covariance[:PARAMETERS, :PARAMETERS]
     stds = np.sqrt(np.diag(gradient @ covariance @ gradient.T))
-    # a moment of inertia that may as well be zero says nothing, and a product only means something beside its moments
+    # a moment of inertia is told as a mass is, to half of itself, and a product only means something beside its moments
     seen = stds < SEEN_SHARE * fit.payload_prior[4:]
     moments = [0, 3, 5]
-    seen[moments] &= fit.quantile * stds[moments] < value[moments]
+    seen[moments] &= fit.quantile * stds[moments] < WIDEST_SHARE * value[moments]
     for product, (one, other) in {1: (0, 3), 2: (0, 5), 4: (3, 5)}.items():
         seen[product] &= seen[one] or seen[other]
     names = [name for name, told in zip(("xx", "xy", "xz", "yy", "yz", "zz"), seen, strict=True) if not told]
