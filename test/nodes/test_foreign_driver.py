@@ -60,7 +60,7 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     parameters: dict[str, Any] = {"data_directory": tmp_path / "data", "payload_sequence": "payload_elbow"}
     with Graph(tmp_path / "logs") as graph:
-        graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.05})
+        graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.15})
         graph.start("driver", {"port": tmp_path / "bus"}, namespace="hardware")
         graph.start("excitation", {})
         graph.start("identifier", parameters | {"calibration": "none", "report": False})

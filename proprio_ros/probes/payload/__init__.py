@@ -68,6 +68,7 @@ class Payload(Probe[PayloadJob]):
         was="the virtual hand held",
         takes="under a minute",
         sequences={"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow"},
+        stated=("payload.com=[0,0,0]",),
         reference=True,
     )
 
