@@ -112,7 +112,11 @@ def test_the_lowest_versions_are_those_of_the_lower_bounds(arguments: dict[str, 
         assert next_major not in allowed[name], name
 
 
-@pytest.mark.parametrize("command", [["ruff", "check", "."], ["mypy"]], ids=lambda command: command[0])
+@pytest.mark.parametrize(
+    "command",
+    [["ruff", "check", "."], pytest.param(["mypy"], marks=pytest.mark.long)],
+    ids=lambda command: command[0],
+)
 def test_linters(command: list[str]) -> None:
     pytest.importorskip(command[0])
     done = subprocess.run([sys.executable, "-m", *command], cwd=REPOSITORY, capture_output=True, text=True, timeout=300)

@@ -188,10 +188,9 @@ def test_loads_that_are_not_as_stated_are_no_calibration(robot: Robot, runs: lis
 
 def test_without_a_calibration_a_swing_tells_no_mass(robot: Robot, runs: list[Run]) -> None:
     """With priors around zero the fit goes to a mass of nothing, and its interval is as narrow as it is wrong."""
-    for swing in runs:
-        estimate = weigh(robot, [swing], facts())
-        assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.values[0].value is None
-        assert any("gravity moment over inertia" in reason for reason in estimate.reasons)
+    estimate = weigh(robot, runs[2:], facts())
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.values[0].value is None
+    assert any("gravity moment over inertia" in reason for reason in estimate.reasons)
 
 
 def test_swings_and_driven_probes_are_given_apart(robot: Robot, runs: list[Run]) -> None:
