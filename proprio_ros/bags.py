@@ -467,8 +467,8 @@ def _input_topic(bag: _Bag, name: str | None, state: _Topic) -> _Topic | None:
     return None
 
 
-def _torque_off(bag: _Bag, state: _Topic, clock_ns: int, last_ns: int, notes: list[str]) -> tuple[tuple[int, int], ...]:
-    """When torque was off, on the clock of the joint states; last_ns is the last of their stamps."""
+def _torque_off(bag: _Bag, state: _Topic, columns: _Columns, notes: list[str]) -> tuple[tuple[int, int], ...]:
+    """When torque was off, on the clock of the joint states, until the last of these."""
     namespace = state.name.rpartition("/")[0]
     candidates = _called([t for t in bag.topics if t.size and t.msgtype == BOOL], TORQUE_ENABLED, namespace)
     if len(candidates) != 1:
@@ -476,6 +476,7 @@ def _torque_off(bag: _Bag, state: _Topic, clock_ns: int, last_ns: int, notes: li
             notes.append(f"{_listed(candidates)} may all say when torque is off; none of them was used.")
         return ()
     messages = bag.messages(candidates[0])
+    clock_ns, last_ns = _clock(columns), int(_times(columns, state, []).max())
     shift_ns = clock_ns if abs(clock_ns) > FOREIGN_CLOCK_NS else 0
     stretches: list[tuple[int, int]] = []
     off_ns: int | None = None
@@ -885,7 +886,7 @@ def read_recording(
         if command is not None and command != state:
             clock_ns = _clock(columns)
             inputs = _commands(bag, command, clock_ns, nominal_torque_constants, joint_order, columns.names, notes)
-        torque_off = _torque_off(bag, state, _clock(columns), int(_times(columns, state, []).max()), notes)
+        torque_off = _torque_off(bag, state, columns, notes)
         notes = bag.notes + notes
     driven: list[str] = []
     if inputs is not None:

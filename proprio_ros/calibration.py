@@ -184,10 +184,7 @@ class Calibration:
         correlation = part_of(section, "correlation", str, where)
         runs = part_of(section, "runs", list, where)
         for number, run in enumerate(runs, 1):
-            if not isinstance(run, Mapping) or set(run) != set(_RUN):
-                raise RobotError(f"{where}: runs: {number}: expected {', '.join(_RUN)}, got {shortly(run)}")
-            for name, form in _RUN.items():
-                read_as(run[name], form, f"{where}: runs: {number}: {name}")
+            read_forms(run, _RUN, f"{where}: runs: {number}")
         motors = {}
         for joint, entry in (part_of(section, "motors", Mapping, where) if "motors" in section else {}).items():
             at = f"{where}: motors: {one_line(str(joint), 80)}"
@@ -331,6 +328,13 @@ def _key(name: Any, where: str) -> Key:
 def _unit(key: Key) -> str:
     kind = key if isinstance(key, str) else key[0]
     return KINDS[kind].unit if kind in KINDS else ""
+
+
+def read_forms(entry: Any, forms: Mapping[str, Form], where: str, beside: tuple[str, ...] = ()) -> list[Any]:
+    """The values of a mapping that has exactly these keys, in their order."""
+    if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
+        raise RobotError(f"{where}: expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
+    return [read_as(entry[key], form, f"{where}: {key}") for key, form in forms.items()]
 
 
 def part_of(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:

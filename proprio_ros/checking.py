@@ -33,6 +33,7 @@ from proprio_ros.replay import (
     ReplayOptions,
     bag_recording,
     runs_or_motion,
+    turning_joints,
     unit_not_used,
 )
 from proprio_ros.resources import paths_of
@@ -472,7 +473,7 @@ def _effort(
 
 def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> MotionCheck | None:
     """What a motion determines; also of one whose currents are not known, since none is looked at."""
-    turning = [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+    turning = turning_joints(robot)
     if motion is None:
         if recording.inputs is not None or set(turning) - set(recording.joints.names):
             return None

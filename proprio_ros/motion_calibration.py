@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from proprio_ros.calibration import correlation_of, numbers_of, part_of, read_as, short, triangle_of
+from proprio_ros.calibration import correlation_of, numbers_of, part_of, read_as, read_forms, short, triangle_of
 from proprio_ros.errors import RobotError
 from proprio_ros.forms import Form, Number, Text, shortly
 from proprio_ros.kinds import name_of
@@ -163,9 +163,9 @@ class MotionCalibration:
             )
         runs = part_of(section, "runs", list, where)
         for number, run in enumerate(runs, 1):
-            _forms(run, _RUN, f"{where}: runs: {number}")
+            read_forms(run, _RUN, f"{where}: runs: {number}")
         stated = part_of(section, "joints", list, where)
-        entries = [_forms(entry, _JOINT, f"{where}: joints: {n}") for n, entry in enumerate(stated, 1)]
+        entries = [read_forms(entry, _JOINT, f"{where}: joints: {n}") for n, entry in enumerate(stated, 1)]
         joints = tuple(entry[0] for entry in entries)
         numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
         keys = term_keys(joints)
@@ -188,7 +188,7 @@ class MotionCalibration:
             entry = unknowns[name]
             if isinstance(entry, Mapping) and entry.get("unit") != unit:
                 raise RobotError(f"{at}: unit must be {unit!r}, got {shortly(entry.get('unit'))}")
-            value, std, *more = _forms(entry, forms, at, ("unit",))
+            value, std, *more = read_forms(entry, forms, at, ("unit",))
             values.append(value)
             stds.append(std)
             spread += more
@@ -200,7 +200,7 @@ class MotionCalibration:
         rows = numbers_of(part_of(section, "deviations", str, where), f"{where}: deviations")
         if not rows or any(len(row) != len(keys) for row in rows) or not np.all(np.isfinite(rows)):
             raise RobotError(f"{where}: deviations must be rows of {len(keys)} finite numbers; calibrate again")
-        torque_scale, torque_scale_std = _forms(
+        torque_scale, torque_scale_std = read_forms(
             part_of(section, "torque_scale", Mapping, where), _SCALE, f"{where}: torque_scale"
         )
         return cls(
@@ -218,10 +218,3 @@ class MotionCalibration:
             "",
             tuple(runs),
         )
-
-
-def _forms(entry: Any, forms: Mapping[str, Form], where: str, beside: tuple[str, ...] = ()) -> list[Any]:
-    """The values of a mapping that has exactly these keys, in their order."""
-    if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
-        raise RobotError(f"{where}: expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
-    return [read_as(entry[key], form, f"{where}: {key}") for key, form in forms.items()]

@@ -363,7 +363,7 @@ def _motion(recording: Recording, robot: Robot, held: Mapping[str, float]) -> Mo
     known = {*recording.joints.names, *held}
     slides = [robot.model.joint(name) for name in robot.model.independent_joints if name not in known]
     taken = {each.name: float(np.clip(0.0, each.lower, each.upper)) for each in slides if each.kind == "prismatic"}
-    motion = motion_of(recording, joints=_turning(robot), held={**taken, **held})
+    motion = motion_of(recording, joints=turning_joints(robot), held={**taken, **held})
     notes = tuple(
         f"{recording.name}: {name} was not recorded and is taken to stand at {value:g} m; --set held.{name}=VALUE states it"
         for name, value in taken.items()
@@ -433,7 +433,7 @@ def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str
     return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",) if updated else ()
 
 
-def _turning(robot: Robot) -> list[str]:
+def turning_joints(robot: Robot) -> list[str]:
     """The joints that have a motor and turn: those of a motion."""
     return [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
 

@@ -276,7 +276,9 @@ def _refuse_controlled(name: str, record: JointRecord, inputs: InputRecord, join
     Raises:
         UnderController: There is such a joint.
     """
-    for joint in set(joints) & set(inputs.names) & set(record.names):
+    for joint in joints:
+        if joint not in inputs.names or joint not in record.names:
+            continue
         smooth = median_filter(inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest")
         loud = float(np.mean(np.abs(smooth - np.median(smooth)) > MEASURED_CURRENT_FLOOR_A))
         if loud > 0.5 and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from machines import REAL, UR10E_N_M_PER_A
 
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
@@ -21,16 +25,6 @@ from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.replay import ReplayOptions, bag_motion, runs_or_motion
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
-
-REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings_real"
-UR10E = {
-    "shoulder_pan_joint": 11.976,
-    "shoulder_lift_joint": 11.976,
-    "elbow_joint": 9.838,
-    "wrist_1_joint": 10.75,
-    "wrist_2_joint": 10.67,
-    "wrist_3_joint": 10.70,
-}
 
 
 def recording(seconds: float = 5.0, rate_Hz: float = 100.0, measured: bool = True) -> Recording:
@@ -102,7 +96,7 @@ def ur10e(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if not (REAL / "ur10e_loaded_14").exists():
         pytest.skip("needs the real recordings")
     lines = ["name: ur10e", f"urdf: {REAL / 'models' / 'ur10e.urdf'}", "payload_frame: wrist_3_link", "joints:"]
-    for joint, constant in UR10E.items():
+    for joint, constant in UR10E_N_M_PER_A.items():
         lines += [
             f"  {joint}:",
             f"    motor: {{nominal_torque_constant_N_m_per_A: {constant}, encoder_resolution_rad: 1.0e-5,",
@@ -183,7 +177,7 @@ def test_torque_constants_that_are_wrong_give_no_wrong_mass(
 ) -> None:
     """Stated as known exactly, and off by a quarter and more."""
     text = ur10e.read_text()
-    for constant in set(UR10E.values()):
+    for constant in set(UR10E_N_M_PER_A.values()):
         text = text.replace(
             f"torque_constant_N_m_per_A: {constant},", f"torque_constant_N_m_per_A: {factor * constant:.4f},"
         )
@@ -213,7 +207,7 @@ def test_check_says_what_a_motion_is_good_for(capsys: pytest.CaptureFixture[str]
     assert "a motion of 6 joints" in text and "--baseline" in text
     assert main(["check", bag, "--robot", str(ur10e), "--effort-unit", "A", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["bags"][0]
-    assert found["motion"]["joints"] == list(UR10E) and found["motion"]["duration_s"] > 50.0
+    assert found["motion"]["joints"] == list(UR10E_N_M_PER_A) and found["motion"]["duration_s"] > 50.0
 
 
 def calibrated(ur10e: Path, output: Path, *bags: str, more: tuple[str, ...] = ()) -> int:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from machines import REAL, pendulum_urdf
 
 from proprio_ros.bags import read_recording, write_recording
 from proprio_ros.cli import main
@@ -20,15 +24,7 @@ from proprio_ros.replay import ReplayOptions, bag_recording, replay
 from proprio_ros.robot import load_robot
 from proprio_ros.runs import UnderController, cut_runs
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings_real"
 GRAVITY = 9.80665
-URDF = """<robot name="{name}"><link name="base"/>
-<joint name="pendulum" type="continuous"><parent link="base"/><child link="rod"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-<limit velocity="30" effort="20"/></joint>
-<link name="rod"><inertial><origin xyz="0 0 {centre}"/><mass value="{mass}"/>
-<inertia ixx="{inertia}" iyy="{inertia}" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="to_tip" type="fixed"><parent link="rod"/><child link="tip"/><origin xyz="0 0 {tip}"/></joint><link name="tip"/></robot>
-"""
 ROBOT = """name: {name}
 urdf: {name}.urdf
 payload_frame: tip
@@ -53,9 +49,7 @@ def robot_file(
     nominal: float = 1.0,
     armature: float = 0.0,
 ) -> Path:
-    inertia = rod_kg * length_m**2 / 12.0
-    urdf = URDF.format(name=name, mass=rod_kg, centre=-0.5 * length_m, tip=-length_m, inertia=inertia)
-    (folder / f"{name}.urdf").write_text(urdf)
+    pendulum_urdf(folder, name, rod_kg, length_m)
     path = folder / f"{name}.yaml"
     path.write_text(ROBOT.format(name=name, constant=constant, nominal=nominal, armature=armature))
     return path

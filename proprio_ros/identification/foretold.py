@@ -22,6 +22,7 @@ from proprio_ros.motions import Motion
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
+from proprio_ros.robot.geometry import rotation_about
 
 DRIFT_SHARE = 0.05
 """Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
@@ -94,7 +95,7 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     gravity = (model.placement[0][:3, :3]).T @ model.gravity  # in the joint's frame at position zero
     axis = model.axes[0]
     middle = float(run.position[len(run.position) // 2])
-    turned = _about(axis, -middle) @ gravity
+    turned = rotation_about(axis, -middle) @ gravity
     hand = body_from_hand[:3, 3]
     first = model.pseudo_inertia[0][:3, 3]
     second = model.pseudo_inertia[0][:3, :3]
@@ -132,9 +133,3 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     gradient = np.array(list(slope.values()))
     variance = float(gradient @ covariance @ gradient) + robot.torque_disturbance**2
     return Z95 * float(np.sqrt(variance)) / abs(per_kg)
-
-
-def _about(axis: np.ndarray, angle: float) -> np.ndarray:
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    rotation: np.ndarray = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    return rotation

@@ -11,8 +11,8 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
 from proprio_ros.identification.estimate import UnknownRow, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
-from proprio_ros.identification.motion_fit import MotionFit
-from proprio_ros.identification.motion_prior import arm_kg, file_prior, fit_calibrated, fit_empty
+from proprio_ros.identification.motion_fit import MotionFit, arm_kg
+from proprio_ros.identification.motion_prior import file_prior, fit_calibrated, fit_empty
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.motion_calibration import FloatArray, MotionCalibration
 from proprio_ros.motions import Motion
@@ -94,28 +94,44 @@ def calibrate_motions(
     )  # fmt: skip
 
 
+def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
+    """Where the worst joint's torque is not what the model makes of it.
+
+    Args:
+        joints: Their names.
+        share: Of the torque, that is left over by joint; NaN where one did not move.
+        by: What the model consists of.
+        name: Of the recording and a colon, before the sentence.
+    """
+    worst = int(np.nanargmax(share))
+    if share[worst] > UNEXPLAINED_SHARE:
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{name}{100.0 * share[worst]:.0f} % of the torque of {joints[worst]} is not explained by {by}: check the effort's "
+            "unit and sign, and that nothing touched the arm",
+        )
+
+
+def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
+    """Where the arm weighs far more or less by its torques than by its URDF."""
+    if not 1.0 / URDF_RATIO < arm_over_urdf < URDF_RATIO:
+        yield rejected(
+            "arm_unlike_urdf",
+            "the arm does not fit its URDF",
+            f"by its torques the arm weighs {arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
+            "check the effort's unit, the torque constants and the URDF's masses",
+        )
+
+
 def _refusals(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
     torques = [
         motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]] * calibration.torque_constants
         for motion in motions
     ]
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
-    unexplained = calibration.residual / driven
-    worst = int(np.nanargmax(unexplained))
-    if unexplained[worst] > UNEXPLAINED_SHARE:
-        yield rejected(
-            "misfit",
-            "the model does not explain the recording",
-            f"{100.0 * unexplained[worst]:.0f} % of the torque of {calibration.joints[worst]} is not explained by the arm and its "
-            "friction: check the effort's unit and sign, and that nothing touched the arm",
-        )
-    if not 1.0 / URDF_RATIO < calibration.arm_over_urdf < URDF_RATIO:
-        yield rejected(
-            "arm_unlike_urdf",
-            "the arm does not fit its URDF",
-            f"by its torques the arm weighs {calibration.arm_over_urdf:.2f} times what its URDF says, and a payload would be off "
-            "by as much: check the effort's unit, the torque constants and the URDF's masses",
-        )
+    yield from unexplained_torque(calibration.joints, calibration.residual / driven, "the arm and its friction")
+    yield from unlike_urdf(calibration.arm_over_urdf)
     model = robot.model.lock(list(calibration.joints), dict(motions[0].held), robot.gravity)
     prior = file_prior(robot, model)
     std = np.sqrt(np.diag(prior.covariance))
@@ -227,5 +243,6 @@ def _weighable(
         mass,
         float(np.hypot(nothing, share * mass)),
         calibration.joints,
-        f"an empty hand to +-{shown('kg', Z95 * nothing, spec='.0f')}, and any mass to +-{196.0 * share:.0f} % at best: {because}",
+        f"an empty hand to +-{shown('kg', Z95 * nothing, spec='.0f')}, and any mass to +-{100.0 * Z95 * share:.0f} % at best: "
+        f"{because}",
     )

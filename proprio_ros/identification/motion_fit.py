@@ -21,10 +21,10 @@ from scipy.stats import t as student
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.rigid_body import pseudo_inertia
-from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, torque_regressor
+from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, point_mass, torque_regressor
 from proprio_ros.kinds import KINDS
 from proprio_ros.motions import LONGEST_GAP_S, Motion
-from proprio_ros.robot import Robot
+from proprio_ros.robot import ReducedModel, Robot
 
 FloatArray = NDArray[np.float64]
 
@@ -40,6 +40,7 @@ ITERATIONS = 6
 BLOCK_S = 2.5
 """Stretches that are left out together: longer than what friction and controllers keep in memory."""
 MIN_BLOCKS = 4
+RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 LEAST_TORQUE_STD = 0.01
 """Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten."""
 URDF_SHARE = 0.15
@@ -103,11 +104,8 @@ class Equations:
 
     def with_centre(self, centre: FloatArray) -> Equations:
         """The same where the payload's mass sits at ``centre`` [m]: its other parameters are how it differs from a point there."""
-        point = np.zeros((4, 4))
-        point[3] = point[:, 3] = [*centre, 1.0]
-        point[:3, :3] = np.outer(centre, centre)
         payload = self.payload.copy()
-        payload[:, 0] = self.payload @ body_parameters(point)
+        payload[:, 0] = self.payload @ point_mass(centre)
         return replace(self, payload=payload)
 
 
@@ -141,8 +139,7 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str]) -> Equations:
     }
     slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
     counts = ~slow & np.isin(model.joint_names, motion.moved)[None, :]
-    # windows that span a gap in the recording know nothing of what happened there
-    counts &= ~_across_gaps(motion, times_s, windows, width)[:, None]
+    counts &= ~across_gaps(motion, times_s, windows, width)[:, None]
     rows, joint = np.nonzero(counts)
     if not len(rows):
         raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
@@ -174,7 +171,8 @@ def _evenly(motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray]:
     return times_s, filtfilt(b, a, position, axis=0), current
 
 
-def _across_gaps(motion: Motion, times_s: FloatArray, windows: Windows, width: int) -> NDArray[np.bool_]:
+def across_gaps(motion: Motion, times_s: FloatArray, windows: Windows, width: int) -> NDArray[np.bool_]:
+    """Which windows of ``width`` evenly spaced samples span a gap in the recording, and know nothing of what happened there."""
     gaps = np.flatnonzero(np.diff(motion.times_s) > LONGEST_GAP_S)
     first, last = times_s[windows.starts], times_s[windows.starts + width - 1]
     crossed = np.zeros(len(windows.starts), dtype=bool)
@@ -254,13 +252,22 @@ class MotionFit:
         return np.array([(v - term.prior) / term.std for v, term in zip(self.values, self.terms, strict=True)])
 
 
+def arm_kg(model: ReducedModel) -> float:
+    """Mass of all that moves."""
+    return float(model.pseudo_inertia[:, 3, 3].sum())
+
+
+def reach_m(robot: Robot, model: ReducedModel) -> float:
+    """From the base to the hand along the links."""
+    links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
+    return float(links + np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
+
+
 def terms_of(robot: Robot, joints: Sequence[str], held: dict[str, float], runs: int) -> tuple[Term, ...]:
     """All unknowns: payload, bodies, rotors, torque constants, load friction, and friction of each motion."""
     model = robot.model.lock(list(joints), held, robot.gravity)
     bodies = [body_parameters(pseudo) for pseudo in model.pseudo_inertia]
-    total = float(sum(body[0] for body in bodies))
-    reach = float(sum(np.linalg.norm(place[:3, 3]) for place in model.placement))
-    reach += float(np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
+    total, reach = arm_kg(model), reach_m(robot, model)
     names = [f"payload_{name}" for name in PARAMETER_NAMES]
     open_to = sizes(total, 0.3 * reach)
     terms = [Term(name, "", unit, 0.0, std) for name, unit, std in zip(names, PARAMETER_UNITS, open_to, strict=True)]
@@ -296,6 +303,51 @@ def sizes(mass_kg: float, length_m: float) -> list[float]:
     return [mass_kg, *[mass_kg * length_m] * 3, *[mass_kg * length_m**2] * 6]
 
 
+@dataclass(frozen=True)
+class Stacked:
+    """Equations of all runs; unknowns are the payload's ten, the arm's 12 n, and 3 n of each run.
+
+    Attributes:
+        matrix: Shape (E, U); the gears' columns are filled while it is solved.
+        right, joint, block, direction: Of each equation, see `Equations`; blocks are labelled apart from run to run.
+        run: Number of the run.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+    joint: NDArray[np.int64]
+    block: NDArray[np.int64]
+    direction: FloatArray
+    run: NDArray[np.int64]
+    count: int
+
+    def only(self, kept: NDArray[np.bool_]) -> Stacked:
+        """Some of its equations."""
+        return Stacked(
+            self.matrix[kept], self.right[kept], self.joint[kept], self.block[kept], self.direction[kept], self.run[kept],
+            self.count,
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, parts: Sequence[Equations], loaded: int, count: int) -> Stacked:
+        """The first ``loaded`` runs hold the payload."""
+        rows = []
+        for number, part in enumerate(parts):
+            friction = [np.zeros_like(part.friction) for _ in parts]
+            friction[number] = part.friction
+            payload = part.payload if number < loaded else np.zeros_like(part.payload)
+            rows.append(np.hstack([payload, part.arm, part.rotor, np.zeros((len(part.right), count)), *friction]))
+        return cls(
+            np.vstack(rows),
+            np.concatenate([part.right for part in parts]),
+            np.concatenate([part.joint for part in parts]),
+            np.concatenate([part.block + RUNS_OF_ITS_OWN * number for number, part in enumerate(parts)]),
+            np.concatenate([part.direction for part in parts]),
+            np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)]),
+            count,
+        )
+
+
 def fit_motions(
     robot: Robot,
     loaded: Sequence[Motion],
@@ -324,18 +376,9 @@ def fit_motions(
     terms = terms_of(robot, joints, held, len(motions))
     model = robot.model.lock(list(joints), held, robot.gravity)
     count = len(model.joint_names)
-    rows = []
-    for number, part in enumerate(parts):
-        friction = [np.zeros_like(part.friction) for _ in motions]
-        friction[number] = part.friction
-        payload = part.payload if number < len(loaded) else np.zeros_like(part.payload)
-        gears = np.zeros((len(part.right), count))
-        rows.append(np.hstack([payload, part.arm, part.rotor, gears, *friction]))
-    matrix, right = np.vstack(rows), np.concatenate([part.right for part in parts])
-    joint = np.concatenate([part.joint for part in parts])
-    run = np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)])
-    block = np.concatenate([part.block + 100_000 * number for number, part in enumerate(parts)])
-    with_payload = int(np.sum(np.unique(block) < 100_000 * len(loaded)))
+    stacked = Stacked.of(parts, len(loaded), count)
+    matrix, right, joint, run, block = stacked.matrix, stacked.right, stacked.joint, stacked.run, stacked.block
+    with_payload = int(np.sum(np.unique(block) < RUNS_OF_ITS_OWN * len(loaded)))
     if with_payload < MIN_BLOCKS:
         raise RecordingError(
             f"{loaded[0].name}: only {BLOCK_S * with_payload:.0f} s of motion can be used; record {BLOCK_S * MIN_BLOCKS:.0f} s "
@@ -343,7 +386,6 @@ def fit_motions(
         )
     prior, spread = np.array([t.prior for t in terms]), np.array([t.std for t in terms])
 
-    direction = np.concatenate([part.direction for part in parts])
     bodies = PARAMETERS * (1 + count)
     geared = slice(bodies + count, bodies + 2 * count)
     weight = np.ones(len(right))
@@ -365,7 +407,7 @@ def fit_motions(
         if centre is not None:
             spread[1:4] = heavy_kg * np.maximum(centre[1], 1e-3)
         transmitted = np.abs(matrix[:, :bodies] @ values[:bodies])
-        matrix[:, geared] = np.eye(count)[joint] * (transmitted * direction)[:, None]
+        matrix[:, geared] = np.eye(count)[joint] * (transmitted * stacked.direction)[:, None]
     scaled, target = matrix * weight[:, None], right * weight
     values, jackknife = _jackknife(scaled, target, block, prior, spread)
     residual = right - matrix @ values
@@ -408,7 +450,7 @@ def fit_motions(
         rms_by_joint(right[carrying], joint[carrying], count),
         float(student.ppf(0.975, with_payload - 1)),
         halves,
-        float(model.pseudo_inertia[:, 3, 3].sum()),
+        arm_kg(model),
         arm_over_urdf,
         spread[:PARAMETERS].copy(),
     )

@@ -31,13 +31,17 @@ from proprio_ros.identification.motion_fit import (
     MIN_BLOCKS,
     PARAMETER_NAMES,
     PARAMETER_UNITS,
+    RUNS_OF_ITS_OWN,
     STRETCHES,
     UNDETERMINED,
     URDF_SHARE,
     Equations,
     MotionFit,
+    Stacked,
     Term,
+    arm_kg,
     equations,
+    reach_m,
     relative_torque_std,
     rms_by_joint,
     sizes,
@@ -54,7 +58,6 @@ LOAD_FRICTION_SPREAD = 0.02
 """The share that gears lose is not quite the same under another load."""
 HELD_WITHIN = 0.1
 """What a hand holds lies within this share of the arm's reach, unless its place is stated: one standard deviation."""
-RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 
 
 @dataclass(frozen=True)
@@ -96,65 +99,9 @@ def file_prior(robot: Robot, model: ReducedModel) -> Prior:
     return Prior(values, covariance)
 
 
-def arm_kg(model: ReducedModel) -> float:
-    """Mass of all that moves."""
-    return float(model.pseudo_inertia[:, 3, 3].sum())
-
-
-def reach_m(robot: Robot, model: ReducedModel) -> float:
-    """From the base to the hand along the links."""
-    links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
-    return float(links + np.linalg.norm(model.frames[robot.payload_frame][1][:3, 3]))
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """Equations of all runs; unknowns are the payload's ten, the arm's 12 n, and 3 n of each run.
-
-    Attributes:
-        matrix: Shape (E, U); the gears' columns are filled while it is solved.
-        right, joint, block, direction: Of each equation, see `Equations`; blocks are labelled apart from run to run.
-        run: Number of the run.
-    """
-
-    matrix: FloatArray
-    right: FloatArray
-    joint: NDArray[np.int64]
-    block: NDArray[np.int64]
-    direction: FloatArray
-    run: NDArray[np.int64]
-    count: int
-
-    def only(self, kept: NDArray[np.bool_]) -> _Problem:
-        """Some of its equations."""
-        return _Problem(
-            self.matrix[kept], self.right[kept], self.joint[kept], self.block[kept], self.direction[kept], self.run[kept],
-            self.count,
-        )  # fmt: skip
-
-    @classmethod
-    def of(cls, parts: Sequence[Equations], loaded: int, count: int) -> _Problem:
-        """The first ``loaded`` runs hold the payload."""
-        rows = []
-        for number, part in enumerate(parts):
-            friction = [np.zeros_like(part.friction) for _ in parts]
-            friction[number] = part.friction
-            payload = part.payload if number < loaded else np.zeros_like(part.payload)
-            rows.append(np.hstack([payload, part.arm, part.rotor, np.zeros((len(part.right), count)), *friction]))
-        return cls(
-            np.vstack(rows),
-            np.concatenate([part.right for part in parts]),
-            np.concatenate([part.joint for part in parts]),
-            np.concatenate([part.block + RUNS_OF_ITS_OWN * number for number, part in enumerate(parts)]),
-            np.concatenate([part.direction for part in parts]),
-            np.concatenate([np.full(len(part.right), number) for number, part in enumerate(parts)]),
-            count,
-        )
-
-
 @dataclass(frozen=True)
 class _Solution:
-    """Of a `_Problem` under a prior.
+    """Of a `Stacked` under a prior.
 
     Attributes:
         values: Shape (U,).
@@ -207,7 +154,7 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _solve(
-    problem: _Problem,
+    problem: Stacked,
     prior: Prior,
     length_m: float,
     centre_std: FloatArray | None,
@@ -287,9 +234,7 @@ def _correlation(residual: FloatArray, block: NDArray[np.int64]) -> float:
     return total
 
 
-def _friction_spread(
-    problem: _Problem, solution: _Solution, parts: Sequence[Equations], runs: FloatArray
-) -> FloatArray:
+def _friction_spread(problem: Stacked, solution: _Solution, parts: Sequence[Equations], runs: FloatArray) -> FloatArray:
     """By how much friction and offset differ: from run to run, and what stretches of a run show of it, shape (3 n,)."""
     count = problem.count
     between = runs.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(runs.shape[1])
@@ -324,7 +269,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     model = robot.model.lock(list(joints), held, robot.gravity)
     count = len(model.joint_names)
     parts = [equations(robot, motion, joints) for motion in motions]
-    problem = _Problem.of(parts, 0, count)
+    problem = Stacked.of(parts, 0, count)
     stretches = len(np.unique(problem.block))
     if stretches < MIN_BLOCKS:
         raise RecordingError(
@@ -426,7 +371,7 @@ def fit_calibrated(
     parts = [equations(robot, motion, joints) for motion in motions]
     if centre is not None:
         parts = [part.with_centre(centre[0]) for part in parts]
-    problem = _Problem.of(parts, len(loaded), count)
+    problem = Stacked.of(parts, len(loaded), count)
     blocks = int(np.sum(np.unique(problem.block) < RUNS_OF_ITS_OWN * len(loaded)))
     if blocks < MIN_BLOCKS:
         raise RecordingError(

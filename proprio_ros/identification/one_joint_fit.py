@@ -21,8 +21,9 @@ from scipy.signal import butter, filtfilt
 from scipy.stats import t as student
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.motion_fit import RUNS_OF_ITS_OWN, SLOW_RAD_S, across_gaps
 from proprio_ros.identification.weak_form import Windows
-from proprio_ros.motions import LONGEST_GAP_S, Motion
+from proprio_ros.motions import Motion
 from proprio_ros.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -31,8 +32,6 @@ WINDOWS_S = (0.25, 0.5)
 HOP_SHARE = 0.125
 BANDWIDTH_HZ = 12.0
 """Positions and torques are smoothed alike to this; a pendulum on a table swings at 1 Hz."""
-SLOW_RAD_S = 0.02
-"""As in `motion_fit`."""
 STRETCH_S = 1.0
 """Stretches that are left out together."""
 MIN_STRETCHES = 4
@@ -114,7 +113,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     directions = directions_of(axis)
     gravity = base.T @ model.gravity
     tables = [[_table(robot, motion, joint, gravity, axis, directions, w) for motion in motions] for w in WINDOWS_S]
-    stretches = np.unique(np.concatenate([part.stretch + 10_000 * n for n, part in enumerate(tables[-1])]))
+    stretches = np.unique(np.concatenate([part.stretch + RUNS_OF_ITS_OWN * n for n, part in enumerate(tables[-1])]))
     if len(stretches) < MIN_STRETCHES:
         raise RecordingError(
             f"{motions[0].name}: {joint} moves for {STRETCH_S * len(stretches):.0f} s without a pause or a gap; record "
@@ -202,9 +201,7 @@ def _table(
         ]
     )
     counts = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) < 0.5
-    for gap in np.flatnonzero(np.diff(motion.times_s) > LONGEST_GAP_S):
-        first, last = times_s[windows.starts], times_s[windows.starts + width - 1]
-        counts &= (first >= motion.times_s[gap + 1]) | (last <= motion.times_s[gap])
+    counts &= ~across_gaps(motion, times_s, windows, width)
     if counts.sum() <= columns.shape[1]:
         raise RecordingError(f"{motion.name}: {joint} does not move for long enough without a pause or a gap")
     torque = robot.drive_trains[joint].torque_constant.value * windows.mean(current)
@@ -237,7 +234,11 @@ def _stacked(
     """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
     loads, frictions, torques, numbers = [], [], [], []
     for number, part in enumerate(parts):
-        kept = np.ones(len(part.torque), dtype=bool) if left_out is None else part.stretch + 10_000 * number != left_out
+        kept = (
+            np.ones(len(part.torque), dtype=bool)
+            if left_out is None
+            else part.stretch + RUNS_OF_ITS_OWN * number != left_out
+        )
         own = np.zeros((int(kept.sum()), 3 * len(parts)))
         own[:, 3 * number : 3 * number + 3] = part.columns[kept][:, 3:]
         loads.append(part.columns[kept][:, :3])

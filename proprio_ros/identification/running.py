@@ -31,10 +31,11 @@ from proprio_ros.identification.motion_fit import (
     LEAST_TORQUE_STD,
     SLOW_RAD_S,
     WINDOW_S,
+    arm_kg,
     moved_to_body,
     relative_torque_std,
 )
-from proprio_ros.identification.weak_form import PARAMETERS, Windows, body_parameters, torque_regressor
+from proprio_ros.identification.weak_form import PARAMETERS, Windows, point_mass, torque_regressor
 from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.motions import LONGEST_GAP_S
 from proprio_ros.quantity import Z95
@@ -167,10 +168,7 @@ class RunningWeight:
         referenced = any(float(run["load_kg"]) > 0.0 for run in calibration.runs)
         self._apart_std = [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in self.joints]
         self._calibration = calibration
-        point = np.zeros((4, 4))
-        point[3] = point[:, 3] = [*centre_m, 1.0]
-        point[:3, :3] = np.outer(centre_m, centre_m)
-        self._point = body_parameters(point)
+        self._point = point_mass(np.asarray(centre_m))
         self._centre_std_m = max(centre_std_m, 1e-4)
         count = len(self.joints)
         covariance = calibration.covariance.copy()
@@ -181,7 +179,7 @@ class RunningWeight:
         size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
         self._prior_root = spread[:, None] * ways * np.sqrt(np.maximum(size, 0.0))
         self._geared = slice(11 * count, 12 * count)
-        self._widest_kg = float(self._model.pseudo_inertia[:, 3, 3].sum())
+        self._widest_kg = arm_kg(self._model)
         self._window_s = window_s
         self._noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
         # an exponential that decays over tau makes 2 tau / hop neighbours one

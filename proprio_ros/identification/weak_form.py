@@ -36,6 +36,14 @@ def body_parameters(pseudo_inertia: FloatArray) -> FloatArray:
     return np.concatenate([[pseudo_inertia[3, 3]], pseudo_inertia[:3, 3], upper])
 
 
+def point_mass(place_m: FloatArray) -> FloatArray:
+    """The ten parameters of 1 kg at a place, shape (3,)."""
+    pseudo = np.zeros((4, 4))
+    pseudo[3] = pseudo[:, 3] = [*place_m, 1.0]
+    pseudo[:3, :3] = np.outer(place_m, place_m)
+    return body_parameters(pseudo)
+
+
 def _skew(v: FloatArray) -> FloatArray:
     result = np.zeros((*v.shape[:-1], 3, 3))
     result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]

@@ -25,29 +25,17 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from machines import REAL, UR10E_N_M_PER_A, pendulum_urdf
+
 from proprio_ros.cli import main as proprio
 from proprio_ros.quantity import Z95
 
-UR10E_N_M_PER_A = {
-    "shoulder_pan_joint": 11.976,
-    "shoulder_lift_joint": 11.976,
-    "elbow_joint": 9.838,
-    "wrist_1_joint": 10.75,
-    "wrist_2_joint": 10.67,
-    "wrist_3_joint": 10.70,
-}
 UR10E_KG = 2.805
 STS_KG = (0.535, 0.741, 0.969, 1.168)
 STS_OBJECT = ("--set", "payload.com=[0,0,0]", "--set", "payload.inertia_per_mass=[0.00255,0.00255,0.00255,0,0,0]")
 DFKI_LENGTH_M = 0.1495 / 0.3055
 XL330_KG = 0.490
-PENDULUM = """<robot name="{name}"><link name="base"/>
-<joint name="pendulum" type="continuous"><parent link="base"/><child link="rod"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-<limit velocity="30" effort="20"/></joint>
-<link name="rod"><inertial><origin xyz="0 0 {centre}"/><mass value="{mass}"/>
-<inertia ixx="{inertia}" iyy="{inertia}" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="to_tip" type="fixed"><parent link="rod"/><child link="tip"/><origin xyz="0 0 {tip}"/></joint><link name="tip"/></robot>
-"""
 
 
 @dataclass(frozen=True)
@@ -123,9 +111,7 @@ def seconds_of(bag: Path) -> float:
 
 
 def pendulum(folder: Path, name: str, rod_kg: float, length_m: float, drive: str, nominal: float = 1.0) -> Path:
-    inertia = rod_kg * length_m**2 / 12.0
-    urdf = PENDULUM.format(name=name, mass=rod_kg, centre=-0.5 * length_m, tip=-length_m, inertia=inertia)
-    (folder / f"{name}.urdf").write_text(urdf)
+    pendulum_urdf(folder, name, rod_kg, length_m)
     path = folder / f"{name}.yaml"
     path.write_text(
         f"name: {name}\nurdf: {name}.urdf\npayload_frame: tip\ngravity: [0.0, 0.0, -9.80496]\njoints:\n  pendulum:\n"
@@ -215,8 +201,7 @@ def controllers(real: Path, folder: Path) -> Iterator[Answer]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    shared = Path(__file__).resolve().parents[3] / "shared" / "recordings_real"
-    parser.add_argument("--recordings", type=Path, default=shared)
+    parser.add_argument("--recordings", type=Path, default=REAL)
     parser.add_argument("--bags", action="store_true", help="list every answer")
     options = parser.parse_args()
     answers: list[Answer] = []

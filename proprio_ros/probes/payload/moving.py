@@ -13,6 +13,7 @@ import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.motion_estimate import unexplained_torque, unlike_urdf
 from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
 from proprio_ros.identification.motion_prior import fit_calibrated
 from proprio_ros.identification.reasons import Reason
@@ -26,10 +27,6 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
-UNEXPLAINED_SHARE = 0.5
-"""A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
-URDF_RATIO = 1.35
-"""URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
 APART_SIGMAS = 4.0
 """Two halves of a recording that differ by more did not carry the same."""
 DRIFT_SIGMAS = 3.0
@@ -127,14 +124,7 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str = "its robot
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
     unexplained = fit.residual / fit.driven
-    worst = int(np.nanargmax(unexplained))
-    if unexplained[worst] > UNEXPLAINED_SHARE:
-        yield rejected(
-            "misfit",
-            "the model does not explain the recording",
-            f"{name}: {100.0 * unexplained[worst]:.0f} % of the torque of {fit.joints[worst]} is not explained by the arm, its "
-            "friction and a payload: check the effort's unit and sign, and that nothing touched the arm",
-        )
+    yield from unexplained_torque(fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: ")
     ratio = fit.residual / fit.empty_residual
     worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))
     if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
@@ -144,13 +134,7 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str = "its robot
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
             "the payload held firmly, and did nothing touch the arm?",
         )
-    if not 1.0 / URDF_RATIO < fit.arm_over_urdf < URDF_RATIO:
-        yield rejected(
-            "arm_unlike_urdf",
-            "the arm does not fit its URDF",
-            f"by its torques the arm weighs {fit.arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as "
-            "much: check the effort's unit, the torque constants and the URDF's masses",
-        )
+    yield from unlike_urdf(fit.arm_over_urdf)
     pulls = np.abs(fit.pulls())
     pulls[:10] = 0.0  # the payload's own prior is only there to keep the equations solvable
     worst = int(np.argmax(pulls))
