@@ -188,6 +188,16 @@ def test_torque_constants_that_are_wrong_give_no_wrong_mass(
     assert code == 3 or mass["ci95"][0] < 2.805 < mass["ci95"][1], answer
 
 
+@pytest.mark.parametrize("factors", [[0.8] * 6, [1.2] * 6, [2.0] * 6, [1.0, 0.7, 1.0, 1.0, 1.0, 1.0]])
+def test_a_real_arm_whose_two_recordings_differ_in_their_unit_is_refused(ur10e: Path, factors: list[float]) -> None:
+    robot = load_robot(ur10e)
+    options = ReplayOptions(robot=str(ur10e), effort_unit="A")
+    loaded, empty = (bag_motion(REAL / bag, robot, options, {}) for bag in ("ur10e_loaded_14", "ur10e_empty_14"))
+    loaded = replace(loaded, current_A=loaded.current_A * np.array(factors))
+    estimate = weigh_in_motion(robot, [loaded], [empty], PayloadFacts())
+    assert estimate.verdict is Verdict.REJECTED and estimate.reasons[0].code in ("misfit", "other_torque")
+
+
 def test_a_real_arm_without_an_empty_run_is_refused(capsys: pytest.CaptureFixture[str], ur10e: Path) -> None:
     code, answer = replayed(capsys, ur10e, "ur10e_loaded_14")
     assert code == 3 and answer["reason_codes"] == ["no_empty_motion"]

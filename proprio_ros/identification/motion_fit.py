@@ -213,6 +213,8 @@ class MotionFit:
         arm_kg: Mass of all that moves of the arm.
         arm_over_urdf: By how much the torques of the arm's own bodies are those that its URDF says.
         payload_prior: Standard deviations of the payload's ten parameters under their prior, shape (10,).
+        torque_ratio, torque_ratio_std: Torques of the motions with the payload over what arm and payload need, by the empty motions
+            or by the calibration, shape (n,): 1 unless units or torque constants differ.
     """
 
     joints: tuple[str, ...]
@@ -229,6 +231,8 @@ class MotionFit:
     arm_kg: float
     arm_over_urdf: float
     payload_prior: FloatArray
+    torque_ratio: FloatArray
+    torque_ratio_std: FloatArray
 
     @property
     def std(self) -> FloatArray:
@@ -424,6 +428,11 @@ def fit_motions(
     halves = None
     carrying = run < len(loaded)
     middle = [np.median(block[run == number]) for number in range(len(loaded))]
+    # one column more for each joint: what it needs in the motions with the payload, which may be there more or less than once
+    needed = np.eye(count)[joint] * (carrying * (scaled @ values))[:, None]
+    more, varies = _jackknife(
+        np.hstack([scaled, needed]), target, block, np.append(prior, np.zeros(count)), np.append(spread, np.ones(count))
+    )
     late = np.zeros(len(right), dtype=bool)
     for number, at in enumerate(middle):
         late |= (run == number) & (block > at)
@@ -453,6 +462,8 @@ def fit_motions(
         arm_kg(model),
         arm_over_urdf,
         spread[:PARAMETERS].copy(),
+        1.0 + more[-count:],
+        np.sqrt(np.diag(varies)[-count:]),
     )
 
 

@@ -193,10 +193,7 @@ def _solve(
     scaled, target = matrix * weight[:, None], right * weight
     information, side = scaled.T @ scaled, scaled.T @ target
     values, posterior = _posterior(information, side, prior.values, covariance)
-    labels = np.unique(problem.block)
-    left_over = target - scaled @ values
-    scores = np.array([scaled[problem.block == label].T @ left_over[problem.block == label] for label in labels])
-    deviations = np.sqrt(len(labels) / max(len(labels) - 1, 1)) * scores @ posterior
+    deviations = _scores(scaled, target - scaled @ values, problem.block) @ posterior
     return _Solution(
         values, posterior, information, deviations, right - matrix @ values, rms, correlation,
         np.sqrt(np.diag(covariance))[:PARAMETERS], scaled, weight,
@@ -427,6 +424,7 @@ def fit_calibrated(
             _solve(problem.only(kept), prior, length_m, centre_std, calibration) for kept in (~late, late | ~carrying)
         )
         halves = (early_half.mass_and_std(), late_half.mass_and_std())
+    ratio, ratio_std = _torque_ratio(problem, solution, prior, carrying)
     names = (STRETCHES, UNDETERMINED, "what the calibration leaves open", CONSTANTS)
     scale, keys = calibration.torque_scale, calibration.keys
     terms = [
@@ -454,4 +452,31 @@ def fit_calibrated(
         arm_kg=arm_kg(model),
         arm_over_urdf=calibration.arm_over_urdf,
         payload_prior=solution.payload_prior,
+        torque_ratio=ratio,
+        torque_ratio_std=ratio_std,
     )
+
+
+def _torque_ratio(
+    problem: Stacked, solution: _Solution, prior: Prior, carrying: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """See `MotionFit`: one column more for each joint, of what it needs in the loaded motions."""
+    target, count, size = solution.weight * problem.right, problem.count, len(prior.values)
+    needed = np.eye(count)[problem.joint] * (carrying * (solution.scaled @ solution.values))[:, None]
+    scaled = np.hstack([solution.scaled, needed])
+    covariance = np.eye(size + count)
+    covariance[:size, :size] = prior.covariance
+    covariance[range(PARAMETERS), range(PARAMETERS)] = solution.payload_prior**2
+    mean = np.append(prior.values, np.zeros(count))
+    values, posterior = _posterior(scaled.T @ scaled, scaled.T @ target, mean, covariance)
+    deviations = _scores(scaled, target - scaled @ values, problem.block) @ posterior
+    variance = np.maximum(np.sum(deviations**2, axis=0), np.diag(posterior))
+    return 1.0 + values[size:], np.sqrt(variance[size:])
+
+
+def _scores(scaled: FloatArray, left_over: FloatArray, block: NDArray[np.int64]) -> FloatArray:
+    """What each stretch pulls the solution by, but for its covariance, shape (stretches, U)."""
+    labels = np.unique(block)
+    scores = np.array([scaled[block == label].T @ left_over[block == label] for label in labels])
+    result: FloatArray = np.sqrt(len(labels) / max(len(labels) - 1, 1)) * scores
+    return result

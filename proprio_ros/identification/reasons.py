@@ -22,6 +22,7 @@ CODES = {
     "misfit": "the best simulation does not follow the recording",
     "coarse_fit": "the residuals are coarser than the encoder; the interval is wider for it",
     "arm_unlike_urdf": "by its torques the arm weighs far more or less than its URDF says",
+    "other_torque": "a joint's torque is larger or smaller than the empty arm's, as in another unit",
     "lighter_than_empty": "the hand seems lighter than it was empty",
     "says_too_little": "the motion determines the value too coarsely to state it",
     "one_sided": "the recording bounds the value on one side at most",

@@ -121,7 +121,8 @@ def pendulum(folder: Path, name: str, rod_kg: float, length_m: float, drive: str
     return path
 
 
-def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
+def ur10e_file(real: Path, folder: Path) -> Path:
+    """The robot file that a user writes of the URDF and the torque constants."""
     lines = ["name: ur10e", f"urdf: {real / 'models' / 'ur10e.urdf'}", "payload_frame: wrist_3_link", "joints:"]
     for joint, constant in UR10E_N_M_PER_A.items():
         motor = (
@@ -131,6 +132,11 @@ def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
         lines += [f"    drive_train: {{torque_constant_N_m_per_A: {constant}}}", "    usable_velocity_rad_s: 5.0"]
     robot = folder / "ur10e.yaml"
     robot.write_text("\n".join(lines) + "\n")
+    return robot
+
+
+def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
+    robot = ur10e_file(real, folder)
     unit = ("--effort-unit", "A")
     loaded, empty = real / "ur10e_loaded_14", [real / f"ur10e_empty_{n}" for n in (12, 14, 15)]
     lasts_s = seconds_of(loaded)

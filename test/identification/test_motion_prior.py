@@ -17,7 +17,9 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.motion_estimate import calibrate_motions
 from proprio_ros.identification.motion_prior import _correlation, _posterior, fit_calibrated, fit_empty
+from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts
 
 
 def test_the_posterior_is_that_of_the_normal_equations() -> None:
@@ -56,6 +58,38 @@ def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Robot]:
     return {
         len(build.axes): load_robot(write_robot(tmp_path_factory.mktemp("twin"), build=build)) for build in (SIX, FOUR)
     }
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize(
+    ("torque", "codes"),
+    [
+        ("as it is", []),
+        ("8 tenths", ["other_torque", "misfit"]),
+        ("12 tenths", ["other_torque", "misfit"]),
+        ("one joint", ["other_torque", "misfit"]),
+    ],
+)
+def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
+    robots: dict[int, Robot], calibrated: bool, torque: str, codes: list[str]
+) -> None:
+    robot, arm = robots[6], Twin(11, SIX)
+    loaded = arm.record("loaded", 15.0, arm.payload(np.random.default_rng(11)))
+    factor = np.full(6, {"8 tenths": 0.8, "12 tenths": 1.2}.get(torque, 1.0))
+    factor[1] *= 0.7 if torque == "one joint" else 1.0
+    loaded, empty = replace(loaded, current_A=loaded.current_A * factor), arm.record("empty", 20.0)
+    if calibrated:
+        estimate = weigh_in_motion(
+            replace(robot, motion_calibration=fit_empty(robot, [empty])), [loaded], [], PayloadFacts()
+        )
+    else:
+        estimate = weigh_in_motion(robot, [loaded], [empty], PayloadFacts())
+    if not codes:
+        assert estimate.verdict is Verdict.ACCEPTED
+    else:
+        assert estimate.verdict is Verdict.REJECTED and estimate.values[0].value is None
+        assert estimate.reasons[0].code in codes, estimate.reasons
 
 
 @pytest.mark.long

@@ -27,8 +27,11 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
+RATIO_SHARE, RATIO_STD = 0.15, 0.02
+"""A joint whose torque is so much larger or smaller, relative, than the empty arm's was recorded in another unit or with another
+torque constant: on real arms it is within 0.1, and within 2 % on top of what the recording leaves open."""
 APART_SIGMAS = 4.0
-"""Two halves of a recording that differ by more did not carry the same."""
+"""Two halves of a recording that differ by more did not carry the same, and torques were not recorded alike."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
 LEAST_SIGMAS = 5.0
@@ -133,6 +136,16 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str = "its robot
             "the model does not explain the recording",
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
             "the payload held firmly, and did nothing touch the arm?",
+        )
+    off = np.abs(fit.torque_ratio - 1.0)
+    far = np.where(off > RATIO_SHARE, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
+    worst = int(np.argmax(far))
+    if far[worst] > APART_SIGMAS:
+        yield rejected(
+            "other_torque",
+            "torques are not those of the empty arm",
+            f"{name}: the torque of {fit.joints[worst]} is {fit.torque_ratio[worst]:.2f} times what it should be by the empty "
+            "hand's motion: were both recorded with the same driver, unit and torque constants, and is it the same arm?",
         )
     yield from unlike_urdf(fit.arm_over_urdf)
     pulls = np.abs(fit.pulls())
