@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import math
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,45 +17,25 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
 from live import UP_S, Client, wait_for
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.bags import read_recording
 from proprio_ros.nodes.graph import Graph
-from proprio_ros.nodes.messages import joint_state
 from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long
 
-BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-
-class Bridge:
-    """Between the package's driver, in a namespace of its own, and the topics of a driver that knows little.
-
-    Positions best effort, velocities NaN, no applied effort, and wheels on the same topic.
-    """
-
-    def __init__(self, client: Client) -> None:
-        node = client.node
-        self.wheels = 0
-        self._states = node.create_publisher(JointState, "/joint_states", BEST_EFFORT)
-        self._other = node.create_publisher(JointState, "/joint_states", 10)
-        node.create_subscription(JointState, "/hardware/joint_states", self._on_state, 100)
-        self._node = node
-
-    def obey(self) -> None:
-        """Pass commands on to the driver."""
-        for topic in ("current_command", "position_command"):
-            onward = self._node.create_publisher(Float64MultiArray, f"/hardware/{topic}", 10)
-            self._node.create_subscription(Float64MultiArray, f"/{topic}", onward.publish, 10)
-
-    def _on_state(self, message: JointState) -> None:
-        stamp_ns = 10**9 * message.header.stamp.sec + message.header.stamp.nanosec
-        self._states.publish(joint_state(stamp_ns, message.name, message.position, [math.nan] * len(message.name)))
-        self.wheels += 1
-        self._other.publish(joint_state(stamp_ns + 3_000_000, ["wheel"], [0.1 * self.wheels], [math.nan]))
+@contextmanager
+def bridge(*more: str) -> Iterator[None]:
+    """The topics of another driver, by a process of their own."""
+    script = Path(__file__).with_name("bridge.py")
+    process = subprocess.Popen([sys.executable, str(script), *more])
+    try:
+        yield
+        assert process.poll() is None, "the bridge has ended"
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,18 +48,23 @@ def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytes
         graph.start("identifier", parameters | {"calibration": "none", "report": False})
         client = Client()
         try:
-            bridge = Bridge(client)
 
-            def ready() -> bool:
+            def listening() -> bool:
                 graph.check()
                 return client.excitation.get("joint_states") == "true" and bool(client.statuses)
 
-            assert wait_for(ready, UP_S), {name: graph.log(name) for name in graph.processes}
-            answer = client.call("/identifier/calibrate_payload", 30.0)
+            def deaf() -> bool:
+                return client.excitation.get("joint_states") != "true"
+
+            with bridge():
+                assert wait_for(listening, UP_S), {name: graph.log(name) for name in graph.processes}
+                answer = client.call("/identifier/calibrate_payload", 30.0)
             assert not answer.success and "nothing says what drives the joints" in answer.message, answer.message
             assert client.excitation["sequence"] == "0", "nothing was moved"
-            bridge.obey()
-            answer = client.call("/identifier/calibrate_payload", 120.0)
+            assert wait_for(deaf, 30.0)
+            with bridge("--obey"):
+                assert wait_for(listening, 60.0)
+                answer = client.call("/identifier/calibrate_payload", 120.0)
             assert "recording: " in answer.message and "aborted" not in answer.message, answer.message
             assert "published best effort" in graph.log("identifier") and "published best effort" in graph.log(
                 "excitation"

@@ -27,9 +27,9 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
-RATIO_SHARE, RATIO_STD = 0.15, 0.02
-"""A joint whose torque is so much larger or smaller, relative, than the empty arm's was recorded in another unit or with another
-torque constant: on real arms it is within 0.1, and within 2 % on top of what the recording leaves open."""
+RATIO_SHARE, RATIO_STD = 0.05, 0.01
+"""A joint whose torque is by more than this share larger or smaller than the empty arm's was recorded in another unit or with
+another torque constant, where the recording knows that: magnets that warm by ten kelvin lose 1 %."""
 APART_SIGMAS = 4.0
 """Two halves of a recording that differ by more did not carry the same, and torques were not recorded alike."""
 DRIFT_SIGMAS = 3.0
