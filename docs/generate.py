@@ -39,6 +39,7 @@ ABOUT = {
     "/joint_states": "positions [rad, m], velocities [rad/s, m/s], effort [N m, N]: present current x nominal torque constant",
     "/applied_effort": "same stamps: commanded current x nominal torque constant [N m, N]",
     "/applied_current": "commanded current [A], `layout.dim` labelled by joint, to plot",
+    "/torque_enabled": "false while a joint is without torque: all of them, or one that a lease drives with a current of zero",
     "/diagnostics": "bus, servos, late cycles, left-out samples; once a second, and at once when the driver's state changes",
     "/current_command": "currents [A], in the order of `joints`, or of the labels in `layout.dim`; one publisher at a time, and a "
     "zero lets go of a joint only after a push",

@@ -54,7 +54,12 @@ MIN_SAMPLES = 5
 
 
 RELEASE_S = 0.05
-"""A servo that was told to let go may take so long; what it does meanwhile is no free swing [s]."""
+"""A servo that was told to let go may take so long; what it does meanwhile is no free swing. Torque that comes back may come so
+long before it is said [s]."""
+
+LET_GO_S, CAUGHT_S = 0.2, 0.2
+"""A current that ends so shortly before a free swing lets go of the joint, and one that begins so shortly after it catches it:
+neither is a probe [s]."""
 
 FELL_SPAN = 0.1
 """Where torque is off, a joint that moves more than this swings, and one that moves less is held by its friction [rad]."""
@@ -93,7 +98,8 @@ def cut_runs(
     A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods
     (at most 0.3 s) belongs to the run, a longer one ends it. Where the recording says that torque was off, a joint that then
     falls gives a free swing. Of a recording that has both, the probes that a command drove are taken, except those that only
-    held the joint; a zero current alone never makes a swing, since a driver may hold the joint at rest then.
+    held the joint, let go of it or caught it; a zero current alone never makes a swing, since a driver may hold the joint at rest
+    then.
 
     Args:
         recording: The recording.
@@ -144,7 +150,9 @@ def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
             continue
         for interval in _intervals_of_joint(record, inputs, joint, active):
             begins = [
-                begin for begin, end in recording.torque_off_ns if begin < interval.end_ns and end > interval.onset_ns
+                begin - int(LET_GO_S * 1e9)
+                for begin, end in recording.torque_off_ns
+                if begin - int(LET_GO_S * 1e9) < interval.end_ns and end + int(CAUGHT_S * 1e9) > interval.onset_ns
             ]
             end_ns = min([interval.end_ns, *begins])
             if _span(record, joint, interval._replace(end_ns=end_ns)) > MOVING_SPAN:
@@ -167,6 +175,8 @@ def _swings(recording: Recording, held: dict[str, float], joints: tuple[str, ...
         said = f"{name}: torque goes off {off_s:.2f} s after the first joint state, but"
         inside = (record.times_ns >= off_ns + int(RELEASE_S * 1e9)) & (record.times_ns < on_ns)
         inside &= record.times_ns <= off_ns + int(LONGEST_SWING_S * 1e9)
+        if on_ns < record.times_ns[-1]:
+            inside &= record.times_ns < on_ns - int(RELEASE_S * 1e9)
         if int(inside.sum()) < MIN_SAMPLES:
             problems.append(
                 f"{said} only {int(inside.sum())} joint states come while it is off: record on until it hangs still"

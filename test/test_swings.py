@@ -100,6 +100,28 @@ def test_the_rest_after_a_probe_is_no_swing_though_torque_goes_off_later() -> No
     assert not run.free and run.duration_s == pytest.approx(0.6)
 
 
+def test_a_swing_ends_before_torque_comes_back(swings: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """It is said on the recorder's clock: until then the joint may have been caught for some hundredths."""
+    stamps, position = swings[0]
+    whole = recording(stamps, position, 0.1)
+    back_ns = START_NS + 600_000_000
+    (run,) = cut_runs(replace(whole, torque_off_ns=((whole.torque_off_ns[0][0], back_ns),)), joints=["pivot"])
+    ended_s = 1e-9 * (run.onset_ns - START_NS) + run.duration_s
+    assert 0.6 - RELEASE_S - 0.02 < ended_s < 0.6 - RELEASE_S
+
+
+def test_a_current_that_catches_the_joint_is_no_probe(swings: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    stamps, position = swings[0]
+    moved = np.interp(0.6, stamps, position), np.interp(0.75, stamps, position)
+    assert abs(moved[0] - moved[1]) > 0.05
+    off = ((START_NS + 100_000_000, START_NS + 600_000_000),)
+    caught = recording(stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.6, 0.75], [0.0, 0.01, 0.0, 0.4, 0.0]))
+    (run,) = cut_runs(replace(caught, torque_off_ns=off), joints=["pivot"])
+    assert run.free
+    later = recording(stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.9, 1.05], [0.0, 0.01, 0.0, 0.4, 0.0]))
+    assert not any(run.free for run in cut_runs(replace(later, torque_off_ns=off), joints=["pivot"]))
+
+
 def test_what_no_torque_explains_is_refused_with_the_reason() -> None:
     stamps = np.arange(0.0, 2.0, 0.01)
     still = np.zeros_like(stamps)

@@ -232,6 +232,14 @@ class ArmDriver:
         """What each joint is doing, in words."""
         return {name: joint.mode.value for name, joint in self._joints.items()}
 
+    @property
+    def limp(self) -> bool:
+        """Whether any joint is without torque: all of them, or one that a lease drives with a current of zero."""
+        return any(
+            joint.mode is JointMode.FREE or (joint.mode is JointMode.DRIVEN and joint.commanded_A == 0.0)
+            for joint in self._joints.values()
+        )
+
     # --- what others ask for ------------------------------------------------------------------------------------------
 
     def command_currents(self, current_A: Mapping[str, float], sender: int = 0) -> str:

@@ -4,6 +4,11 @@ Each run is: move to its start, rest, push with a constant current or a square w
 every tick, and whatever goes wrong while the current is on ends it at that very tick: the command then holds all joints where
 they are.
 
+A run without current lets one joint swing freely. Before anything moves it is computed that it would swing back inside its
+limits, without friction and with an empty hand. When its time is over, or when a speed, a limit or the table is near, the joint is
+caught: a current that carries its weight and brakes it comes on within `CATCH_RISE_S`, and where it has stopped it is held. What
+makes positions unknown, or an abort, holds it at once.
+
 Limits of motion that are given in rad count at the motor's shaft; for a joint that slides they are scaled by its transmission.
 """
 
@@ -19,7 +24,15 @@ from enum import Enum
 import numpy as np
 
 from proprio_ros.errors import ExcitationError
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence, margin
+from proprio_ros.excitation.free_swing import FreeSwing, free_swing
+from proprio_ros.excitation.plans import (
+    LEAST_CURRENT_A,
+    LEAST_SWING_RAD,
+    ProbeRun,
+    ProbeSequence,
+    check_sequence,
+    margin,
+)
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance
 
@@ -34,6 +47,16 @@ MOST_LOST_RUNS = 3
 LONGEST_STEP_S = 0.05  # goals move on by no more than this from sample to sample
 PATH_STEP_RAD = 0.03  # of the joint that moves most, between two poses whose height is looked at
 PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are not exact
+LET_GO_S = 0.05
+"""A swing begins with a current that is hardly one, against gravity: a driver lets go of a joint only where one was driven."""
+CATCH_RISE_S = 0.04
+CATCH_TIME_S = 0.1  # in which the speed falls to 1/e
+CAUGHT_RAD_S = 0.1
+LONGEST_CATCH_S = 0.8
+"""A heavy hand is still lowered then, slowly, and held on the way."""
+CATCH_LOOKAHEAD_S = 0.03
+"""A joint that is being caught and would be at its limit within this time is held at once."""
+CATCH_OVERSPEED = 1.15  # of the largest velocity: a joint that gets so fast while it is caught is held at once
 _ROUNDING_S = 1e-6
 
 _Problem = tuple[str, str]  # what ended it, as in `RunOutcome.ended_by`; and why, as one sentence
@@ -46,6 +69,7 @@ class Phase(Enum):
     APPROACH = "approach"
     SETTLE = "settle"
     PROBE = "probe"
+    CATCH = "catch"
     BRAKE = "brake"
     RETURN = "return"
     DONE = "done"
@@ -118,7 +142,7 @@ class RunOutcome:
         travel: Largest distance from where it was when the current came on, either way [rad or m].
         duration_s: For how long the current was on.
         ended_by: "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint",
-            "stale", "clock", "jump", "sample", or "abort".
+            "stale", "clock", "jump", "sample", or "abort". Of a free swing: what ended it; that it was caught comes after.
         used: Whether the run is good: it ended well and moved far enough.
     """
 
@@ -205,6 +229,8 @@ class ExcitationMachine:
         self._off_since_s: dict[str, float] = {}
         self._expected_s: list[tuple[float, ...]] = []
         self._fraction = 0.0
+        self._swing: FreeSwing | None = None  # of the run, where it is one
+        self._caught_for: _Problem | None = None  # what ends the sequence as soon as the joint is caught
 
     # ---------------------------------------------------------------------------------------------------------- status
 
@@ -276,7 +302,7 @@ class ExcitationMachine:
         Raises:
             ExcitationError: A sequence is under way, the sample is not fit to start from, or no way to a start pose keeps
                 the clearance.
-            ConfigurationError: The robot cannot make these runs.
+            ConfigurationError, RobotError: The robot cannot make these runs.
         """
         if self._sequence is not None and self.busy:
             raise ExcitationError(
@@ -296,11 +322,15 @@ class ExcitationMachine:
             ways.append(self._checked_way(before, after, sequence, f"the start of run {number} ({run.joint})"))
             expected_s.append((ways[-1].duration_s, sequence.settle_s, run.duration_s, sequence.brake_s))
             before = after
+            if run.free:
+                self._check_swing(
+                    run, after, sequence, f"{sequence.name}: run {number} ({run.joint}) cannot swing freely"
+                )
         if sequence.home:
             home = self._checked_way(before, {**before, **sequence.home}, sequence, "home")
             expected_s.append((home.duration_s,))
         self._sequence = sequence
-        self._outcomes, self._abort_reason, self._aborted_by = [], "", ""
+        self._outcomes, self._abort_reason, self._aborted_by, self._caught_for = [], "", "", None
         self._run_index, self._attempt, self._fraction, self._lost_runs = 0, 1, 0.0, 0
         self._current_A = sequence.runs[0].current_A
         self._sample, self._now_s, self._tick_s = sample, None, 0.0
@@ -323,22 +353,35 @@ class ExcitationMachine:
             problem = self._advance(now_s)
         if problem is None and self.busy:
             problem = self._watch(now_s)
-        if (
-            problem is not None
-            and problem[0] == "stale"
-            and self._phase is Phase.PROBE
-            and self._lost_runs < MOST_LOST_RUNS
-        ):
-            self._lost_runs += 1
-            self._brake(now_s, "stale")
-            self._message = f"run {self.run_number} of {self.runs} is lost: {problem[1]}"
-            problem = None
+        if problem is not None:
+            problem = self._left_of(problem, now_s)
         if problem is not None:
             self._stop(*problem)
         else:
             self._command = self._commanded()
             self._fraction = max(self._fraction, self._progress(now_s))
         return self._command
+
+    def _left_of(self, problem: _Problem, now_s: float) -> _Problem | None:
+        """The problem; None where it costs a run at most, or where a swinging joint is caught before it ends the sequence."""
+        assert self._sample is not None
+        kind, reason = problem
+        if kind == "stale" and self._phase is Phase.PROBE and self._lost_runs < MOST_LOST_RUNS:
+            self._lost_runs += 1
+            self._brake(now_s, "stale")
+            self._message = f"run {self.run_number} of {self.runs} is lost: {reason}"
+            return None
+        if kind == "stale" and self._phase is Phase.CATCH and self._caught_for is None:
+            self._hold_driven(now_s)  # the swing was over
+            return None
+        if kind in ("velocity", "limit", "clearance") and self._phase is Phase.PROBE and self._run.free:
+            speed = abs(self._sample.velocity[self._run.joint]) / self._per_rad[self._run.joint]
+            if kind == "velocity" and speed <= self.guards.max_velocity_rad_s:
+                return problem  # it is another joint that is so fast
+            self._catch(now_s, kind)
+            self._caught_for = problem
+            return None
+        return problem
 
     def abort(self, reason: str) -> None:
         """End the sequence: `command` and the next tick hold all joints where they are. Without a sequence, nothing."""
@@ -376,7 +419,8 @@ class ExcitationMachine:
     def _observe(self, now_s: float, sample: JointSample | None) -> _Problem | None:
         """Take in the time and a sample, unless something is wrong with them."""
         assert self._sample is not None
-        longest_s = self.guards.stale_after_s if self._phase is Phase.PROBE else self.guards.patience_s
+        driven = self._phase in (Phase.PROBE, Phase.CATCH)
+        longest_s = self.guards.stale_after_s if driven else self.guards.patience_s
         if not math.isfinite(now_s):
             return "clock", f"the time is {now_s}: check the clock"
         if self._now_s is not None:
@@ -424,12 +468,13 @@ class ExcitationMachine:
         """What the joints do that they should not, in the phase of this tick."""
         assert self._sample is not None
         guards, sample = self.guards, self._sample
+        caught = self._phase is Phase.CATCH
         for name in self.joints:
             speed = abs(sample.velocity[name]) / self._per_rad[name]
-            if speed > guards.max_velocity_rad_s:
+            if speed > guards.max_velocity_rad_s * (CATCH_OVERSPEED if caught else 1.0):
                 return "velocity", f"{name} moves at {speed:.1f} rad/s, faster than {guards.max_velocity_rad_s:g} rad/s"
-        if self._phase is Phase.PROBE:
-            return self._watch_held() or self._watch_pushed()
+        if self._phase is Phase.PROBE or caught:
+            return self._watch_held() or self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
         for name in self.joints:
             off = abs(sample.position[name] - self._goals[name]) / self._per_rad[name]
             if off <= guards.follow_error_rad:
@@ -450,28 +495,31 @@ class ExcitationMachine:
                     )
         return None
 
-    def _watch_pushed(self) -> _Problem | None:
+    def _watch_pushed(self, lookahead_s: float) -> _Problem | None:
         assert self._sample is not None and self._sequence is not None
         name = self._run.joint
         joint = self.robot.model.joint(name)
         position, velocity = self._sample.position[name], self._sample.velocity[name]
-        ahead = position + velocity * self.guards.lookahead_s
-        spare = self.guards.limit_margin_rad * self._per_rad[name]
+        ahead = position + velocity * lookahead_s
+        spare = 0.0 if self._phase is Phase.CATCH else self.guards.limit_margin_rad * self._per_rad[name]
         below = position < joint.lower or (velocity < 0.0 and ahead < joint.lower + spare)
         above = position > joint.upper or (velocity > 0.0 and ahead > joint.upper - spare)
         if below or above:
             limit = joint.lower if below else joint.upper
             return "limit", f"{name} was about to reach its limit {limit:.3g}: {self._remedy(velocity)}"
         pose = self._pose(self._sample)
+        least_m = self._sequence.min_clearance_m * (0.5 if self._phase is Phase.CATCH else 1.0)
         for place in (position, ahead):
             height = self._height({**pose, name: place})
-            if height < self._sequence.min_clearance_m:
+            if height < least_m:
                 return "clearance", (
                     f"{name} was about to bring the arm {100 * height:.1f} cm above the base's plane: {self._remedy(velocity)}"
                 )
         return None
 
     def _remedy(self, velocity: float) -> str:
+        if self._run.free:
+            return "is the hand empty, and the base level? let it swing from nearer to where it hangs"
         if velocity * self._current_A < 0.0:
             return "its load pulls it there against the current; use more current, or another start"
         return "use less current, less time, or a smaller max_travel"
@@ -479,6 +527,7 @@ class ExcitationMachine:
     def _stop(self, ended_by: str, reason: str) -> None:
         """Hold every joint where it was last seen, at once."""
         assert self._sample is not None
+        self._caught_for = None
         if self._phase is Phase.PROBE:
             self._note_outcome(ended_by, used=False)
         self._goals = self._pose(self._sample)
@@ -502,10 +551,12 @@ class ExcitationMachine:
             self._recent.clear()
         run = f"run {self.run_number} of {self.runs}" + f", attempt {self._attempt}" * (self._attempt > 1)
         shake = f" +-{abs(self._run.shake_A):.3g}" * (self._run.shake_A != 0.0)
+        pushed = "swings freely" if self._run.free else f"is pushed with {self._current_A:+.3g}{shake} A"
         self._message = {
             Phase.APPROACH: f"{run}: moving to the start pose",
             Phase.SETTLE: f"{run}: waiting until {self._run.joint} is at rest",
-            Phase.PROBE: f"{run}: {self._run.joint} is pushed with {self._current_A:+.3g}{shake} A",
+            Phase.PROBE: f"{run}: {self._run.joint} {pushed}",
+            Phase.CATCH: f"{run}: {self._run.joint} swung by {self._travel:.3g} {self._unit} and is caught",
             Phase.BRAKE: f"{run}: {self._run.joint} moved {self._travel:.3g} {self._unit} and is held",
             Phase.RETURN: "moving home",
             Phase.DONE: self._summary(),
@@ -526,6 +577,9 @@ class ExcitationMachine:
             if elapsed_s >= self._sequence.settle_s and self._still(now_s):
                 self._run_pose = dict(self._goals)
                 self._onset_position, self._travel = self._sample.position[self._run.joint], 0.0
+                if self._run.free:
+                    pose = {**self._rest, **self._pose(self._sample)}
+                    self._swing = free_swing(self.robot, self._run.joint, pose)
                 self._enter(Phase.PROBE, now_s)
             elif elapsed_s > self._sequence.settle_s + LONGEST_UNREST_S:
                 return (
@@ -534,10 +588,17 @@ class ExcitationMachine:
                 )
         elif self._phase is Phase.PROBE:
             self._travel = max(self._travel, abs(self._sample.position[self._run.joint] - self._onset_position))
+            end = self._catch if self._run.free else self._brake
             if self._travel >= self._run.max_travel:
-                self._brake(now_s, "travel")
+                end(now_s, "travel")
             elif elapsed_s + 0.5 * self._tick_s >= self._run.duration_s:  # the nearest tick
-                self._brake(now_s, "time")
+                end(now_s, "time")
+        elif self._phase is Phase.CATCH:
+            speed = abs(self._sample.velocity[self._run.joint]) / self._per_rad[self._run.joint]
+            if elapsed_s >= LONGEST_CATCH_S or (elapsed_s >= CATCH_RISE_S and speed <= CAUGHT_RAD_S):
+                if self._caught_for is not None:
+                    return self._caught_for
+                self._hold_driven(now_s)
         elif elapsed_s >= self._sequence.brake_s:
             return self._after_run(now_s)
         return None
@@ -558,8 +619,19 @@ class ExcitationMachine:
     def _brake(self, now_s: float, ended_by: str) -> None:
         assert self._sample is not None
         self._note_outcome(ended_by, used=ended_by != "stale" and self._travel >= self._run.min_travel)
+        self._hold_driven(now_s)
+
+    def _hold_driven(self, now_s: float) -> None:
+        """The run's joint stays where it was last seen."""
+        assert self._sample is not None
         self._goals = {**self._goals, self._run.joint: self._sample.position[self._run.joint]}
         self._enter(Phase.BRAKE, now_s)
+
+    def _catch(self, now_s: float, ended_by: str) -> None:
+        """A swing is over."""
+        far = self._travel >= max(self._run.min_travel, margin(self.robot, self._run.joint, LEAST_SWING_RAD))
+        self._note_outcome(ended_by, used=ended_by in ("time", "travel") and far)
+        self._enter(Phase.CATCH, now_s)
 
     def _note_outcome(self, ended_by: str, used: bool) -> None:
         assert self._now_s is not None and self._phase_start_s is not None
@@ -607,7 +679,7 @@ class ExcitationMachine:
         return None
 
     def _commanded(self) -> Command:
-        if self._phase is not Phase.PROBE:
+        if self._phase not in (Phase.PROBE, Phase.CATCH):
             return Command(dict(self._goals))
         joint = self._run.joint
         assert self._now_s is not None and self._phase_start_s is not None
@@ -615,7 +687,23 @@ class ExcitationMachine:
         # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it
         nearest_s = elapsed_s + 0.5 * min(self._tick_s, elapsed_s)
         current_A = self._run.current_at(nearest_s, self._current_A)
+        if self._run.free:
+            current_A = self._current_of_swing(elapsed_s)
         return Command({name: goal for name, goal in self._goals.items() if name != joint}, {joint: current_A})
+
+    def _current_of_swing(self, elapsed_s: float) -> float:
+        """Next to nothing, then nothing; and what carries the joint's weight and brakes it when it is caught [A]."""
+        assert self._swing is not None and self._sample is not None
+        joint, swing = self._run.joint, self._swing
+        drive = self.robot.drive_trains[joint]
+        weight_N_m = swing.moment_at(self._sample.position[joint]) * drive.transmission  # at the shaft
+        if self._phase is Phase.PROBE:
+            return 0.0 if elapsed_s + 0.5 * self._tick_s >= LET_GO_S else -math.copysign(LEAST_CURRENT_A, weight_N_m)
+        inertia = swing.inertia_kg_m2 * drive.transmission**2 + drive.armature.value
+        braking_N_m = inertia / CATCH_TIME_S * self._sample.velocity[joint] / drive.transmission
+        limit_A = self.robot.motors[joint].current_limit_A
+        current_A = -(weight_N_m + braking_N_m) / drive.torque_constant.value * min(elapsed_s / CATCH_RISE_S, 1.0)
+        return min(max(current_A, -limit_A), limit_A)
 
     # ----------------------------------------------------------------------------------------------------------- words
 
@@ -637,13 +725,57 @@ class ExcitationMachine:
     def _progress(self, now_s: float) -> float:
         if self._phase is Phase.DONE:
             return 1.0
-        order = (Phase.APPROACH, Phase.SETTLE, Phase.PROBE, Phase.BRAKE)
+        order = [Phase.APPROACH, Phase.SETTLE, Phase.PROBE, Phase.CATCH if self._phase is Phase.CATCH else Phase.BRAKE]
         place = len(self._expected_s) - 1 if self._phase is Phase.RETURN else self._run_index
         parts = self._expected_s[place]
         step = 0 if self._phase is Phase.RETURN else order.index(self._phase)
         elapsed_s = now_s - (now_s if self._phase_start_s is None else self._phase_start_s)
         spent_s = sum(map(sum, self._expected_s[:place])) + sum(parts[:step]) + min(elapsed_s, parts[step])
         return spent_s / sum(map(sum, self._expected_s))
+
+    def _check_swing(self, run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, words: str) -> None:
+        """Whether the joint would swing back without a guard ending it, with the lightest rotor that the robot file allows.
+
+        Raises:
+            ExcitationError: It would not.
+        """
+        name, guards, joint = run.joint, self.guards, self.robot.model.joint(run.joint)
+        pose = {**self._rest, **start}
+        swing = free_swing(self.robot, name, pose)
+        drive = self.robot.drive_trains[name]
+        weight_N_m = abs(swing.moment_at(pose[name]) * drive.transmission)
+        # what is to be expected of a number that cannot be negative and is only known to be small: a half-normal's mean
+        friction_N_m = max(drive.coulomb.value, math.sqrt(2.0 / math.pi) * drive.coulomb.std)
+        hangs = f"it would hang at {swing.rest:.3g} rad"
+        spare = guards.limit_margin_rad * self._per_rad[name]
+        low, high = joint.lower + spare, joint.upper - spare
+        if not low <= swing.rest <= high:
+            raise ExcitationError(
+                f"{words}: {hangs}, outside {low:.3g} .. {high:.3g} (limits less a margin); move the other joints, so that it "
+                "hangs inside, or choose another joint"
+            )
+        if weight_N_m <= friction_N_m:
+            raise ExcitationError(
+                f"{words}: from {pose[name]:.3g} rad gravity pulls with {weight_N_m:.2g} N m, and its friction is probably "
+                f"{friction_N_m:.2g} N m; start farther from where {hangs}, or take a calibration that knows the friction"
+            )
+        rotor = max(drive.armature.value - drive.armature.std, 0.0) / drive.transmission**2
+        for place in swing.way(pose[name]).tolist():
+            speed = swing.speed_at(place, pose[name], rotor)
+            if speed > guards.max_velocity_rad_s * self._per_rad[name]:
+                raise ExcitationError(f"{words}: it may reach {speed:.1f} rad/s; start nearer to where {hangs}")
+            for ahead in (place - speed * guards.lookahead_s, place + speed * guards.lookahead_s):
+                if not low <= ahead <= high:
+                    raise ExcitationError(
+                        f"{words}: {hangs}, and may swing past {ahead:.3g} rad without friction, outside {low:.3g} .. {high:.3g} "
+                        "(limits less a margin); start nearer to where it hangs, or move the other joints"
+                    )
+                height = self._height({**pose, name: ahead})
+                if height < sequence.min_clearance_m:
+                    raise ExcitationError(
+                        f"{words}: it would come {100 * height:.1f} cm above the base's plane at {ahead:.3g} rad without friction; "
+                        "choose a higher pose, or start nearer to where it hangs"
+                    )
 
     # ------------------------------------------------------------------------------------------------------------ ways
 

@@ -28,15 +28,16 @@ LARGEST_POSITION_RAD = 7.0  # beyond a full turn: such a number was meant in deg
 LEAST_CURRENT_A = 0.01  # four counts of an XM430: less is as good as none
 SHORTEST_SHAKE_S = 0.08  # three samples at 40 a second
 LEAST_SHAKES = 2  # fewer periods are no shaking
+LEAST_SWING_RAD = 0.1  # a recording tells which joint swung freely by that
 
 
 @dataclass(frozen=True)
 class ProbeRun:
-    """One push of one joint.
+    """One push of one joint, or one free swing.
 
     Attributes:
         joint: The joint that the current drives; all others hold their positions.
-        current_A: Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X.
+        current_A: Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A`: the joint swings freely.
         duration_s: The current is on for at most so long.
         start: Positions of joints before the run [rad or m]; joints not named stay where they are.
         max_travel: The current ends early when the joint has moved so far either way, and the run is good [rad or m].
@@ -59,6 +60,11 @@ class ProbeRun:
     max_current_A: float | None = None
     shake_A: float = 0.0
     shake_period_s: float = 0.2
+
+    @property
+    def free(self) -> bool:
+        """Whether the joint is let go of: nothing but gravity and friction moves it."""
+        return self.current_A == 0.0 and self.shake_A == 0.0
 
     def current_at(self, elapsed_s: float, mean_A: float) -> float:
         """The current of an attempt [A].
@@ -179,6 +185,12 @@ def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
         _check_run(run, robot, where)
         pose |= run.start
         _check_pose(run.start, sequence, robot, where, known=pose)
+    swings = [run.free for run in sequence.runs]
+    if any(swings) and not all(swings):
+        raise ConfigurationError(
+            f"{sequence.name}: run {swings.index(True) + 1} swings freely (current_A is 0) and others are driven by a current: "
+            "what they tell is not computed together; make a sequence of each"
+        )
 
 
 def margin(robot: Robot, joint: str, margin_rad: float) -> float:
@@ -208,6 +220,9 @@ def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
         raise ConfigurationError(
             f"{where}: min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
         )
+    if run.free and (run.max_current_A or robot.model.joint(run.joint).kind == "prismatic"):
+        why = "has no max_current_A" if run.max_current_A else f"needs a joint that turns, and {run.joint} slides"
+        raise ConfigurationError(f"{where}: current_A is 0, which lets the joint swing freely: that {why}")
     if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
         raise ConfigurationError(
             f"{where}: raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"

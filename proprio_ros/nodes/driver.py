@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from proprio_ros.bus.driver import ArmDriver, ArmSample, BusState, DriverSettings
@@ -109,6 +109,8 @@ class DriverNode(ManagedNode):
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
         self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
         self._current = self.create_publisher(Float64MultiArray, "applied_current", STREAM)
+        self._torque = self.create_publisher(Bool, "torque_enabled", LATCHED)
+        self._told_limp: bool | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._told_motors = {}  # a new publisher has told nobody
@@ -184,6 +186,10 @@ class DriverNode(ManagedNode):
         applied = [sample.commanded_A[name] * self._effort_per_current[name] for name in names]
         position, velocity = [sample.position[n] for n in names], [sample.velocity[n] for n in names]
         # what drives the joints from this instant on goes first: a listener then has it when the state comes
+        limp = driver.limp
+        if limp != self._told_limp:
+            self._told_limp = limp
+            self._torque.publish(Bool(data=not limp))
         self._effort.publish(messages.joint_state(stamp, names, effort=applied))
         self._states.publish(messages.joint_state(stamp, names, position, velocity, measured))
         self._current.publish(messages.labelled(sample.commanded_A))

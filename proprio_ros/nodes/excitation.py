@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from proprio_ros.errors import ProprioError
+from proprio_ros.errors import ExcitationError, ProprioError
 from proprio_ros.excitation.joint_states import JointStates
 from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, JointSample, Phase
 from proprio_ros.excitation.plans import load_sequence
@@ -69,6 +69,7 @@ class ExcitationNode(ManagedNode):
         self._driver_at_s = -math.inf
         self._driving = False
         self._unpushed_since_s: float | None = None
+        self._torque_enabled: bool | None = None  # None: the driver does not say
         self._count = 0
         self._published_at_s = -math.inf
         self._published: tuple[Any, ...] = ()
@@ -95,6 +96,7 @@ class ExcitationNode(ManagedNode):
         self.listen(JointState, "joint_states", self._on_joint_state, STATES)
         self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
+        self.create_subscription(Bool, "torque_enabled", self._on_torque_enabled, LATCHED)
         self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)
         self.create_service(Trigger, "~/run", self._on_run)
         self.create_service(Trigger, "~/abort", self._on_abort)
@@ -137,18 +139,27 @@ class ExcitationNode(ManagedNode):
     def _on_lease(self, message: Bool) -> None:
         self._leased_at_s = time.monotonic() if message.data else None
 
+    def _on_torque_enabled(self, message: Bool) -> None:
+        self._torque_enabled = message.data
+
     def _on_applied_effort(self, message: JointState) -> None:
         """The driver may refuse to push, or end a push: a limit, a hot motor, a fault. Nobody else would notice here."""
         machine = self._machine
         if machine is None or machine.sequence is None or machine.phase is not Phase.PROBE or any(message.effort):
             self._unpushed_since_s = None
             return
+        run = machine.sequence.runs[machine.run_number - 1]
+        if run.free and not self._torque_enabled:  # no effort is what was asked for
+            self._unpushed_since_s = None
+            return
         now = self.now_s()
         if self._unpushed_since_s is None:
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
-            joint = machine.sequence.runs[machine.run_number - 1].joint
-            self._abort(machine, f"the driver does not push {joint}, or has ended it: its log and /diagnostics say why")
+            does = "let go of" if run.free else "push"
+            self._abort(
+                machine, f"the driver does not {does} {run.joint}, or has ended it: its log and /diagnostics say why"
+            )
             self.say("error", f"aborted: {machine.abort_reason}")
 
     def _on_driver(self, message: DiagnosticStatus) -> None:
@@ -233,6 +244,11 @@ class ExcitationNode(ManagedNode):
             return response
         try:
             sequence = load_sequence(value_of(self, "probe"), self._robot)
+            if sequence.runs[0].free and self._torque_enabled is None:
+                raise ExcitationError(
+                    f"{sequence.name}: nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of, and a "
+                    "recording of free swings is of no use without; start proprio_ros' driver"
+                )
             machine.start(sequence, sample)
         except ProprioError as error:
             response.message = str(error)

@@ -202,7 +202,7 @@ class IdentifierNode(ManagedNode):
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._concluded = False
         self._asking = False
-        self._driven = False
+        self._driven = self._swings = False
         self._state_at_s = self._effort_at_s = -1e9
         self._state_stamp_ns = 0
         self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
@@ -257,6 +257,9 @@ class IdentifierNode(ManagedNode):
             self.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=lambda: self._job is None)
         self._motors_topic = self.resolve_topic_name("motors")
         self.create_subscription(DiagnosticStatus, "motors", self._on_motors, LATCHED, raw=True)
+        # latched, but only what changes while a recording is under way belongs to it
+        torque = partial(self._on_torque_enabled, self.resolve_topic_name("torque_enabled"))
+        self.create_subscription(Bool, "torque_enabled", torque, LATCHED, raw=True)
         self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
         self._topics = self._stated_topics()
         self._prepare_weighing()
@@ -422,6 +425,12 @@ class IdentifierNode(ManagedNode):
     def _on_motors(self, data: bytes) -> None:
         """Said once, when the driver finds them."""
         self._motors = bytes(data)
+
+    def _on_torque_enabled(self, topic: str, data: bytes) -> None:
+        session = self._session
+        if session is not None:
+            session.add(topic, _type_of(Bool), self.get_clock().now().nanoseconds, bytes(data))
+            self._swings |= not deserialize_message(data, Bool).data
 
     def _told_motors(self) -> list[RawMessage]:
         """What the driver said of its motors; nothing where none of ours runs any more."""
@@ -832,6 +841,7 @@ class IdentifierNode(ManagedNode):
         except RecordingError as error:
             session.discard()
             raise JobError(f"not begun: {as_parameters(str(error))}") from error
+        self._swings = False
         if self._live is not None:
             self._live.reset()
         for told in self._told_motors():
@@ -973,7 +983,7 @@ class IdentifierNode(ManagedNode):
         published_samples = 0
         name, unit = probe_named(job.kind).answer
         while self._session is not None and not job.cancelled.is_set():
-            if not self._driven:
+            if not self._driven or self._swings:  # what lets go of a joint and what catches it are no probes
                 time.sleep(0.005)
                 continue
             estimate = live.estimate()

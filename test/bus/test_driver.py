@@ -256,6 +256,28 @@ def test_a_zero_after_a_push_is_driven(rig: Rig) -> None:
     assert rig.driver.modes["joint4"] == "driven" and samples[-1].commanded_A["joint4"] == 0.0
     assert rig.driver.modes["joint3"] == "held"
     assert not np.any(rig.currents("joint4", zero_s + 2 * CYCLE_S + 0.015))
+    assert rig.driver.limp
+    rig.driver.command_currents({})
+    rig.cycle()
+    assert not rig.driver.limp and rig.driver.modes["joint4"] == "held"
+
+
+def test_a_joint_is_without_torque_while_it_swings_and_all_are_when_torque_is_off(rig: Rig) -> None:
+    rig.cycle()
+    assert not rig.driver.limp
+    rig.run(0.05, {"joint4": -0.01})
+    assert rig.driver.modes["joint4"] == "driven" and not rig.driver.limp
+    rig.run(0.05, {"joint4": 0.0})
+    assert rig.driver.limp
+    rig.run(rig.driver.settings.command_timeout_s + 0.05)
+    assert not rig.driver.limp, "held, since no command comes"
+    rig.driver.stop()
+    rig.cycle()
+    assert rig.driver.limp
+    rig.driver.set_torque(True)
+    rig.until(lambda: not rig.driver.limp)
+    rig.driver.set_torque(False)
+    rig.until(lambda: rig.driver.limp)
 
 
 def test_one_sender_drives_until_it_ends(rig: Rig) -> None:

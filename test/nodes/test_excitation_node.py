@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from proprio_ros.excitation.machine import Command
@@ -132,6 +133,52 @@ def test_nothing_begins_while_the_driver_is_stopped(arm: Arm) -> None:
     assert answer.message == "the driver is stopped: the current is zero; /driver/torque true holds the arm again"
     arm.node._on_driver(RUNNING)
     assert arm.run().success
+
+
+SWING = f"""
+excitation:
+  hand: any
+  settle_s: 0.3
+  min_clearance_m: 0.02
+  runs:
+    - {{joint: joint4, current_A: 0.0, duration_s: {PUSH_S}, start: {{joint2: 0.0, joint3: 0.45, joint4: 0.58}}}}
+"""
+
+
+def swings(arm: Arm, folder: Path) -> None:
+    """The arm's next sequence is a free swing."""
+    probe = folder / "swing.yaml"
+    probe.write_text(SWING)
+    arm.node.set_parameters([Parameter("probe", value=str(probe))])
+
+
+def test_nothing_swings_where_nobody_says_that_it_was_let_go_of(arm: Arm, tmp_path: Path) -> None:
+    swings(arm, tmp_path)
+    answer = arm.run()
+    assert not answer.success and "nobody says on /torque_enabled when a joint is let go of" in answer.message
+    arm.node._on_torque_enabled(Bool(data=True))
+    assert arm.run().success
+
+
+@pytest.mark.parametrize("lets_go", [True, False])
+def test_a_driver_that_does_not_let_go_is_noticed(arm: Arm, tmp_path: Path, lets_go: bool) -> None:
+    swings(arm, tmp_path)
+    arm.node._on_torque_enabled(Bool(data=True))
+    assert arm.run().success
+    arm.until(lambda: arm.machine.phase.value == "probe")
+    silent = messages.joint_state(0, list(arm.position), effort=[0.0] * len(arm.position))
+    if lets_go:
+        arm.node._on_torque_enabled(Bool(data=False))
+
+    def ended() -> bool:
+        arm.node._on_applied_effort(silent)
+        return arm.machine.phase.value in ("brake", "aborted")
+
+    arm.until(ended)
+    assert (arm.machine.phase.value == "aborted") != lets_go
+    if not lets_go:
+        assert arm.machine.abort_reason.startswith("the driver does not let go of joint4, or has ended it")
+        assert not arm.sent[-1][1].current_A
 
 
 def test_the_word_of_a_driver_that_is_gone_does_not_count(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
