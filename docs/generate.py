@@ -40,6 +40,7 @@ ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "diagnostic_msgs", "geom
        "std_srvs", "visualization_msgs")  # fmt: skip
 ABOUT = {
     "/joint_states": "positions [rad, m], velocities [rad/s, m/s], effort [N m, N]: present current x nominal torque constant",
+    "/robot_description": "URDF, as `robot_state_publisher` publishes it; only where `robot` is the name of this topic",
     "/applied_effort": "same stamps: commanded current x nominal torque constant [N m, N]",
     "/applied_current": "commanded current [A], `layout.dim` labelled by joint, to plot",
     "/diagnostics": "bus, servos, late cycles, left-out samples; once a second, and at once when the driver's state changes",

@@ -16,7 +16,9 @@ from typing import Any
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.probes.base import Probe
 from proprio_ros.replay import ReplayOptions, robot_of
-from proprio_ros.session import Setting, as_parameters, setting_of, settings_for
+from proprio_ros.robot import Robot
+from proprio_ros.session import Setting, as_parameters, robot_of_settings, setting_of, settings_for
+from proprio_ros.settings import Settings
 
 OLD_S = 86400.0
 """Age of a baseline that is worth a warning: nobody remembers what was changed since."""
@@ -52,6 +54,14 @@ class Keeping:
         empty = () if baseline is None else (baseline,)
         stated = settings_for(probe, settings)
         return setting_of(replace(self.options(), probe=probe.name, settings=stated, baseline=empty))
+
+    def configured(self, settings: Mapping[str, Any]) -> Robot:
+        """The robot, as calibrated and with what the settings say of it.
+
+        Raises:
+            ConfigurationError, RobotError: In one line, what is wrong with them.
+        """
+        return robot_of_settings(self.options(), Settings(settings))
 
     # --- the calibration ----------------------------------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, check_motors, configured_robot, held_positions, probe_asked_for, robot_of
+from proprio_ros.replay import ReplayOptions, check_motors, configured_robot, held_positions, probe_asked_for
 from proprio_ros.resources import private_folder, write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
@@ -208,7 +208,7 @@ def prepare_identification(options: ReplayOptions) -> None:
     Raises:
         ConfigurationError, RobotError: the robot cannot be read, or compiled kernels cannot be kept.
     """
-    compile_kernels(rises=robot_of(options.robot, options.calibration).friction_rises)
+    compile_kernels(rises=robot_of_settings(options, Settings(options.settings)).friction_rises)
 
 
 def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -332,6 +332,7 @@ def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, opti
 
 def as_parameters(sentence: str) -> str:
     """The same with options of the command line called what they are called in a node."""
+    sentence = sentence.replace("--set ", "the parameter settings with ")
     return re.sub(
         r"--(robot|calibration|data-directory|[a-z]+-topic|effort-unit)\b",
         lambda found: f"the parameter {found[1].replace('-', '_')}",

@@ -135,7 +135,7 @@ ROOMS: dict[str, set[str]] = {
         "calibrating",
     },
     # what a live job goes by, and the folder where all is kept
-    "keeping": {"errors", "probes", "replay", "session"},
+    "keeping": {"errors", "settings", "robot", "probes", "replay", "session"},
     # joint states of an arm at work, and what they say of its hand
     "at_work": {"motions", "quantity", "robot", "identification", "probes"},
     # an answer in words, and as keys and values

@@ -20,6 +20,7 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
+from std_msgs.msg import String
 
 from proprio_ros import progress
 from proprio_ros.bags import EFFORT_UNITS
@@ -33,11 +34,11 @@ from proprio_ros.nodes.job import Job
 from proprio_ros.nodes.jobs import Jobs
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import IDLE_PAUSE_S, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, Answer, LongService, ManagedNode, run_node
 from proprio_ros.nodes.weighing import Weighing
-from proprio_ros.replay import ReplayOptions, robot_of
-from proprio_ros.robot import load_robot
-from proprio_ros.session import Session, check_settings, prepare_identification, recover
+from proprio_ros.robot import LiveDescription
+from proprio_ros.robot.live_description import is_topic, topic_of
+from proprio_ros.session import Session, as_parameters, check_settings, prepare_identification, recover
 from proprio_ros.settings import parse_settings
 
 
@@ -76,37 +77,85 @@ class IdentifierNode(ManagedNode):
             self.say("error", problem)
         self._inputs = Inputs(self, self._busy)
         self._keeping = keeping = Keeping(data, self.values["robot"], self._inputs.stated_topics())
-        warning = keeping.find_calibration(self.values["calibration"])
-        if warning:
-            self.say("warning", warning)
-        for name, default in self._sequences.items():
-            if value_of(self, name) != default:  # not every robot can make every default
-                self._check_sequence(name, value_of(self, name))
-        self._results = Results(self, keeping)
-        started = time.monotonic()
-        with progress.listening(partial(self._results.tell_and_log, "starting")):
-            prepare_identification(keeping.options())  # kernels are compiled here, and never inside a probe
-        for given in ("settings", "reference_settings"):
-            check_settings(replace(keeping.options(), settings=parse_settings(value_of(self, given))))
-        self.say(
-            "info", f"ready after {time.monotonic() - started:.1f} s; calibration: {keeping.calibration or 'none'}"
-        )
-
-        self._inputs.open(robot_of(keeping.robot, None).drive_trains)
-        self._weighing = Weighing(self, keeping, self._inputs, self._results, self._busy)
-        self._weighing.prepare()
+        self._results = results = Results(self, keeping)
+        self._weighing = Weighing(self, keeping, self._inputs, results, lambda: self._busy() or bool(self._missing()))
         self._excitation = Excitation(self, self._on_progress)
-        self._jobs = Jobs(self, keeping, self._inputs, self._excitation, self._results, self._weighing, self._unsaved)
+        self._jobs = Jobs(self, keeping, self._inputs, self._excitation, results, self._weighing, self._unsaved)
         self._service_of = services()
         for kind, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind))
         LongService(self, "~/cancel", self._cancel)
         self.every(5.0, self._jobs.save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
+        self._prepared, self._described = False, None
+        if not is_topic(self.values["robot"]):
+            return self._prepare()
+        topic = topic_of(self.values["robot"])
+        self._described = described = LiveDescription(self.resolve_topic_name(topic), data)
+        self.create_subscription(String, topic, partial(self._on_description, described), LATCHED)
+        results.tell_and_log("starting", described.problem)
+        return None
+
+    def _prepare(self) -> None:
+        """All that needs the robot.
+
+        Raises:
+            ConfigurationError, RobotError: In one line, what is wrong with it or with a parameter.
+        """
+        keeping, stated = self._keeping, parse_settings(value_of(self, "settings"))
+        warning = keeping.find_calibration(self.values["calibration"])
+        if warning:
+            self.say("warning", warning)
+        for name, default in self._sequences.items():
+            if value_of(self, name) != default:  # not every robot can make every default
+                self._check_sequence(name, value_of(self, name))
+        started = time.monotonic()
+        with progress.listening(partial(self._results.tell_and_log, "starting")):
+            # kernels are compiled here, and never inside a probe
+            prepare_identification(replace(keeping.options(), settings=stated))
+        for settings in (stated, parse_settings(value_of(self, "reference_settings"))):
+            check_settings(replace(keeping.options(), settings=settings))
+        self._weighing.prepare()
+        self._inputs.open(keeping.configured(stated).drive_trains)
+        self._prepared = True
+        self.say(
+            "info", f"ready after {time.monotonic() - started:.1f} s; calibration: {keeping.calibration or 'none'}"
+        )
+
+    def _on_description(self, described: LiveDescription, message: String) -> None:
+        """The robot, where its description is a topic; the first that can be used counts."""
+        severity, said = described.hear(message.data)
+        if described.path is not None and not self._prepared:
+            self._keeping.robot = str(described.path)
+            try:
+                self._prepare()
+            except ProprioError as error:
+                severity, said = described.refuse(as_parameters(str(error)))
+            else:
+                self.say(severity, said)
+                if self.active:
+                    self._start()
+                return
+        if described.problem:
+            self._results.withdraw()
+        if said:
+            self.say(severity, said)
+            level = "ok" if severity == "info" else "warning"
+            self._results.tell("idle" if self._prepared else "starting", said, level=level)
+
+    def _missing(self) -> str:
+        """Why nothing can be done for want of a robot, or an empty string."""
+        return "" if self._described is None else self._described.problem
 
     def activate(self) -> None:
         self._excitation.closing = False
-        self._results.tell("idle", "ready")
+        if self._prepared:
+            self._start()
+
+    def _start(self) -> None:
+        """Be there for others."""
+        missing = self._missing()
+        self._results.tell("idle", missing or "ready", level="warning" if missing else "ok")
         self._weighing.begin()
 
     def deactivate(self) -> None:
@@ -120,11 +169,13 @@ class IdentifierNode(ManagedNode):
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """Facts that cannot be understood, and sequences that cannot be made, are refused when they are stated, with the reason."""
+        if not self._prepared:  # without a robot nobody knows; they are looked at when it comes
+            return SetParametersResult(successful=True)
         try:
             for parameter in parameters:
                 if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
-                    check_settings(ReplayOptions(robot=self.values["robot"], settings=facts))
+                    check_settings(replace(self._keeping.options(), settings=facts))
                 elif parameter.name in self._sequences:
                     self._check_sequence(parameter.name, str(parameter.value))
         except ProprioError as error:
@@ -133,7 +184,7 @@ class IdentifierNode(ManagedNode):
 
     def _check_sequence(self, parameter: str, name: str) -> None:
         try:
-            load_sequence(name, load_robot(self.values["robot"]))
+            load_sequence(name, self._keeping.configured({}))
         except ProprioError as error:
             raise ConfigurationError(f"{parameter}: {error}") from error
 
@@ -150,6 +201,8 @@ class IdentifierNode(ManagedNode):
         """Begin a job, or answer why there can be none now."""
         if not self.active:
             return answer(False, "the identifier node is not active")
+        if self._missing():
+            return answer(False, f"not ready: {self._missing()}")
         if self._job is not None:
             return answer(False, f"busy: {self._job.service} is under way; wait for it, or call ~/cancel")
         self._job = job = Job(kind, self._service_of[kind])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from proprio_ros.nodes.job import ROBOT as ROBOT_JOB
@@ -41,7 +42,10 @@ def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
 
 
 PARAMETERS = (
-    ROBOT,
+    replace(
+        ROBOT,
+        description="Robot of config/robots, the path of a robot file or a URDF, or robot_description: the URDF on that topic.",
+    ),
     Parameter("calibration", "", "Calibration file; empty: the newest of this robot in data_directory; none: without."),
     Parameter("data_directory", "~/.ros/proprio_ros",
               "Where recordings, results and calibrations are kept; those of a namespace in a folder of its name."),

@@ -31,7 +31,7 @@ from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
-from proprio_ros.replay import ReplayOptions, replay, robot_of, write_report
+from proprio_ros.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import write_calibration_report
 from proprio_ros.robot import Robot
 from proprio_ros.session import (
@@ -42,8 +42,9 @@ from proprio_ros.session import (
     check_input,
     keep_result,
     replay_command,
+    robot_of_settings,
 )
-from proprio_ros.settings import parse_settings
+from proprio_ros.settings import Settings, parse_settings
 
 CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
@@ -166,7 +167,7 @@ class Jobs:
         """The robot, with an empty hand and perhaps a weighed object."""
         self._inputs.live = None
         options = replace(self._keeping.options(), robot=self._keeping.robot, calibration=None)
-        robot = robot_of(options.robot, None)
+        robot = robot_of_settings(options, Settings({}))
         bag = self.record(job, ROBOT, self._value("robot_sequence"), robot, options)
         references: dict[str | Path, float] = {}
         mass = float(self._value("reference_mass"))

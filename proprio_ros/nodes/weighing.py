@@ -27,7 +27,7 @@ from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.probes import probe_at_work
-from proprio_ros.replay import ReplayOptions, robot_of
+from proprio_ros.replay import ReplayOptions
 from proprio_ros.robot import Robot
 from proprio_ros.session import Session
 from proprio_ros.settings import parse_settings
@@ -46,13 +46,13 @@ class Weighing:
         keeping: Robot and calibration.
         inputs: What comes in.
         results: Where the answers go.
-        busy: Whether a job is under way: the running estimate listens on and is silent.
+        silent: Whether the running estimate only listens: a job is under way, or the robot is not what it was.
     """
 
     def __init__(
-        self, node: ManagedNode, keeping: Keeping, inputs: Inputs, results: Results, busy: Callable[[], bool]
+        self, node: ManagedNode, keeping: Keeping, inputs: Inputs, results: Results, silent: Callable[[], bool]
     ) -> None:
-        self._node, self._keeping, self._inputs, self._results, self._busy = node, keeping, inputs, results, busy
+        self._node, self._keeping, self._inputs, self._results, self._silent = node, keeping, inputs, results, silent
         self._feed: RunningFeed | None = None
 
     def prepare(self) -> None:
@@ -62,8 +62,8 @@ class Weighing:
             ConfigurationError, RobotError: What is stated does not fit, or the calibration is of another arm.
         """
         self._inputs.kept = self._feed = None
-        options, asked = self._keeping.options(), bool(self._node.values["running"])
-        self._robot: Robot = robot_of(options.robot, options.calibration)
+        asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
+        self._robot: Robot = self._keeping.configured(stated)
         if self._robot.motion_calibration is None:
             if asked:
                 self._node.say("warning", f"the running estimate is off: {NO_MOTIONS}")
@@ -71,7 +71,7 @@ class Weighing:
         self._inputs.kept = deque()
         if asked:
             probe = probe_at_work()
-            setting = self._keeping.setting(probe, parse_settings(value_of(self._node, "settings")), None)
+            setting = self._keeping.setting(probe, stated, None)
             self._feed = RunningFeed(probe, setting.robot, setting.facts)
             self._link = setting.robot.payload_frame
 
@@ -155,7 +155,7 @@ class Weighing:
                 estimate = feed.add(time_s, message.name, message.position, message.effort, unit)
                 if (
                     estimate is not None
-                    and not self._busy()
+                    and not self._silent()
                     and time.monotonic() - published_s >= 0.8 * RUNNING_PERIOD_S
                 ):
                     published_s = time.monotonic()

@@ -19,6 +19,7 @@ import rclpy
 from domains import free_domain
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from proprio_ros.at_work import current_A
@@ -30,6 +31,7 @@ from proprio_ros.nodes import driver, identifier, jobs, messages
 from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.probes import probe_named
 from proprio_ros.replay import ReplayOptions
+from proprio_ros.resources import resource
 from proprio_ros.robot import load_robot
 from proprio_ros.session import setting_of
 
@@ -187,6 +189,25 @@ def test_topics_with_other_names_are_part_of_the_command_that_replays(nodes: Nod
     assert (options.state_topic, options.command_topic, options.effort_unit) == ("/arm/states", "/arm1/drive", "mA")
     with pytest.raises(ConfigurationError, match=r"choose one of N\.m, A, mA, raw"):
         nodes.identifier(data_directory=tmp_path, effort_unit="counts")
+
+
+def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(nodes: Nodes, tmp_path: Path) -> None:
+    stated = {"robot": "robot_description", "data_directory": tmp_path}
+    node = nodes.identifier("arm1", **stated, effort_unit="N.m")
+    node.active = True
+    answers: list[Any] = []
+    node._begin("payload", lambda *given: answers.append(given))
+    assert answers and "not ready: waits for /arm1/robot_description" in answers[0][1]
+    urdf = String(data=resource("urdf", "open_manipulator_x").read_text())
+    node._on_description(node._described, urdf)
+    assert node._inputs._joints == [b"joint1", b"joint2", b"joint3", b"joint4"] and not node._missing()
+    assert node._keeping.options().robot == str(node._described.path)
+    file = nodes.identifier("arm3", **(stated | {"robot": resource("urdf", "open_manipulator_x")}), effort_unit="N.m")
+    assert file._inputs._joints == node._inputs._joints
+    # what effort is, nobody said, so torque constants are missing: that and how to state it is one line
+    node = nodes.identifier("arm2", **stated)
+    node._on_description(node._described, urdf)
+    assert "the parameter effort_unit N.m where torque was recorded" in node._missing() and not node._prepared
 
 
 def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path: Path) -> None:
