@@ -154,9 +154,11 @@ class IdentifierNode(ManagedNode):
 
     def _start(self) -> None:
         """Be there for others."""
-        missing = self._missing()
-        self._results.tell("idle", missing or "ready", level="warning" if missing else "ok")
-        self._weighing.begin()
+        missing, running = self._missing(), self._weighing.begin()
+        ready = f"ready; {running}" if running else "ready"
+        if running:
+            self.say("info", running)
+        self._results.tell("idle", missing or ready, level="warning" if missing else "ok")
 
     def deactivate(self) -> None:
         self._excitation.closing = True

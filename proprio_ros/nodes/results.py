@@ -14,7 +14,7 @@ from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics
-from proprio_ros.at_work import running_entries, running_words
+from proprio_ros.at_work import RunningFeed, running_entries, running_words
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.running import RunningEstimate
@@ -134,26 +134,25 @@ class Results:
             self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
-    def running(
-        self, probe: Probe[Any], estimate: RunningEstimate, centre_m: tuple[float, ...], link: str, behind_s: float
-    ) -> None:
+    def running(self, feed: RunningFeed, estimate: RunningEstimate, link: str, behind_s: float) -> None:
         """What the hand holds now.
 
         Args:
-            probe: That says so.
+            feed: That says so.
             estimate: Of now.
-            centre_m: Of the load in the link, shape (3,).
             link: That holds it.
             behind_s: Since the newest sample came.
         """
-        self.publish_estimate("ok", probe.name, running_words(estimate), running_entries(probe, estimate, behind_s))
+        probe, words = feed.probe, "; ".join(filter(None, (running_words(estimate), feed.warning)))
+        level = "warning" if feed.warning else "ok"
+        self.publish_estimate(level, probe.name, words, running_entries(feed, estimate, behind_s))
         if not estimate.known:
             return self.withdraw()
         held = max(estimate.mass_kg, 0.0)
         self._publish_numbers(probe, {probe.answer[0]: held})
         nothing = np.full((3, 3), math.nan)
         frame = self._node.values["frame_prefix"] + link
-        return self._publish_load(self._now_ns(), frame, Carried(held, centre_m, nothing))
+        return self._publish_load(self._now_ns(), frame, Carried(held, feed.centre_m, nothing))
 
     def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
         for topic, name in probe.numbers.items():

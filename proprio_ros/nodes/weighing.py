@@ -33,6 +33,8 @@ from proprio_ros.session import Session
 from proprio_ros.settings import parse_settings
 
 RUNNING_PERIOD_S = 0.1
+UNFED_S = 2.0
+"""Joint states that say nothing for so long are worth a word."""
 
 Identify = Callable[[Job, Path, ReplayOptions, Callable[[Estimate], None]], Estimate]
 """From a bag to its estimate; see `Jobs.identify`."""
@@ -116,13 +118,14 @@ class Weighing:
 
     # --- all the time -------------------------------------------------------------------------------------------------
 
-    def begin(self) -> None:
-        """Begin the running estimate, in a thread of its own."""
+    def begin(self) -> str:
+        """Begin the running estimate, in a thread of its own; returns what to say of it, empty where there is none."""
         if self._feed is None:
-            return
+            return ""
         self._feed.forget()
         self._inputs.arrived = deque(maxlen=5000)
         threading.Thread(target=self._run, args=(self._feed,), name="running estimate", daemon=True).start()
+        return self._feed.about
 
     def end(self) -> None:
         """End it."""
@@ -140,19 +143,21 @@ class Weighing:
     def _weigh_on(self, feed: RunningFeed) -> None:
         """Take what arrived, and publish what it says."""
         arrived = self._inputs.arrived
-        published_s = -math.inf
+        published_s, fed_s, samples, said = -math.inf, time.monotonic(), 0, ""
         with threadpool_limits(1, user_api="blas"):
             while arrived is not None and arrived is self._inputs.arrived:
+                said = self._say_whether_fed(feed, fed_s, said)
                 if not arrived:
                     time.sleep(0.02)
                     continue
                 now_ns, data = arrived.popleft()
                 message = deserialize_message(data, JointState)
-                unit = self._inputs.measured_unit()
-                if unit in ("", "raw") or not message.effort:
-                    continue
                 time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
-                estimate = feed.add(time_s, message.name, message.position, message.effort, unit)
+                estimate = feed.add(
+                    time_s, message.name, message.position, message.effort, self._inputs.measured_unit()
+                )
+                if feed.samples > samples:
+                    samples, fed_s = feed.samples, time.monotonic()
                 if (
                     estimate is not None
                     and not self._silent()
@@ -160,4 +165,23 @@ class Weighing:
                 ):
                     published_s = time.monotonic()
                     behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
-                    self._results.running(feed.probe, estimate, feed.centre_m, self._link, behind_s)
+                    self._results.running(feed, estimate, self._link, behind_s)
+
+    def _say_whether_fed(self, feed: RunningFeed, fed_s: float, said: str) -> str:
+        """Say once that nothing came for some time from which anything can be estimated, and once that it does again.
+
+        Returns:
+            What stands as said now; empty: nothing.
+        """
+        if self._silent():
+            return said
+        why = ""
+        if time.monotonic() - fed_s > UNFED_S:
+            why = f"the running estimate waits: {feed.waits_for or 'no joint states of the arm are coming'}"
+        if why == said:
+            return said
+        if why:
+            self._node.say("warning", why)
+            self._results.withdraw()
+        self._results.tell("idle", why or f"ready; {feed.about}", level="warning" if why else "ok")
+        return why

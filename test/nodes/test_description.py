@@ -5,8 +5,10 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -96,7 +98,7 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.Monk
             assert says("not XML"), told
             assert told[-1][0] == "starting" and "waits for another" in told[-1][1]
             publisher.publish(String(data=text))
-            assert wait_for(lambda: told[-1] == ("idle", "ready"), UP_S), (told, graph.log("identifier"))
+            assert wait_for(lambda: told[-1][1].startswith("ready"), UP_S), (told, graph.log("identifier"))
             arm = Arm(client, held)
             assert wait_for(lambda: any(each.get("running") == "true" for each in estimates), 30.0), told
             time.sleep(13.0)
@@ -105,6 +107,16 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.Monk
             live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
             value = live["estimates"][0]
             assert abs(value["value"] - HELD_KG) < 0.02 and value["ci95"][0] < HELD_KG < value["ci95"][1], value
+
+            # a driver that measures nothing: what stood is withdrawn, and why is said
+            arm.stop()
+            assert says("the running estimate waits: no joint states of the arm are coming"), told
+            silent = replace(held, current_A=np.full_like(held.current_A, np.nan))
+            arm = Arm(client, silent)
+            assert says("the joint states carry no measured effort of j1, j2, j3, j4"), told
+            arm.stop()
+            arm = Arm(client, held)
+            assert wait_for(lambda: told[-1][1].startswith("ready; the running estimate"), 20.0), told
 
             publisher.publish(String(data=text.replace('mass value="', 'mass value="1')))
             assert says("/arm/robot_description has changed"), told
