@@ -65,19 +65,15 @@ class RunningFeed:
         self.joints = robot.motion_calibration.joints
         self.others = [name for name in robot.model.independent_joints if name not in self.joints]
         self.centre_m = self._make({}).centre_m  # made once, so that a calibration of another arm is refused now
-        self.forget()
-
-    def _make(self, held: dict[str, float]) -> RunningWeight:
-        return self.probe.running(self._robot, self._facts, held)
-
-    def forget(self) -> None:
-        """As if nothing had come."""
         self._latest: dict[str, tuple[float, float]] = {}
         self._running: RunningWeight | None = None
         places = {name: self._robot.model.joint(name) for name in self.others}
         self._held = {name: min(max(0.0, joint.lower), joint.upper) for name, joint in places.items()}
         self.waits_for, self.samples = "", 0
         self.moved: set[str] = set()
+
+    def _make(self, held: dict[str, float]) -> RunningWeight:
+        return self.probe.running(self._robot, self._facts, held)
 
     @property
     def about(self) -> str:

@@ -32,14 +32,18 @@ class Estimator:
         return self
 
 
-@pytest.fixture
-def feed() -> RunningFeed:
+def new_feed() -> RunningFeed:
     arm = load_robot("open_manipulator_x")
     robot: Any = SimpleNamespace(
         model=arm.model, drive_trains=arm.drive_trains, motion_calibration=SimpleNamespace(joints=JOINTS)
     )
     probe: Any = SimpleNamespace(running=lambda robot, facts, held: Estimator(dict(held)))
     return RunningFeed(probe, robot, None)
+
+
+@pytest.fixture
+def feed() -> RunningFeed:
+    return new_feed()
 
 
 def test_it_says_what_it_rests_on(feed: RunningFeed) -> None:
@@ -49,7 +53,7 @@ def test_it_says_what_it_rests_on(feed: RunningFeed) -> None:
 def test_a_joint_state_without_measured_effort_is_named(feed: RunningFeed) -> None:
     assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "A") is not None and not feed.waits_for and feed.samples == 1
     for effort in ([], [1.0], [1.0, math.nan]):
-        feed.forget()
+        feed = new_feed()
         feed.add(0.0, JOINTS, AT_REST, effort, "A")
         assert "no measured effort of " in feed.waits_for and "joint2" in feed.waits_for and feed.samples == 0
         # whoever else publishes joint states changes nothing about that
@@ -62,7 +66,7 @@ def test_an_effort_of_which_nobody_says_the_unit_is_named(feed: RunningFeed) -> 
     for unit in ("", "raw"):
         assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], unit) is None
         assert feed.waits_for.endswith("give the parameter effort_unit")
-    feed.forget()
+    feed = new_feed()
     feed.add(0.0, ["joint1"], [0.1], [1.0], "A")
     assert feed.waits_for == "no joint states of joint2 are coming"
 

@@ -140,8 +140,9 @@ class IdentifierNode(ManagedNode):
             self._results.withdraw()
         if said:
             self.say(severity, said)
-            level = "ok" if severity == "info" else "warning"
-            self._results.tell("idle" if self._prepared else "starting", said, level=level)
+            job, level = self._job, "ok" if severity == "info" else "warning"
+            doing = job.kind if job is not None else "idle" if self._prepared else "starting"
+            self._results.tell(doing, said, level=level)
 
     def _missing(self) -> str:
         """Why nothing can be done for want of a robot, or an empty string."""

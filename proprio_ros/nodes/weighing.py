@@ -55,7 +55,7 @@ class Weighing:
         self, node: ManagedNode, keeping: Keeping, inputs: Inputs, results: Results, silent: Callable[[], bool]
     ) -> None:
         self._node, self._keeping, self._inputs, self._results, self._silent = node, keeping, inputs, results, silent
-        self._feed: RunningFeed | None = None
+        self._make_feed: Callable[[], RunningFeed] | None = None
 
     def prepare(self) -> None:
         """Keep what weighing needs, and have the running estimate ready where it is asked for.
@@ -63,7 +63,7 @@ class Weighing:
         Raises:
             ConfigurationError, RobotError: What is stated does not fit, or the calibration is of another arm.
         """
-        self._inputs.kept = self._feed = None
+        self._inputs.kept = self._make_feed = None
         asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
         self._robot: Robot = self._keeping.configured(stated)
         if self._robot.motion_calibration is None:
@@ -74,7 +74,8 @@ class Weighing:
         if asked:
             probe = probe_at_work()
             setting = self._keeping.setting(probe, stated, None)
-            self._feed = RunningFeed(probe, setting.robot, setting.facts)
+            self._make_feed = partial(RunningFeed, probe, setting.robot, setting.facts)
+            self._make_feed()  # so that a calibration of another arm is refused now
             self._link = setting.robot.payload_frame
 
     # --- the last seconds ---------------------------------------------------------------------------------------------
@@ -120,12 +121,12 @@ class Weighing:
 
     def begin(self) -> str:
         """Begin the running estimate, in a thread of its own; returns what to say of it, empty where there is none."""
-        if self._feed is None:
+        if self._make_feed is None:
             return ""
-        self._feed.forget()
+        feed = self._make_feed()
         self._inputs.arrived = deque(maxlen=5000)
-        threading.Thread(target=self._run, args=(self._feed,), name="running estimate", daemon=True).start()
-        return self._feed.about
+        threading.Thread(target=self._run, args=(feed,), name="running estimate", daemon=True).start()
+        return feed.about
 
     def end(self) -> None:
         """End it."""
