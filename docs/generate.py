@@ -16,6 +16,7 @@ import importlib.abc
 import importlib.machinery
 import importlib.util
 import inspect
+import operator
 import os
 import sys
 import tempfile
@@ -33,10 +34,13 @@ NODES = {
     "identifier": "IdentifierNode",
     "virtual": "VirtualNode",
 }
+PARTS = {"identifier": ("results:Results.__init__", "inputs:Inputs.open", "exciting:Excitation.__init__")}
+"""What makes connections beside a node's `configure`: a module of nodes, a class and its method."""
 ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "sensor_msgs", "std_msgs",
        "std_srvs", "visualization_msgs")  # fmt: skip
 ABOUT = {
     "/joint_states": "positions [rad, m], velocities [rad/s, m/s], effort [N m, N]: present current x nominal torque constant",
+    "/robot_description": "URDF, as `robot_state_publisher` publishes it; only where `robot` is the name of this topic",
     "/applied_effort": "same stamps: commanded current x nominal torque constant [N m, N]",
     "/applied_current": "commanded current [A], `layout.dim` labelled by joint, to plot",
     "/torque_enabled": "false while a joint is without torque: all of them, or one that a lease drives with a current of zero",
@@ -188,13 +192,24 @@ def nodes() -> dict[str, tuple[ModuleType, type]]:
 
 
 def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str, str, str, str]]:
-    """What `configure` makes: ``publishes``, ``takes`` or ``serves``; the full name, the type, and how messages are kept.
+    """What a node makes in `configure`, and in its parts; see `_made_by`."""
+    values = {parameter.name: parameter.default for parameter in node.parameters}
+    yield from _made_by(node.configure, vars(module), name, values)
+    for part in PARTS.get(name, ()):
+        place, _, method = part.partition(":")
+        module = importlib.import_module(f"proprio_ros.nodes.{place}")
+        yield from _made_by(operator.attrgetter(method)(module), vars(module), name, values)
+
+
+def _made_by(
+    function: Any, known: dict[str, Any], name: str, values: dict[str, Any]
+) -> Iterator[tuple[str, str, str, str]]:
+    """What a function makes: ``publishes``, ``takes`` or ``serves``; the full name, the type, and how messages are kept.
 
     The body is read, not run: loops over tables of the module are followed, and names are computed from what they hold.
     """
-    body = ast.parse(textwrap.dedent(inspect.getsource(node.configure))).body[0]
-    values = {parameter.name: parameter.default for parameter in node.parameters}
-    scope = {**vars(module), "self": SimpleNamespace(values=values)}
+    body = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+    scope = {**known, "self": SimpleNamespace(values=values), "node": SimpleNamespace(values=values)}
     # a kind of connection, and which of its arguments are type, name and quality of service
     makers = {"create_publisher": ("publishes", 0, 1, 2), "create_subscription": ("takes", 0, 1, 3),
               "listen": ("takes", 0, 1, 3),

@@ -28,10 +28,10 @@ import numpy as np
 from proprio_ros.bags import RawMessage, read_recording, write_messages
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, check_motors, configured_robot, held_positions, probe_asked_for, robot_of
+from proprio_ros.replay import ReplayOptions, check_motors, configured_robot, held_positions, probe_asked_for
 from proprio_ros.resources import private_folder, write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
@@ -208,7 +208,7 @@ def prepare_identification(options: ReplayOptions) -> None:
     Raises:
         ConfigurationError, RobotError: the robot cannot be read, or compiled kernels cannot be kept.
     """
-    compile_kernels(rises=robot_of(options.robot, options.calibration).friction_rises)
+    compile_kernels(rises=robot_of_settings(options, Settings(options.settings)).friction_rises)
 
 
 def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -332,6 +332,7 @@ def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, opti
 
 def as_parameters(sentence: str) -> str:
     """The same with options of the command line called what they are called in a node."""
+    sentence = sentence.replace("--set ", "the parameter settings with ")
     return re.sub(
         r"--(robot|calibration|data-directory|[a-z]+-topic|effort-unit)\b",
         lambda found: f"the parameter {found[1].replace('-', '_')}",
@@ -451,25 +452,3 @@ class LiveEstimate:
             return setting.probe.identify_so_far(setting.robot, runs, setting.facts)
         except ProprioError:
             return None  # not enough yet; what is wrong for good is reported by the identification of the bag
-
-
-def live_interval(estimate: Estimate) -> tuple[float, float] | None:
-    """What is searched for and its standard deviation as far as the run has come, also where a verdict still withholds them."""
-    name, _ = probe_named(estimate.probe).answer
-    for row in estimate.unknowns:
-        if row.name == name and np.isfinite(row.std):
-            return float(row.value), float(row.std)
-    return None
-
-
-def as_diagnostics(estimate: Estimate) -> dict[str, Any]:
-    """Keys and values of a diagnostics message about an estimate."""
-    entries: dict[str, Any] = {"probe": estimate.probe, "verdict": estimate.verdict.value, "robot": estimate.robot}
-    for value in estimate.values:
-        entries[value.name] = "not determined" if value.value is None else value.value
-        entries[f"{value.name}.unit"] = value.unit
-        if value.std is not None:
-            entries[f"{value.name}.std"] = value.std
-        if value.ci95 is not None:
-            entries[f"{value.name}.ci95"] = list(value.ci95)
-    return entries

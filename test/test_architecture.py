@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
+
+from proprio_ros.probes import PROBES
 
 PACKAGE = Path(__file__).resolve().parents[1] / "proprio_ros"
 
@@ -131,6 +134,12 @@ ROOMS: dict[str, set[str]] = {
         "replay",
         "calibrating",
     },
+    # what a live job goes by, and the folder where all is kept
+    "keeping": {"errors", "settings", "robot", "probes", "replay", "session"},
+    # joint states of an arm at work, and what they say of its hand
+    "at_work": {"motions", "quantity", "robot", "identification", "probes"},
+    # an answer in words, and as keys and values
+    "answers": {"quantity", "identification", "probes"},
     # what is in a bag, before any fit
     # what a recording shows of itself
     "plausibility": {"records", "motions", "robot", "identification"},
@@ -206,6 +215,9 @@ ROOMS: dict[str, set[str]] = {
         "excitation",
         "virtual",
         "session",
+        "keeping",
+        "at_work",
+        "answers",
         "settings",
         "realtime",
     },
@@ -280,6 +292,23 @@ def test_no_room_but_the_probes_names_a_probe() -> None:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 assert node.value not in ("container", "softness"), f"{path}:{node.lineno} names a probe"
+
+
+def test_nodes_name_no_probe() -> None:
+    """Not even the first. A topic of the contract and a sequence are called like it; sentences are for people."""
+    may = {("results.py", "~/payload"), ("excitation.py", "payload")}
+    for path in (PACKAGE / "nodes").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " not in node.value.strip():
+                named = set(re.findall("[a-z]+", node.value)) & set(PROBES)
+                assert not named or (path.name, node.value) in may, f"{path}:{node.lineno} names {named}"
+
+
+def test_no_file_of_nodes_is_long() -> None:
+    """Nodes are thin: parameters in, messages out, one call between."""
+    for path in (PACKAGE / "nodes").glob("*.py"):
+        lines = len(path.read_text().splitlines())
+        assert lines <= 500, f"{path} has {lines} lines: what needs no ROS goes into a module of its own"
 
 
 def test_the_table_has_no_circle() -> None:

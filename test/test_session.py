@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import proprio_ros.session as session_module
+from proprio_ros.answers import live_interval
 from proprio_ros.bags import RawMessage, read_recording
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
@@ -30,7 +31,6 @@ from proprio_ros.session import (
     check_input,
     check_settings,
     keep_result,
-    live_interval,
     recover,
     replay_command,
     setting_of,

@@ -136,6 +136,10 @@ class RunningWeight:
         window_s: Seconds of motion that an estimate rests on at most.
         held: Positions of the joints that are not in the calibration [rad or m]; 0 or the nearest limit where not given.
 
+    Attributes:
+        joints: Of the calibration.
+        centre_m: As given.
+
     Raises:
         RobotError: The calibration is of another arm.
     """
@@ -168,6 +172,7 @@ class RunningWeight:
         referenced = any(float(run["load_kg"]) > 0.0 for run in calibration.runs)
         self._apart_std = [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in self.joints]
         self._calibration = calibration
+        self.centre_m = tuple(float(axis) for axis in centre_m)
         self._point = point_mass(np.asarray(centre_m))
         self._centre_std_m = max(centre_std_m, 1e-4)
         count = len(self.joints)

@@ -62,3 +62,8 @@ def probe_named(name: str) -> Probe[Any]:
 def all_probes() -> list[Probe[Any]]:
     """All of them, in the order of the registry."""
     return [_load(place) for place in registry().values()]
+
+
+def probe_at_work() -> Probe[Any]:
+    """The one that says what the hand holds while the arm works: the first of the registry that can."""
+    return next(probe for probe in all_probes() if probe.at_work)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from proprio_ros.bags import TextRecording
     from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.identification.running import RunningWeight
     from proprio_ros.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
@@ -171,6 +172,7 @@ class Probe(ABC, Generic[Facts]):
         live: whether there is an estimate while a run is under way.
         takes_motions: whether recordings in which several joints were driven at once determine it.
         takes_swings: whether free swings determine it.
+        at_work: whether it says what the hand holds while the arm works, without runs of its own: then there is ``running``.
         prepares: what takes long to prepare, in words; empty: nothing.
         baseline, limits, example: see there; ``example`` None: no demo.
     """
@@ -188,6 +190,7 @@ class Probe(ABC, Generic[Facts]):
     live: ClassVar[bool] = False
     takes_motions: ClassVar[bool] = False
     takes_swings: ClassVar[bool] = False
+    at_work: ClassVar[bool] = False
     prepares: ClassVar[str] = ""
     baseline: ClassVar[Baseline | None] = None
     limits: ClassVar[tuple[Limit, ...]] = ()
@@ -264,6 +267,19 @@ class Probe(ABC, Generic[Facts]):
 
     def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: Facts) -> Estimate:
         """An early answer from runs of which the last is still under way; only where the probe is ``live``."""
+        raise NotImplementedError
+
+    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> RunningWeight:
+        """An estimate that goes along with the arm's work; only where the probe is ``at_work``.
+
+        Args:
+            robot: with a calibration of motions.
+            facts: what is stated about the object.
+            held: positions of the joints that are not in that calibration [rad or m].
+
+        Raises:
+            RobotError: the calibration is of another arm.
+        """
         raise NotImplementedError
 
     # --- what is shown of it -----------------------------------------------------------------------------------------

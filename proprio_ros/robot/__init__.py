@@ -1,8 +1,8 @@
 """A robot as numbers: the tree of links from its URDF, and the drive train of each joint from its YAML file.
 
 `geometry` is at the bottom; `urdf` reads links and joints, `tree` places and merges them, `description` finds the URDF,
-`drive_train` is what moves them, `wide` is what holds of a number that nobody stated, `robot_file` puts all of it into a `Robot`,
-`new_file` writes one to fill in, and `kinematics` asks that how high it stands.
+`live_description` takes it from a topic, `drive_train` is what moves them, `wide` is what holds of a number that nobody stated,
+`robot_file` puts all of it into a `Robot`, `new_file` writes one to fill in, and `kinematics` asks that how high it stands.
 """
 
 from proprio_ros.robot.description import is_description
@@ -15,6 +15,7 @@ from proprio_ros.robot.geometry import (
     rotation_from_rpy,
     transform,
 )
+from proprio_ros.robot.live_description import LiveDescription
 from proprio_ros.robot.robot_file import Robot, bare_settings, load_robot, nested_settings, with_recorded_torque
 from proprio_ros.robot.tree import ReducedModel, RobotModel
 from proprio_ros.robot.urdf import JOINT_KINDS, Joint, Link
@@ -25,6 +26,7 @@ __all__ = [
     "FingerTravel",
     "Joint",
     "Link",
+    "LiveDescription",
     "Motor",
     "ReducedModel",
     "Robot",

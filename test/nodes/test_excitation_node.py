@@ -26,7 +26,8 @@ from std_srvs.srv import Trigger
 from proprio_ros.excitation.machine import Command
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.excitation import ExcitationNode
-from proprio_ros.nodes.identifier import IdentifierNode, Job, JobError
+from proprio_ros.nodes.identifier import IdentifierNode
+from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.runtime import IDLE_PAUSE_S, ManagedNode
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
@@ -256,13 +257,13 @@ def identifier(context: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_weighing_after_a_stop_is_refused_at_once(identifier: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(identifier._run, "service_is_ready", lambda: True)
-    monkeypatch.setattr(identifier._set_probe, "service_is_ready", lambda: True)
-    identifier._state_at_s = math.inf
+    monkeypatch.setattr(identifier._excitation.run, "service_is_ready", lambda: True)
+    monkeypatch.setattr(identifier._excitation.set_probe, "service_is_ready", lambda: True)
+    identifier._inputs._state_at_s = math.inf
     values = {"driver": "stopped: the current is zero; /driver/torque true holds the arm again", "joint_states": True}
-    identifier._on_excitation(messages.status("ok", "excitation", "waiting", values))
+    identifier._excitation.on_status(messages.status("ok", "excitation", "waiting", values))
     with pytest.raises(JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"):
-        identifier._await_others()
+        identifier._jobs.await_others()
     answers: list[tuple[bool, str]] = []
     identifier._begin("payload", lambda success, message: answers.append((success, message)))
     deadline = time.monotonic() + 30.0
@@ -307,11 +308,11 @@ def test_an_idle_identifier_takes_what_waits_at_once(identifier: Any, context: A
         for row in range(1, 51):
             publisher.publish(messages.joint_state(10**9 * row, ["joint1"], [0.0]))
         time.sleep(0.2)
-        while identifier._state_stamp_ns < 50 * 10**9:
+        while identifier._inputs.stamp_ns < 50 * 10**9:
             assert time.monotonic() < deadline
             executor.spin_once(timeout_sec=0.05)
-            if identifier._state_stamp_ns not in stamps:
-                stamps.append(identifier._state_stamp_ns)
+            if identifier._inputs.stamp_ns not in stamps:
+                stamps.append(identifier._inputs.stamp_ns)
         assert len(stamps) < 10
         identifier._job = Job("payload", "calibrate_payload")
         assert identifier.pause_s == 0.0

@@ -19,15 +19,19 @@ import rclpy
 from domains import free_domain
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
+from proprio_ros.at_work import current_A
 from proprio_ros.bags import RawMessage, read_motors, write_messages
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.motors import MotorIdentity
-from proprio_ros.nodes import driver, identifier, messages
+from proprio_ros.nodes import driver, identifier, jobs, messages
+from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.probes import probe_named
 from proprio_ros.replay import ReplayOptions
+from proprio_ros.resources import resource
 from proprio_ros.robot import load_robot
 from proprio_ros.session import setting_of
 
@@ -58,9 +62,10 @@ class Nodes:
     def identifier(self, namespace: str = "", **parameters: Any) -> Any:
         node = self.make(identifier.IdentifierNode, namespace, **parameters)
         node.configure()
-        for name in ("_estimate", "_payload", "_markers", "_lease"):
-            setattr(node, name, Published())
-        node._numbers = {name: Published() for name in node._numbers}
+        for name in ("_estimate", "_load", "_markers"):
+            setattr(node._results, name, Published())
+        node._results._numbers = {name: Published() for name in node._results._numbers}
+        node._excitation._lease = Published()
         return node
 
     def close(self) -> None:
@@ -88,47 +93,46 @@ def answer(probe: str, value: float | None, verdict: Verdict = Verdict.ACCEPTED)
 
 def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
-    node._withdraw()
-    assert not any(node._numbers.values()) and not node._payload, "nothing stands at the beginning"
-    node._publish(setting_of(ReplayOptions()), answer("payload", 0.05))
-    assert node._numbers["mass"][-1].data == 0.05 and node._payload[-1].inertia.m == 0.05
-    assert not node._numbers["sphere_mass"]
-    node._withdraw()
-    assert math.isnan(node._numbers["mass"][-1].data)
-    load = node._payload[-1].inertia
+    node._results.withdraw()
+    assert not any(node._results._numbers.values()) and not node._results._load, "nothing stands at the beginning"
+    node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    assert node._results._numbers["mass"][-1].data == 0.05 and node._results._load[-1].inertia.m == 0.05
+    assert not node._results._numbers["sphere_mass"]
+    node._results.withdraw()
+    assert math.isnan(node._results._numbers["mass"][-1].data)
+    load = node._results._load[-1].inertia
     assert all(math.isnan(value) for value in (load.m, load.com.x, load.ixx, load.iyz))
-    assert [marker.action for marker in node._markers[-1].markers] == [Marker.DELETEALL]
-    node._publish(setting_of(ReplayOptions()), answer("payload", None, Verdict.REJECTED))
-    assert len(node._numbers["mass"]) == 2, "what is not accepted puts nothing in its place"
+    assert [marker.action for marker in node._results._markers[-1].markers] == [Marker.DELETEALL]
+    node._results.publish(setting_of(ReplayOptions()), answer("payload", None, Verdict.REJECTED))
+    assert len(node._results._numbers["mass"]) == 2, "what is not accepted puts nothing in its place"
     # a sphere's mass is told from a payload's by its topic
-    node._publish(setting_of(ReplayOptions(probe="container", settings=BOX)), answer("container", 0.012))
-    assert node._numbers["mass"][-1].data == node._numbers["sphere_mass"][-1].data == 0.012
-    node._withdraw()
-    assert all(math.isnan(node._numbers[name][-1].data) for name in ("mass", "sphere_mass"))
+    node._results.publish(setting_of(ReplayOptions(probe="container", settings=BOX)), answer("container", 0.012))
+    assert node._results._numbers["mass"][-1].data == node._results._numbers["sphere_mass"][-1].data == 0.012
+    node._results.withdraw()
+    assert all(math.isnan(node._results._numbers[name][-1].data) for name in ("mass", "sphere_mass"))
 
 
 def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node.active = True
-    node._publish(setting_of(ReplayOptions()), answer("payload", 0.05))
-    node._make = lambda job: (_ for _ in ()).throw(identifier.JobError("no object"))
-    node._await_others = lambda: None
+    node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    node._jobs.make = lambda job: (_ for _ in ()).throw(JobError("no object"))
     answers: list[Any] = []
-    node._work(identifier.Job("payload", "calibrate_payload"), lambda *given: answers.append(given))
+    node._work(Job("payload", "calibrate_payload"), lambda *given: answers.append(given))
     assert answers == [(False, "no object")]
-    (status,) = node._estimate[-1].status
+    (status,) = node._results._estimate[-1].status
     told = {pair.key: pair.value for pair in status.values}
     assert told["payload_mass"] == "not determined" and told["verdict"] == "failed" and told["reason.1"] == "no object"
-    assert math.isnan(node._numbers["mass"][-1].data)
+    assert math.isnan(node._results._numbers["mass"][-1].data)
 
 
 def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(nodes: Nodes, tmp_path: Path) -> None:
     (tmp_path / "open_manipulator_x_calibration.yaml").write_text("no calibration, and of another arm")
     node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
-    assert node._calibration is None and node._data == tmp_path / "arm1"
-    node._publish(setting_of(ReplayOptions()), answer("payload", 0.05))
-    assert node._payload[-1].header.frame_id == "arm1/end_effector_link"
-    assert node._markers[-1].markers[-1].header.frame_id == "arm1/end_effector_link"
+    assert node._keeping.calibration is None and node._keeping.data == tmp_path / "arm1"
+    node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    assert node._results._load[-1].header.frame_id == "arm1/end_effector_link"
+    assert node._results._markers[-1].markers[-1].header.frame_id == "arm1/end_effector_link"
     arm = nodes.make(driver.DriverNode, "arm1", port=tmp_path / "port")
     arm.configure()
     assert arm._diagnosed == "arm1/driver"
@@ -139,7 +143,7 @@ def test_a_calibration_of_another_arm_is_not_used(
 ) -> None:
     newest = tmp_path / "open_manipulator_x_calibration.yaml"
     newest.write_text("extends: pendulum\n")  # has no calibration
-    assert nodes.identifier(data_directory=tmp_path)._calibration is None
+    assert nodes.identifier(data_directory=tmp_path)._keeping.calibration is None
     with pytest.raises(RobotError, match=r"the parameter calibration .* holds no calibration"):
         nodes.identifier(data_directory=tmp_path, calibration=newest)
 
@@ -149,12 +153,12 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
 ) -> None:
     node = nodes.identifier("arm1", data_directory=tmp_path)
     elbow = MotorIdentity(1020, 13, 46, 7, 0, 10)
-    node._on_motors(serialize_message(messages.status("ok", "motors", "", {"joint3": elbow.as_text()}, "")))
-    assert node._told_motors() == []  # no driver of ours runs
+    node._inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {"joint3": elbow.as_text()}, "")))
+    assert node._inputs.told_motors() == []  # no driver of ours runs
     monkeypatch.setattr(node, "count_publishers", lambda topic: int(topic == "/arm1/motors"))
     state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
     states = RawMessage("/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state))
-    write_messages(tmp_path / "bag", [states, *node._told_motors()])
+    write_messages(tmp_path / "bag", [states, *node._inputs.told_motors()])
     assert read_motors(tmp_path / "bag") == {"joint3": elbow}
 
 
@@ -165,103 +169,122 @@ def test_what_cannot_be_recorded_is_said_before_anything_moves(
     blocked.write_text("a file where a folder should be")
     node = nodes.identifier(data_directory=blocked, calibration="none")
     asked: list[str] = []
-    node._excite = lambda job, sequence: asked.append(sequence)
-    job = identifier.Job("payload", "calibrate_payload")
+    node._excitation.make = lambda job, sequence, begun: asked.append(sequence)
+    job = Job("payload", "calibrate_payload")
     robot, options = load_robot("open_manipulator_x"), ReplayOptions()
-    with pytest.raises(
-        identifier.JobError, match=r"not begun: .*blocked cannot be written .*the parameter data_directory"
-    ):
-        node._record(job, "payload", "payload_elbow", robot, options)
-    node._data = tmp_path / "data"
-    monkeypatch.setattr(identifier, "LONGEST_CHECK_S", 0.0)
-    with pytest.raises(identifier.JobError, match="not begun: "):
-        node._record(job, "payload", "payload_elbow", robot, options)
-    assert not asked and not list(node._data.iterdir())
+    with pytest.raises(JobError, match=r"not begun: .*blocked cannot be written .*the parameter data_directory"):
+        node._jobs.record(job, "payload", "payload_elbow", robot, options)
+    node._keeping.data = tmp_path / "data"
+    monkeypatch.setattr(jobs, "LONGEST_CHECK_S", 0.0)
+    with pytest.raises(JobError, match="not begun: "):
+        node._jobs.record(job, "payload", "payload_elbow", robot, options)
+    assert not asked and not list(node._keeping.data.iterdir())
 
 
 def test_topics_with_other_names_are_part_of_the_command_that_replays(nodes: Nodes, tmp_path: Path) -> None:
-    usual = nodes.identifier("arm1", data_directory=tmp_path, calibration="none")._options()
+    usual = nodes.identifier("arm1", data_directory=tmp_path, calibration="none")._keeping.options()
     assert usual.state_topic is usual.command_topic is usual.effort_unit is None
     stated = {"state_topic": "/arm/states", "command_topic": "drive", "effort_unit": "mA"}
-    options = nodes.identifier("arm1", data_directory=tmp_path, calibration="none", **stated)._options()
+    options = nodes.identifier("arm1", data_directory=tmp_path, calibration="none", **stated)._keeping.options()
     assert (options.state_topic, options.command_topic, options.effort_unit) == ("/arm/states", "/arm1/drive", "mA")
     with pytest.raises(ConfigurationError, match=r"choose one of N\.m, A, mA, raw"):
         nodes.identifier(data_directory=tmp_path, effort_unit="counts")
 
 
+def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(nodes: Nodes, tmp_path: Path) -> None:
+    stated = {"robot": "robot_description", "data_directory": tmp_path}
+    node = nodes.identifier("arm1", **stated, effort_unit="N.m")
+    node.active = True
+    answers: list[Any] = []
+    node._begin("payload", lambda *given: answers.append(given))
+    assert answers and "not ready: waits for /arm1/robot_description" in answers[0][1]
+    urdf = String(data=resource("urdf", "open_manipulator_x").read_text())
+    node._on_description(node._described, urdf)
+    assert node._inputs._joints == [b"joint1", b"joint2", b"joint3", b"joint4"] and not node._missing()
+    assert node._keeping.options().robot == str(node._described.path)
+    file = nodes.identifier("arm3", **(stated | {"robot": resource("urdf", "open_manipulator_x")}), effort_unit="N.m")
+    assert file._inputs._joints == node._inputs._joints
+    # what effort is, nobody said, so torque constants are missing: that and how to state it is one line
+    node = nodes.identifier("arm2", **stated)
+    node._on_description(node._described, urdf)
+    assert "the parameter effort_unit N.m where torque was recorded" in node._missing() and not node._prepared
+
+
 def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
-    assert "nobody publishes /applied_effort or listens to /current_command" in node._missing_input()
-    assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._missing_input()
+    assert "nobody publishes /applied_effort or listens to /current_command" in node._inputs.missing()
+    assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._inputs.missing()
 
 
 def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none", running="true")
-    job = identifier.Job(identifier.WEIGH, "weigh")
-    with pytest.raises(identifier.JobError, match=r"no calibration of motions.*proprio calibrate BAG"):
-        node._weigh(job)
-    assert node._kept is None and node._may_skip("joint_states"), "nothing is kept for what cannot be done"
-    node._kept = deque()
-    assert not node._may_skip("joint_states") and node._may_skip("applied_effort")
-    with pytest.raises(identifier.JobError, match="give the parameter effort_unit"):
-        node._weigh(job)
-    hear = {role: node._listener(f"/{role}", role, JointState) for role in ("joint_states", "applied_effort")}
+    job = Job(WEIGH, "weigh")
+    with pytest.raises(JobError, match=r"no calibration of motions.*proprio calibrate BAG"):
+        node._weighing.weigh(job, node._jobs.identify)
+    assert node._inputs.kept is None and node._inputs.may_skip("joint_states"), (
+        "nothing is kept for what cannot be done"
+    )
+    node._inputs.kept = deque()
+    assert not node._inputs.may_skip("joint_states") and node._inputs.may_skip("applied_effort")
+    with pytest.raises(JobError, match="give the parameter effort_unit"):
+        node._weighing.weigh(job, node._jobs.identify)
+    hear = {role: node._inputs.listener(f"/{role}", role, JointState) for role in ("joint_states", "applied_effort")}
     hear["applied_effort"](b"")
-    with pytest.raises(identifier.JobError, match="no joint states are coming"):
-        node._weigh(job)
+    with pytest.raises(JobError, match="no joint states are coming"):
+        node._weighing.weigh(job, node._jobs.identify)
     for number in range(20):
         still = messages.joint_state(
             10**7 * number, ["joint1", "wheel"], [0.001 * (number % 2), number], [], [0.0, 0.0]
         )
         hear["joint_states"](serialize_message(still))
-    with pytest.raises(identifier.JobError, match="no joint moved in the last 15 s"):
-        node._weigh(job)
+    with pytest.raises(JobError, match="no joint moved in the last 15 s"):
+        node._weighing.weigh(job, node._jobs.identify)
     assert not list(tmp_path.iterdir()), "what is refused leaves no recording"
 
 
 def test_only_the_last_seconds_are_kept(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
-    node._kept = deque(
+    node._inputs.kept = deque(
         [RawMessage("/joint_states", "", node.get_clock().now().nanoseconds - age * 10**9, b"") for age in (16, 14)]
     )
-    node._listener("/joint_states", "joint_states", JointState)(serialize_message(JointState()))
-    assert len(node._kept) == 2, "15 s"
+    node._inputs.listener("/joint_states", "joint_states", JointState)(serialize_message(JointState()))
+    assert len(node._inputs.kept) == 2, "15 s"
 
 
 def test_what_an_effort_says_of_a_current() -> None:
-    assert [identifier._current_A(3.0, unit, 1.5) for unit in ("A", "mA", "N.m")] == [3.0, 0.003, 2.0]
+    assert [current_A(3.0, unit, 1.5) for unit in ("A", "mA", "N.m")] == [3.0, 0.003, 2.0]
 
 
 def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_the_excitation(
     nodes: Nodes, tmp_path: Path
 ) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
-    job = identifier.Job("payload", "calibrate_payload")
-    node._excitation = {"sequence": "1", "busy": "false", "phase": "done"}
+    job = Job("payload", "calibrate_payload")
+    node._excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
     asked: list[str] = []
 
     def call(client: Any, request: Any) -> Any:
-        if client is node._set_probe:
+        if client is node._excitation.set_probe:
             return SimpleNamespace(results=[SimpleNamespace(successful=True)])
         asked.append("run")
         if len(asked) == 1:  # its status says so as it refuses, in whatever words
-            node._on_excitation(messages.status("ok", "excitation", "", {"joint_states": False}))
-            node._excitation = {"sequence": "1", "busy": "false", "phase": "done"}
+            node._excitation.on_status(messages.status("ok", "excitation", "", {"joint_states": False}))
+            node._excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
             return SimpleNamespace(success=False, message="nothing to be seen")
         return SimpleNamespace(success=True, message="sequence 1: payload, 1 runs")
 
-    node._call = call
-    node._excite(job, "payload")
+    node._excitation._call = call
+    node._excitation.make(job, "payload", lambda: None)
     assert len(asked) == 2
-    assert [message.data for message in node._lease] == [True, False], "asked for, and not any more"
+    assert [message.data for message in node._excitation._lease] == [True, False], "asked for, and not any more"
 
     def refuse(client: Any, request: Any) -> Any:
-        if client is node._set_probe:
+        if client is node._excitation.set_probe:
             return SimpleNamespace(results=[SimpleNamespace(successful=True)])
         asked.append("run")
         return SimpleNamespace(success=False, message="no joint states is what this refusal is not about")
 
-    node._call = refuse
-    with pytest.raises(identifier.JobError, match="refuses"):
-        node._excite(job, "payload")
+    node._excitation._call = refuse
+    with pytest.raises(JobError, match="refuses"):
+        node._excitation.make(job, "payload", lambda: None)
     assert len(asked) == 3

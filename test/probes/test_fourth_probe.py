@@ -89,9 +89,10 @@ def test_the_identifier_has_a_service_for_it(registered: None) -> None:
     """In a process of its own, as the node is."""
     pytest.importorskip("rclpy")
     code = (
-        "from proprio_ros.nodes.identifier import IdentifierNode, _services\n"
+        "from proprio_ros.nodes.identifier import IdentifierNode\n"
+        "from proprio_ros.nodes.identifier_parameters import services\n"
         "names = [parameter.name for parameter in IdentifierNode.parameters]\n"
-        "print(_services()['spring'], 'spring_sequence' in names)"
+        "print(services()['spring'], 'spring_sequence' in names)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.split() == ["calibrate_spring", "True"]

@@ -13,6 +13,7 @@ from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
     from proprio_ros.identification.estimate import Estimate
+    from proprio_ros.identification.running import RunningWeight
     from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
     from proprio_ros.records import Run
@@ -55,6 +56,7 @@ class Payload(Probe[PayloadJob]):
     live = True
     takes_motions = True
     takes_swings = True
+    at_work = True
     example = Example(
         flag="mass",
         metavar="KG",
@@ -112,6 +114,14 @@ class Payload(Probe[PayloadJob]):
         from proprio_ros.probes.payload.identify import weigh
 
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
+
+    def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> RunningWeight:
+        from proprio_ros.identification.running import CENTRE_STD_M, RunningWeight
+
+        assert robot.motion_calibration is not None
+        centre_m = [float(axis) for axis in facts.payload.com]
+        std_m = float(max(facts.payload.com_std)) or CENTRE_STD_M
+        return RunningWeight(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
 
     def carried(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Carried | None:
         from proprio_ros.probes.payload.facts import inertia_tensor

@@ -1,0 +1,145 @@
+"""The excitation node as the identifier sees it: asked for sequences, and watched while it makes them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter as RosParameter
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.job import Job, JobError
+from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
+
+READY_S = 4.0
+SILENT_S = 3.0
+"""The excitation node publishes its state ten times a second while it is busy; without a word for so long it is gone."""
+LEASE_PERIOD_S = 0.1
+"""The excitation node ends a sequence when whoever asked for it has been silent for 1.5 s."""
+CALL_S = 5.0
+ABORT_S = 2.0
+
+
+class Excitation:
+    """Clients and the status of an excitation node.
+
+    Args:
+        node: That asks.
+        on_progress: Called with each status while it is busy.
+
+    Attributes:
+        values: Of its newest status.
+        closing: Whether the asking node is ending itself: nobody is left to hear an answer.
+    """
+
+    def __init__(self, node: ManagedNode, on_progress: Callable[[str, dict[str, str]], None]) -> None:
+        self._on_progress = on_progress
+        self.name = str(node.values["excitation_node"])
+        self.values: dict[str, str] = {}
+        self.closing = False
+        self._heard_s = self._unfed_s = -1e9
+        self._asking = False
+        node.create_subscription(DiagnosticStatus, f"{self.name}/status", self.on_status, LATCHED)
+        self.set_probe = node.create_client(SetParameters, f"{self.name}/set_parameters")
+        self.run = node.create_client(Trigger, f"{self.name}/run")
+        self._abort = node.create_client(Trigger, f"{self.name}/abort")
+        self._lease = node.create_publisher(Bool, f"{self.name}/lease", COMMANDS)
+        node.every(LEASE_PERIOD_S, self._renew_lease)
+
+    def on_status(self, message: DiagnosticStatus) -> None:
+        self.values = messages.values_of(message)
+        self._heard_s = time.monotonic()
+        if self.values.get("joint_states") != "true":
+            self._unfed_s = self._heard_s
+        if self.values.get("busy") == "true":
+            self._on_progress(message.message, self.values)
+
+    def _renew_lease(self) -> None:
+        if self._asking:
+            self._lease.publish(Bool(data=True))
+
+    def missing(self) -> str:
+        """Why no sequence can be made yet, or an empty string.
+
+        Raises:
+            JobError: Waiting does not help.
+        """
+        if not self.run.service_is_ready() or not self.set_probe.service_is_ready():
+            return f"there is no {self.name} node; start it"
+        if self.values.get("driver"):
+            raise JobError(f"the driver is {self.values['driver']}")
+        if self.values.get("joint_states") != "true":
+            return f"no joint states reach {self.name}; are the topics named alike?"
+        return ""
+
+    def make(self, job: Job, sequence: str, begun: Callable[[], None]) -> None:
+        """Ask for a sequence and wait until it has ended well.
+
+        Args:
+            job: Whose; may be cancelled.
+            sequence: Its name.
+            begun: Called when it is under way.
+
+        Raises:
+            JobError: It was refused, aborted, cancelled, or the node fell silent.
+        """
+        named = RosParameter("probe", RosParameter.Type.STRING, sequence).to_parameter_msg()
+        results = self._call(self.set_probe, SetParameters.Request(parameters=[named])).results
+        if not results or not results[0].successful:
+            raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
+        begun_s = asked_s = time.monotonic()
+        answer = self._call(self.run, Trigger.Request())
+        while not answer.success and time.monotonic() - begun_s < READY_S:
+            if job.cancelled.wait(0.2):
+                raise JobError("cancelled")
+            # where its status says that no joint states reached it: a pause of the bus, over in a second, and nothing has moved
+            if self._unfed_s < asked_s:
+                break
+            asked_s = time.monotonic()
+            answer = self._call(self.run, Trigger.Request())
+        if not answer.success:
+            raise JobError(f"the excitation node refuses: {answer.message}")
+        number = answer.message.split(":")[0].removeprefix("sequence ")
+        self._asking = True
+        self._renew_lease()
+        begun()
+        try:
+            while True:
+                if job.cancelled.wait(0.02):
+                    self._stop(number)
+                    raise JobError("cancelled")
+                values, heard_s = self.values, max(self._heard_s, begun_s)
+                if values.get("sequence") == number and values.get("busy") == "false":
+                    break
+                if time.monotonic() - heard_s > SILENT_S:
+                    raise JobError("the excitation node has fallen silent: the driver holds the arm; restart the node")
+        finally:
+            self._asking = False
+            self._lease.publish(Bool(data=False))
+        if values.get("phase") == "aborted":
+            raise JobError(f"the probe was aborted: {values.get('reason')}")
+
+    def _stop(self, number: str) -> None:
+        """Abort a sequence and see it end."""
+        self._abort.call_async(Trigger.Request())
+        deadline = time.monotonic() + ABORT_S
+        while not self.closing and time.monotonic() < deadline:
+            if self.values.get("sequence") == number and self.values.get("busy") == "false":
+                return
+            time.sleep(0.01)
+
+    def _call(self, client: Any, request: Any) -> Any:
+        """Call a service and wait for its answer, at most `CALL_S`."""
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(CALL_S):
+            client.remove_pending_request(future)
+            raise JobError(f"{client.srv_name} does not answer: is the excitation node running?")
+        return future.result()

@@ -1,0 +1,233 @@
+"""What comes in at the identifier: when it last did, on whose clock, and to whom it goes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+
+from proprio_ros.bags import RawMessage
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
+from proprio_ros.session import LiveEstimate, Session
+
+STALE_S = 0.5
+SILENT_S = 3.0
+"""Whoever says something ten times a second and has not for so long is gone."""
+TAIL_S = 0.3
+"""Joint states after the last run that belong to the recording."""
+BEHIND_S = 0.2
+LATEST_S = 30.0
+"""On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""
+
+
+class Inputs:
+    """Subscriptions, as bytes: that is what goes into a bag.
+
+    Args:
+        node: That listens.
+        busy: Whether a job is under way: every message counts then.
+
+    Attributes:
+        session: Takes all messages of a recording that is under way.
+        heard: Takes those that are looked at before one.
+        kept: Joint states of the last seconds; None where nobody wants them.
+        arrived: Joint states that the running estimate has not seen; None while there is none.
+        live: The estimate that goes along with a recording.
+        driven: Whether a joint is driven just now; known while there is `live`.
+        swings: Whether a joint was let go of during the recording.
+    """
+
+    def __init__(self, node: ManagedNode, busy: Callable[[], bool]) -> None:
+        self._node, self._busy = node, busy
+        self.session: Session | None = None
+        self.heard: list[RawMessage] | None = None
+        self.kept: deque[RawMessage] | None = None
+        self.arrived: deque[tuple[int, Any]] | None = None
+        self.live: LiveEstimate | None = None
+        self.driven = self.swings = False
+        self._joints: list[bytes] = []
+        self._motors = b""
+        self._state_at_s = self._effort_at_s = -1e9
+        self.stamp_ns = 0
+        """Of the newest joint state."""
+        self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
+
+    # --- topics -------------------------------------------------------------------------------------------------------
+
+    def stated_topics(self) -> dict[str, Any]:
+        """What a replay must be told to take the same topics; nothing where they have their usual names."""
+        values = self._node.values
+        topics: dict[str, Any] = {"effort_unit": values["effort_unit"] or None}
+        for option, usual in (("state_topic", "joint_states"), ("command_topic", "applied_effort")):
+            full = self._node.resolve_topic_name(values[option] or usual)
+            topics[option] = full if values[option] or not full.endswith(f"/{usual}") else None
+        return topics
+
+    def open(self, joints: Iterable[str]) -> None:
+        """Subscribe.
+
+        Args:
+            joints: Of the robot; whoever else publishes joint states may have another clock.
+        """
+        node = self._node
+        self._joints = [name.encode() for name in joints]
+        for role, topic, kind in (
+            ("joint_states", node.values["state_topic"] or "joint_states", JointState),
+            ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
+            ("current_command", "current_command", Float64MultiArray),
+        ):  # fmt: skip
+            listener = self.listener(node.resolve_topic_name(topic), role, kind)
+            skip = partial(self.may_skip, role)
+            node.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=lambda: not self._busy())
+        self._motors_topic = node.resolve_topic_name("motors")
+        node.create_subscription(DiagnosticStatus, "motors", self.on_motors, LATCHED, raw=True)
+        # latched, but only what changes while a recording is under way belongs to it
+        torque = partial(self._on_torque_enabled, node.resolve_topic_name("torque_enabled"))
+        node.create_subscription(Bool, "torque_enabled", torque, LATCHED, raw=True)
+        self._command_topic = self.stated_topics()["command_topic"]
+        if self._command_topic:
+            node.every(0.5, self._listen_to_command)
+
+    def may_skip(self, role: str) -> bool:
+        """Whether only the newest message of a topic matters now."""
+        return not self._busy() and (self.kept is None or role != "joint_states")
+
+    def _listen_to_command(self) -> None:
+        """The topic that the user named; its type shows when somebody publishes it."""
+        name, node = self._command_topic, self._node
+        if any(subscription.topic_name == name for subscription in node.subscriptions):
+            return
+        for role, kind in (("applied_effort", JointState), ("current_command", Float64MultiArray)):
+            if _type_of(kind) in dict(node.get_topic_names_and_types()).get(name, []):
+                node.listen(kind, str(name), self.listener(str(name), role, kind), STREAM, raw=True)
+
+    def listener(self, full_name: str, role: str, kind: type) -> Callable[[bytes], None]:
+        """What takes the messages of a topic."""
+        msgtype = _type_of(kind)
+
+        def listen(data: bytes) -> None:
+            now_ns = self._node.get_clock().now().nanoseconds
+            if role == "joint_states":
+                self._state_at_s = time.monotonic()
+                if any(name in data for name in self._joints):  # others on the topic may have another clock
+                    self.stamp_ns = messages.first_stamp_ns(data) or now_ns
+                    self._lag_ns = now_ns - self.stamp_ns
+                    self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
+            elif role == "applied_effort":
+                self._effort_at_s = time.monotonic()
+            session, heard, kept, arrived = self.session, self.heard, self.kept, self.arrived
+            if role == "joint_states" and kept is not None:
+                kept.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
+                while now_ns - kept[0].time_ns > 1e9 * self._node.values["weigh_seconds"]:
+                    kept.popleft()
+            if role == "joint_states" and arrived is not None:
+                arrived.append((now_ns, bytes(data)))
+            if heard is not None:
+                heard.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
+            if session is None:
+                return
+            session.add(full_name, msgtype, now_ns, bytes(data))
+            live = self.live
+            if live is not None and role != "applied_current":
+                self._add_live(live, role, now_ns, deserialize_message(data, kind))
+
+        return listen
+
+    def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
+        if role == "joint_states":
+            live.add_state(messages.time_ns(message.header.stamp), message.name, message.position)
+        elif role == "applied_effort":
+            live.add_input(messages.time_ns(message.header.stamp), message.name, message.effort)
+            self.driven = any(message.effort)
+        else:
+            current_A = messages.by_joint(message, live.joints)
+            if not isinstance(current_A, str):
+                live.add_command(now_ns, current_A)
+                if not self.has_effort:
+                    self.driven = any(current_A.values())
+
+    def on_motors(self, data: bytes) -> None:
+        """Said once, when the driver finds them."""
+        self._motors = bytes(data)
+
+    def _on_torque_enabled(self, topic: str, data: bytes) -> None:
+        session = self.session
+        if session is not None:
+            session.add(topic, _type_of(Bool), self._node.get_clock().now().nanoseconds, bytes(data))
+            self.swings |= not deserialize_message(data, Bool).data
+
+    def told_motors(self) -> list[RawMessage]:
+        """What the driver said of its motors; nothing where none of ours runs any more."""
+        if not self._motors or not self._node.count_publishers(self._motors_topic):
+            return []
+        now_ns = self._node.get_clock().now().nanoseconds
+        return [RawMessage(self._motors_topic, _type_of(DiagnosticStatus), now_ns, self._motors)]
+
+    # --- whether it comes ---------------------------------------------------------------------------------------------
+
+    @property
+    def has_states(self) -> bool:
+        """Whether joint states are coming."""
+        return time.monotonic() - self._state_at_s <= STALE_S
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether applied efforts are coming, as our driver publishes them."""
+        return time.monotonic() - self._effort_at_s <= STALE_S
+
+    def measured_unit(self) -> str:
+        """What the effort of the joint states is: as stated, or N m where a driver publishes as ours does; empty: nobody says."""
+        stated = str(self._node.values["effort_unit"])
+        return stated or ("N.m" if self.has_effort else "")
+
+    def missing(self) -> str:
+        """Why a recording would not say what drove the joints, or an empty string."""
+        node = self._node
+        effort, command = node.resolve_topic_name("applied_effort"), node.resolve_topic_name("current_command")
+        if self.has_effort:
+            return ""
+        if node.count_publishers(effort):
+            return f"nothing comes on {effort}, although it has a publisher"
+        named = self._command_topic
+        if named is not None:
+            return "" if node.count_publishers(named) else f"nobody publishes the parameter command_topic, {named}"
+        # what the excitation node commands says it as well, where somebody obeys
+        others = [info for info in node.get_subscriptions_info_by_topic(command) if info.node_name != node.get_name()]
+        if others or node.values["effort_unit"]:
+            return ""
+        return (
+            f"nothing says what drives the joints: nobody publishes {effort} or listens to {command}; start the driver, or "
+            "give the parameter command_topic or effort_unit"
+        )
+
+    # --- begin and end of a recording ---------------------------------------------------------------------------------
+
+    def catch_up(self) -> None:
+        """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""
+        deadline = time.monotonic() + LATEST_S
+        while self._lag_ns - self._least_lag_ns > 1e9 * BEHIND_S:
+            if time.monotonic() > deadline:  # a clock was set
+                self._least_lag_ns = self._lag_ns
+            time.sleep(0.02)
+
+    def await_tail(self) -> None:
+        """Until everything has been heard that was measured up to now, and a little more."""
+        now_ns = self._node.get_clock().now().nanoseconds - self._least_lag_ns
+        time.sleep(TAIL_S)
+        deadline = time.monotonic() + LATEST_S
+        while self.stamp_ns < now_ns and time.monotonic() < min(deadline, self._state_at_s + SILENT_S):
+            time.sleep(0.02)
+
+
+def _type_of(kind: type) -> str:
+    """Such as ``sensor_msgs/msg/JointState``."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"

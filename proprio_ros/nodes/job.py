@@ -1,0 +1,39 @@
+"""One service call that is being worked on."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from proprio_ros.errors import ProprioError
+
+ROBOT = "robot"
+"""The job that calibrates the robot."""
+WEIGH = "weigh"
+"""The job that needs no excitation: whoever moves the arm, moves it."""
+
+
+class JobError(ProprioError):
+    """Why a job ended without a result, in one sentence."""
+
+
+@dataclass
+class Job:
+    """A job.
+
+    Attributes:
+        kind: `ROBOT`, `WEIGH`, or the name of a probe, with ``_baseline`` behind it where that is recorded.
+        service: That was called.
+        cancelled, ended: Set when somebody asks for its end, and when that is reached.
+        success, message: The answer.
+        on_end: Called at its end.
+    """
+
+    kind: str
+    service: str
+    cancelled: threading.Event = field(default_factory=threading.Event)
+    ended: threading.Event = field(default_factory=threading.Event)
+    success: bool = False
+    message: str = ""
+    on_end: list[Callable[[], None]] = field(default_factory=list)

@@ -1,0 +1,325 @@
+"""The work behind the identifier's services: sequences are asked for, recorded and identified. It runs in the thread of a job.
+
+The recording is written before anything is identified, and what is identified is the recording, by the function that `proprio
+replay` calls.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from proprio_ros import progress
+from proprio_ros.answers import interval_of, live_answer, refusal_of
+from proprio_ros.bags import RawMessage
+from proprio_ros.calibrating import calibrate_from_bags
+from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.keeping import Keeping
+from proprio_ros.nodes.exciting import READY_S, Excitation
+from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.job import ROBOT, WEIGH, Job, JobError
+from proprio_ros.nodes.parameters import value_of
+from proprio_ros.nodes.results import Results
+from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.nodes.weighing import Weighing
+from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.probes.base import Probe
+from proprio_ros.replay import ReplayOptions, replay, write_report
+from proprio_ros.report import write_calibration_report
+from proprio_ros.robot import Robot
+from proprio_ros.session import (
+    LiveEstimate,
+    Session,
+    as_parameters,
+    baseline_options,
+    check_input,
+    keep_result,
+    replay_command,
+    robot_of_settings,
+)
+from proprio_ros.settings import Settings, parse_settings
+
+CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
+"""What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
+
+
+class Jobs:
+    """All that the services can ask for.
+
+    Args:
+        node: Whose parameters count.
+        keeping: Robot, calibration and folder.
+        inputs, excitation, results, weighing: What comes in, who moves the arm, where the answers go, and who weighs without that.
+        unsaved: Recordings that could be written nowhere so far.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        keeping: Keeping,
+        inputs: Inputs,
+        excitation: Excitation,
+        results: Results,
+        weighing: Weighing,
+        unsaved: list[Session],
+    ) -> None:
+        self._node, self._keeping, self._inputs = node, keeping, inputs
+        self._excitation, self._results, self._weighing = excitation, results, weighing
+        self._unsaved = unsaved
+
+    def _value(self, name: str) -> Any:
+        return value_of(self._node, name)
+
+    def make(self, job: Job) -> tuple[bool, str]:
+        """Whether a job succeeded, and what there is to say.
+
+        Raises:
+            ProprioError: Why it ended without a result.
+        """
+        if job.kind == WEIGH:
+            return self._weighing.weigh(job, self.identify)
+        self.await_others()
+        if job.kind == ROBOT:
+            return self._calibrate(job)
+        name = job.kind.removesuffix("_baseline")
+        if name != job.kind and name in (probe.name for probe in all_probes()):
+            return self._record_baseline(job, probe_named(name))
+        return self._identify_object(job, probe_named(job.kind))
+
+    def await_others(self) -> None:
+        """Driver and excitation may have come up a moment ago.
+
+        Raises:
+            JobError: One of them is not there.
+        """
+        deadline = time.monotonic() + READY_S
+        while True:
+            if not self._inputs.has_states:
+                missing = "no joint states are coming; start the driver and check its bus"
+            else:
+                missing = self._excitation.missing() or self._inputs.missing()
+            if not missing:
+                return
+            if time.monotonic() > deadline:
+                raise JobError(f"not ready: {missing}")
+            time.sleep(0.05)
+
+    # --- kinds of jobs ------------------------------------------------------------------------------------------------
+
+    def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
+        """Have the runs of a probe made, and identify the object from them."""
+        baseline = None
+        if probe.baseline is not None:
+            baseline = self._keeping.find_baseline(probe, self._value(f"{probe.name}_baseline"))
+        setting = self._keeping.setting(probe, parse_settings(self._value("settings")), baseline)
+        if baseline is None and probe.baseline is not None and probe.needs_baseline(setting.facts):
+            raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
+        sequence = self._value(f"{probe.name}_sequence")
+        limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
+        if probe.limits:
+            probe.check(setting.robot, setting.facts, load_sequence(sequence, setting.robot), limits)
+        live = probe.live and self._node.values["live_period"] > 0.0
+        self._inputs.live = LiveEstimate(setting) if live else None
+        if probe.prepares:
+            self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
+        with progress.listening(partial(self._results.tell_and_log, job.kind)):
+            probe.prepare(setting.robot, setting.facts)
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
+        if probe.hand:
+            self._results.tell(job.kind, probe.hand)
+        bag = self.record(job, job.kind, sequence, setting.robot, setting.options)
+        estimate = self.identify(job, bag, setting.options, partial(self._results.publish, setting))
+        said = self._keeping.used
+        if baseline is not None:
+            said += f"; {self._keeping.about_baseline(baseline)}"
+        answer = interval_of(estimate)
+        if not answer:
+            return False, f"{refusal_of(estimate)}{said}; recording: {bag}"
+        answer += probe.remark(estimate)
+        return True, f"{probe.subject} {answer}, {estimate.runs} runs{said}; recording: {bag}"
+
+    def _record_baseline(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
+        """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
+        baseline, used = probe.baseline, self._keeping.used
+        assert baseline is not None
+        setting = self._keeping.setting(probe, parse_settings(self._value("settings")), None)
+        self._inputs.live = None
+        self._results.tell(job.kind, baseline.hand)
+        sequence = self._value(f"{probe.name}_sequence")
+        bag = self.record(job, job.kind, sequence, setting.robot, setting.options)
+        options = baseline_options(setting)
+        estimate = self.identify(job, bag, options, partial(self._results.final, name=job.kind))
+        if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
+            return False, f"not kept: {refusal_of(estimate)}{used}; {baseline.question} recording: {bag}"
+        self._keeping.keep_baseline(probe, bag)
+        answer = interval_of(estimate) or f"a mass that is not determined ({'; '.join(estimate.reasons)})"
+        return True, f"{baseline.noun} {answer}, {estimate.runs} runs{used}; kept as the baseline: {bag}"
+
+    def _calibrate(self, job: Job) -> tuple[bool, str]:
+        """The robot, with an empty hand and perhaps a weighed object."""
+        self._inputs.live = None
+        options = replace(self._keeping.options(), robot=self._keeping.robot, calibration=None)
+        robot = robot_of_settings(options, Settings({}))
+        bag = self.record(job, ROBOT, self._value("robot_sequence"), robot, options)
+        references: dict[str | Path, float] = {}
+        mass = float(self._value("reference_mass"))
+        if mass > 0.0:
+            wait_s = float(self._value("reference_wait"))
+            words = f"put the reference object of {mass:g} kg into the hand: going on in {wait_s:g} s"
+            self._results.tell(job.kind, words)
+            if job.cancelled.wait(wait_s):
+                raise JobError(f"cancelled before the reference was weighed; recording: {bag}")
+            reference = self.record(job, "reference", self._value("reference_sequence"), robot, options)
+            references[reference] = mass
+        self._results.tell(job.kind, "identifying the robot")
+        output = bag.parent / "calibration.yaml"
+        options = replace(options, settings=parse_settings(self._value("reference_settings")))
+        # the folder is this session's own
+        estimate = calibrate_from_bags(
+            [bag], references, options, output, partial(self._results.tell, job.kind), force=True
+        )
+        self._results.calibration(estimate, str(output))
+        sources = [str(path) for path in (bag, *references)]
+        self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
+        if estimate.verdict is not Verdict.ACCEPTED:
+            return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
+        self._keeping.keep_calibration(output)
+        return True, f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+
+    # --- from a recording to an estimate ------------------------------------------------------------------------------
+
+    def identify(self, job: Job, bag: Path, options: ReplayOptions, publish: Callable[[Estimate], None]) -> Estimate:
+        """The estimate from a bag: published, then written beside it with a report."""
+        self._results.tell(job.kind, "identifying")
+        estimate = replay([bag], options)
+        publish(estimate)
+        command = replay_command(bag, options)
+        sources = [str(path) for path in (bag, *options.baseline)]
+        self._keep(lambda: keep_result(bag, estimate, command))
+        self._keep(lambda: write_report(estimate, bag.parent / "report.html", command=command, sources=sources))
+        return estimate
+
+    def _keep(self, write: Callable[[], None]) -> None:
+        """Write something beside the recording; a full disk costs the page, not the result."""
+        if self._node.values["report"]:
+            try:
+                write()
+            except ProprioError as error:
+                self._node.say("warning", str(error))
+
+    def _estimate_live(self, job: Job) -> None:
+        """What has come so far, again and again while a joint is driven."""
+        inputs, live, period_s = self._inputs, self._inputs.live, self._node.values["live_period"]
+        if live is None or period_s <= 0.0:
+            return
+        published_samples = 0
+        while inputs.session is not None and not job.cancelled.is_set():
+            if not inputs.driven or inputs.swings:  # what lets go of a joint and what catches it are no probes
+                time.sleep(0.005)
+                continue
+            estimate = live.estimate()
+            answer = None if estimate is None else live_answer(estimate)
+            if estimate is not None and answer is not None:
+                samples, words, entries = answer
+                if samples <= published_samples:  # a fast end of a run may be left out
+                    continue
+                published_samples = samples
+                self._results.publish_estimate("ok", estimate.probe, words, entries)
+            time.sleep(period_s)
+
+    # --- recording ----------------------------------------------------------------------------------------------------
+
+    def record(self, job: Job, kind: str, sequence: str, robot: Robot, options: ReplayOptions) -> Path:
+        """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
+        inputs = self._inputs
+        inputs.catch_up()
+        session = Session(self._keeping.data, kind)
+        try:
+            session.open()
+            self._check_input(session.folder, robot, options)
+        except RecordingError as error:
+            session.discard()
+            raise JobError(f"not begun: {as_parameters(str(error))}") from error
+        inputs.swings = False
+        if inputs.live is not None:
+            inputs.live.reset()
+        for told in inputs.told_motors():
+            session.add(*told)
+        inputs.session = session
+        failure = ""
+        try:
+            self._excite(job, sequence)
+            inputs.await_tail()
+        except JobError as error:
+            failure = str(error)
+        finally:
+            inputs.session = None
+        try:
+            bag, warning = session.save()
+        except RecordingError as error:
+            if len(session):
+                self._unsaved.append(session)
+            raise JobError(f"{failure}; {error}" if failure else str(error)) from error
+        if warning:
+            self._node.say("warning", warning)
+        if failure:
+            raise JobError(f"{failure}; recording: {bag}")
+        return bag
+
+    def _excite(self, job: Job, sequence: str) -> None:
+        """Have the arm moved, and estimate meanwhile."""
+
+        def begun() -> None:
+            threading.Thread(target=self._estimate_live, args=(job,), name="live estimate", daemon=True).start()
+
+        try:
+            self._excitation.make(job, sequence, begun)
+        finally:
+            self._inputs.driven = False
+
+    def _check_input(self, folder: Path, robot: Robot, options: ReplayOptions) -> None:
+        """Whether what comes in can be read, before anything moves.
+
+        Raises:
+            RecordingError: It cannot, or the folder cannot be written.
+        """
+        heard: list[RawMessage] = []
+        self._inputs.heard = heard
+        deadline = time.monotonic() + LONGEST_CHECK_S
+        try:
+            while True:
+                time.sleep(CHECK_S)
+                try:
+                    notes = check_input(folder, [*heard, *self._inputs.told_motors()], robot, options)
+                    break
+                except RecordingError:
+                    if time.monotonic() > deadline:
+                        raise
+        finally:
+            self._inputs.heard = None
+        for note in notes:
+            self._node.say("info", note)
+        if not self._inputs.has_effort:
+            self._node.say(
+                "warning",
+                "no applied_effort: the times at which a current began are those at which its command was heard",
+            )
+
+    def save_again(self) -> None:
+        """Recordings that could be written nowhere are tried again until they are on disk."""
+        for session in list(self._unsaved):
+            try:
+                bag, _ = session.save()
+            except RecordingError as error:
+                self._node.get_logger().error(f"{session.name}: {error}", throttle_duration_sec=60.0)
+                continue
+            self._unsaved.remove(session)
+            self._node.say("info", f"the recording of {session.name} is saved now: {bag}")

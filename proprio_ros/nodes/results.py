@@ -1,0 +1,175 @@
+"""What the identifier publishes: its status, estimates, and what they say of the hand, until that stands no longer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import InertiaStamped
+from std_msgs.msg import Float64
+from visualization_msgs.msg import MarkerArray
+
+from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics
+from proprio_ros.at_work import RunningFeed, running_entries, running_words
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.running import RunningEstimate
+from proprio_ros.keeping import Keeping
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.job import WEIGH, Job
+from proprio_ros.nodes.runtime import LATCHED, ManagedNode
+from proprio_ros.probes import all_probes, probe_at_work
+from proprio_ros.probes.base import Carried, Probe
+from proprio_ros.session import Setting
+
+
+class Results:
+    """Publishers, all latched.
+
+    Args:
+        node: That publishes.
+        keeping: Whose calibration is used.
+
+    Attributes:
+        concluded: Whether a final estimate was published since this was last set to false.
+    """
+
+    def __init__(self, node: ManagedNode, keeping: Keeping) -> None:
+        self._node, self._keeping = node, keeping
+        self.concluded = False
+        self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
+        self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
+        self._load = node.create_publisher(InertiaStamped, "~/payload", LATCHED)
+        self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
+        self._numbers = {
+            name: node.create_publisher(Float64, f"~/{name}", LATCHED)
+            for name in dict.fromkeys(topic for probe in all_probes() for topic in probe.numbers)
+        }
+
+    @property
+    def _calibration(self) -> str:
+        return str(self._keeping.calibration or "none")
+
+    def _now_ns(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)
+
+    # --- progress -----------------------------------------------------------------------------------------------------
+
+    def tell(self, doing: str, message: str, entries: Mapping[str, Any] | None = None, level: str = "ok") -> None:
+        """The status."""
+        values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
+        self._status.publish(messages.status(level, "identifier", message, values))
+
+    def tell_and_log(self, doing: str, message: str) -> None:
+        """The same, and a line of the log."""
+        self._node.say("info", message)
+        self.tell(doing, message)
+
+    # --- estimates ----------------------------------------------------------------------------------------------------
+
+    def publish_estimate(self, level: str, name: str, message: str, entries: Mapping[str, Any]) -> None:
+        """Keys and values as they are, and the calibration used."""
+        values = {**entries, "calibration": entries.get("calibration", self._calibration)}
+        self._estimate.publish(messages.diagnostics(self._now_ns(), [messages.status(level, name, message, values)]))
+
+    def failure(self, job: Job) -> None:
+        """That there is no estimate, and why, in the place of the last."""
+        entries: dict[str, Any] = {"probe": job.kind, "final": True, "verdict": "failed", "reason.1": job.message}
+        answers = {probe.name: probe.answer for probe in all_probes()} | {WEIGH: probe_at_work().answer}
+        if job.kind in answers:
+            entries[answers[job.kind][0]] = "not determined"
+        self.publish_estimate("error", job.kind, job.message, entries)
+
+    def final(self, estimate: Estimate, name: str) -> None:
+        """An estimate without what it says of the hand."""
+        self._conclude(estimate, name, {**as_diagnostics(estimate), "final": True, "calibration": self._calibration})
+
+    def calibration(self, estimate: CalibrationEstimate, output: str) -> None:
+        """That of the robot.
+
+        Args:
+            estimate: What was learnt.
+            output: Its file, which counts where it was accepted.
+        """
+        accepted = estimate.verdict is Verdict.ACCEPTED
+        entries = calibration_as_diagnostics(estimate)
+        self._conclude(
+            estimate, "robot", {**entries, "final": True, "calibration": output if accepted else self._calibration}
+        )
+
+    def _conclude(self, estimate: Estimate | CalibrationEstimate, name: str, entries: dict[str, Any]) -> None:
+        entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
+        words = "; ".join(estimate.reasons) or estimate.verdict.value
+        self.concluded = True
+        self.publish_estimate("ok" if estimate.verdict is Verdict.ACCEPTED else "warning", name, words, entries)
+
+    # --- the hand -----------------------------------------------------------------------------------------------------
+
+    def publish(self, setting: Setting, estimate: Estimate) -> None:
+        """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""
+        self.final(estimate, estimate.probe)
+        value = estimate.values[0]
+        if (
+            estimate.verdict not in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
+            or not isinstance(value.value, float)
+            or not isinstance(value.std, float)
+        ):
+            return
+        probe, robot, facts = setting.probe, setting.robot, setting.facts
+        now_ns, frame = self._now_ns(), self._node.values["frame_prefix"] + robot.payload_frame
+        accepted = estimate.verdict is Verdict.ACCEPTED
+        values = {entry.name: entry.value for entry in estimate.values if isinstance(entry.value, float)}
+        if accepted:
+            self._publish_numbers(probe, values)
+        carried = probe.carried(robot, facts, estimate) if accepted else None
+        if carried is not None:
+            self._publish_load(now_ns, frame, carried)
+        shapes = probe.shapes(robot, facts, estimate)
+        if shapes is not None:
+            self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
+            self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
+
+    def running(self, feed: RunningFeed, estimate: RunningEstimate, link: str, behind_s: float) -> None:
+        """What the hand holds now.
+
+        Args:
+            feed: That says so.
+            estimate: Of now.
+            link: That holds it.
+            behind_s: Since the newest sample came.
+        """
+        probe, words = feed.probe, "; ".join(filter(None, (running_words(estimate), feed.warning)))
+        level = "warning" if feed.warning else "ok"
+        self.publish_estimate(level, probe.name, words, running_entries(feed, estimate, behind_s))
+        if not estimate.known:
+            return self.withdraw()
+        held = max(estimate.mass_kg, 0.0)
+        self._publish_numbers(probe, {probe.answer[0]: held})
+        nothing = np.full((3, 3), math.nan)
+        frame = self._node.values["frame_prefix"] + link
+        return self._publish_load(self._now_ns(), frame, Carried(held, feed.centre_m, nothing))
+
+    def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
+        for topic, name in probe.numbers.items():
+            if name in values:
+                publisher = self._numbers[topic]
+                publisher.publish(messages.number(values[name]))
+                self._standing[topic] = partial(publisher.publish, messages.number(math.nan))
+
+    def _publish_load(self, now_ns: int, frame: str, carried: Carried) -> None:
+        def withdraw() -> None:
+            self._load.publish(messages.inertia(self._now_ns(), frame, messages.UNKNOWN_LOAD))
+
+        self._load.publish(messages.inertia(now_ns, frame, carried))
+        self._standing["load"] = withdraw
+
+    def withdraw(self) -> None:
+        """What was published of the hand says nothing about what is in it now; `~/estimate`, which has a stamp, stands."""
+        while self._standing:
+            _, withdraw = self._standing.popitem()
+            withdraw()

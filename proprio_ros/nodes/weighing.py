@@ -1,0 +1,188 @@
+"""Weighing while the arm works: whoever moves it, moves it, and the identifier listens."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from threadpoolctl import threadpool_limits
+
+from proprio_ros.answers import interval_of, refusal_of
+from proprio_ros.at_work import NO_MOTIONS, RunningFeed, any_moved
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.estimate import Estimate
+from proprio_ros.keeping import Keeping
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.job import WEIGH, Job, JobError
+from proprio_ros.nodes.parameters import value_of
+from proprio_ros.nodes.results import Results
+from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.probes import probe_at_work
+from proprio_ros.replay import ReplayOptions
+from proprio_ros.robot import Robot
+from proprio_ros.session import Session
+from proprio_ros.settings import parse_settings
+
+RUNNING_PERIOD_S = 0.1
+UNFED_S = 2.0
+"""Joint states that say nothing for so long are worth a word."""
+
+Identify = Callable[[Job, Path, ReplayOptions, Callable[[Estimate], None]], Estimate]
+"""From a bag to its estimate; see `Jobs.identify`."""
+
+
+class Weighing:
+    """What the hand held in the last seconds, on request; what it holds now, all the time where that is asked for.
+
+    Args:
+        node: Whose parameters count.
+        keeping: Robot and calibration.
+        inputs: What comes in.
+        results: Where the answers go.
+        silent: Whether the running estimate only listens: a job is under way, or the robot is not what it was.
+    """
+
+    def __init__(
+        self, node: ManagedNode, keeping: Keeping, inputs: Inputs, results: Results, silent: Callable[[], bool]
+    ) -> None:
+        self._node, self._keeping, self._inputs, self._results, self._silent = node, keeping, inputs, results, silent
+        self._make_feed: Callable[[], RunningFeed] | None = None
+
+    def prepare(self) -> None:
+        """Keep what weighing needs, and have the running estimate ready where it is asked for.
+
+        Raises:
+            ConfigurationError, RobotError: What is stated does not fit, or the calibration is of another arm.
+        """
+        self._inputs.kept = self._make_feed = None
+        asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
+        self._robot: Robot = self._keeping.configured(stated)
+        if self._robot.motion_calibration is None:
+            if asked:
+                self._node.say("warning", f"the running estimate is off: {NO_MOTIONS}")
+            return
+        self._inputs.kept = deque()
+        if asked:
+            probe = probe_at_work()
+            setting = self._keeping.setting(probe, stated, None)
+            self._make_feed = partial(RunningFeed, probe, setting.robot, setting.facts)
+            self._make_feed()  # so that a calibration of another arm is refused now
+            self._link = setting.robot.payload_frame
+
+    # --- the last seconds ---------------------------------------------------------------------------------------------
+
+    def weigh(self, job: Job, identify: Identify) -> tuple[bool, str]:
+        """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""
+        seconds = self._node.values["weigh_seconds"]
+        if self._inputs.kept is None:
+            raise JobError(f"not weighed: {NO_MOTIONS}")
+        unit = self._inputs.measured_unit()
+        if unit in ("", "raw"):
+            raise JobError(
+                "not weighed: nothing says what the effort of the joint states is; give the parameter effort_unit"
+            )
+        if not self._inputs.has_states:
+            raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
+        kept = list(self._inputs.kept)
+        states = (deserialize_message(raw.data, JointState) for raw in kept)
+        if not any_moved(((state.name, state.position) for state in states), self._robot.drive_trains):
+            raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
+        stated = parse_settings(value_of(self._node, "settings"))
+        setting = self._keeping.setting(probe_at_work(), stated, None)
+        options = replace(setting.options, effort_unit=unit)
+        session = Session(self._keeping.data, WEIGH)
+        for message in kept:
+            session.add(*message)
+        bag, warning = session.save()
+        if warning:
+            self._node.say("warning", warning)
+        try:
+            estimate = identify(job, bag, options, partial(self._results.publish, setting))
+        except RecordingError as error:
+            raise JobError(f"not weighed: {error}; recording: {bag}") from error
+        answer = interval_of(estimate)
+        said = f"the last {seconds:g} s{self._keeping.used}; recording: {bag}"
+        return (
+            (True, f"{setting.probe.subject} {answer}, {said}")
+            if answer
+            else (False, f"{refusal_of(estimate)}; {said}")
+        )
+
+    # --- all the time -------------------------------------------------------------------------------------------------
+
+    def begin(self) -> str:
+        """Begin the running estimate, in a thread of its own; returns what to say of it, empty where there is none."""
+        if self._make_feed is None:
+            return ""
+        feed = self._make_feed()
+        self._inputs.arrived = deque(maxlen=5000)
+        threading.Thread(target=self._run, args=(feed,), name="running estimate", daemon=True).start()
+        return feed.about
+
+    def end(self) -> None:
+        """End it."""
+        self._inputs.arrived = None
+
+    def _run(self, feed: RunningFeed) -> None:
+        try:
+            self._weigh_on(feed)
+        except Exception as error:  # a defect must be reported, and must not take the services along
+            self._inputs.arrived = None
+            self._node.say(
+                "error", f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
+            )
+
+    def _weigh_on(self, feed: RunningFeed) -> None:
+        """Take what arrived, and publish what it says."""
+        arrived = self._inputs.arrived
+        published_s, fed_s, samples, said = -math.inf, time.monotonic(), 0, ""
+        with threadpool_limits(1, user_api="blas"):
+            while arrived is not None and arrived is self._inputs.arrived:
+                said = self._say_whether_fed(feed, fed_s, said)
+                if not arrived:
+                    time.sleep(0.02)
+                    continue
+                now_ns, data = arrived.popleft()
+                message = deserialize_message(data, JointState)
+                time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
+                estimate = feed.add(
+                    time_s, message.name, message.position, message.effort, self._inputs.measured_unit()
+                )
+                if feed.samples > samples:
+                    samples, fed_s = feed.samples, time.monotonic()
+                if (
+                    estimate is not None
+                    and not self._silent()
+                    and time.monotonic() - published_s >= 0.8 * RUNNING_PERIOD_S
+                ):
+                    published_s = time.monotonic()
+                    behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
+                    self._results.running(feed, estimate, self._link, behind_s)
+
+    def _say_whether_fed(self, feed: RunningFeed, fed_s: float, said: str) -> str:
+        """Say once that nothing came for some time from which anything can be estimated, and once that it does again.
+
+        Returns:
+            What stands as said now; empty: nothing.
+        """
+        if self._silent():
+            return said
+        why = ""
+        if time.monotonic() - fed_s > UNFED_S:
+            why = f"the running estimate waits: {feed.waits_for or 'no joint states of the arm are coming'}"
+        if why == said:
+            return said
+        if why:
+            self._node.say("warning", why)
+            self._results.withdraw()
+        self._results.tell("idle", why or f"ready; {feed.about}", level="warning" if why else "ok")
+        return why

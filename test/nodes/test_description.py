@@ -1,0 +1,135 @@
+"""The robot comes from /robot_description: waited for, refused where it is none, used, and not exchanged under way."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
+
+from arm_in_motion import FOUR, Twin, write_robot
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from domains import free_domain
+from live import LATCHED, UP_S, Client, replayed_alike, wait_for
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from proprio_ros.calibrating import write_calibration
+from proprio_ros.identification.motion_prior import fit_empty
+from proprio_ros.motions import Motion
+from proprio_ros.nodes.graph import Graph
+from proprio_ros.nodes.messages import joint_state, values_of
+from proprio_ros.robot import load_robot
+
+pytestmark = pytest.mark.long
+
+HELD_KG = 0.1
+
+
+class Arm:
+    """Publishes a motion as joint states, at its pace and again and again: effort is current."""
+
+    def __init__(self, client: Client, motion: Motion) -> None:
+        self._publisher = client.node.create_publisher(JointState, "/arm/joint_states", 100)
+        self._motion = motion
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._play, daemon=True)
+        self._thread.start()
+
+    def _play(self) -> None:
+        motion, begun_s = self._motion, time.monotonic()
+        for at_s, position, current in zip(motion.times_s, motion.position, motion.current_A, strict=True):
+            if self._ended.wait(max(0.0, begun_s + at_s - time.monotonic())):
+                return
+            stamp_ns = time.time_ns()
+            self._publisher.publish(joint_state(stamp_ns, motion.joints, position, [], current))
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._thread.join(5.0)
+
+
+def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
+    robot = load_robot(write_robot(tmp_path, build=FOUR))
+    twin = Twin(5, FOUR)
+    learnt = fit_empty(robot, [twin.record(f"empty {number}", 20.0) for number in range(2)])
+    calibration = tmp_path / "motions.yaml"
+    write_calibration(calibration, robot, learnt)
+    held = twin.record("held", 60.0, (HELD_KG, [0.0, 0.0, 0.0]))
+    text = (tmp_path / "twin.urdf").read_text()
+    with Graph(tmp_path / "logs") as graph:
+        parameters = {
+            "robot": "robot_description", "data_directory": tmp_path / "data", "calibration": calibration, "effort_unit": "A",
+            "weigh_seconds": 12.0, "running": True,
+        }  # fmt: skip
+        graph.start("identifier", parameters, namespace="arm")
+        client = Client()
+        told: list[tuple[str, str]] = []
+        listen = client.node.create_subscription
+
+        def on_status(message: DiagnosticStatus) -> None:
+            told.append((values_of(message)["doing"], message.message))
+
+        estimates: list[dict[str, str]] = []
+        listen(DiagnosticStatus, "/arm/identifier/status", on_status, LATCHED)
+        listen(DiagnosticArray, "/arm/identifier/estimate", lambda m: estimates.append(values_of(m.status[0])), LATCHED)
+        publisher = client.node.create_publisher(String, "/arm/robot_description", LATCHED)
+
+        def says(words: str, seconds: float = 20.0) -> bool:
+            graph.check()
+            return wait_for(lambda: any(words in message for _, message in list(told)), seconds)
+
+        arm = None
+        try:
+            assert says("waits for /arm/robot_description", UP_S), graph.log("identifier")
+            answer = client.call("/arm/identifier/weigh", 20.0)
+            assert not answer.success and "not ready: waits for /arm/robot_description" in answer.message
+            publisher.publish(String(data="no description"))
+            assert says("not XML"), told
+            assert told[-1][0] == "starting" and "waits for another" in told[-1][1]
+            publisher.publish(String(data=text))
+            assert wait_for(lambda: told[-1][1].startswith("ready"), UP_S), (told, graph.log("identifier"))
+            arm = Arm(client, held)
+            assert wait_for(lambda: any(each.get("running") == "true" for each in estimates), 30.0), told
+            time.sleep(13.0)
+            answer = client.call("/arm/identifier/weigh", 60.0)
+            assert answer.success, answer.message
+            live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
+            value = live["estimates"][0]
+            assert abs(value["value"] - HELD_KG) < 0.02 and value["ci95"][0] < HELD_KG < value["ci95"][1], value
+
+            # a driver that measures nothing: what stood is withdrawn, and why is said
+            arm.stop()
+            assert says("the running estimate waits: no joint states of the arm are coming"), told
+            silent = replace(held, current_A=np.full_like(held.current_A, np.nan))
+            arm = Arm(client, silent)
+            assert says("the joint states carry no measured effort of j1, j2, j3, j4"), told
+            arm.stop()
+            arm = Arm(client, held)
+            assert wait_for(lambda: told[-1][1].startswith("ready; the running estimate"), 20.0), told
+
+            publisher.publish(String(data=text.replace('mass value="', 'mass value="1')))
+            assert says("/arm/robot_description has changed"), told
+            time.sleep(0.5)
+            count = len(estimates)
+            answer = client.call("/arm/identifier/weigh", 20.0)
+            assert not answer.success and "has changed" in answer.message, answer.message
+            time.sleep(1.0)
+            assert len(estimates) == count, "nothing is estimated with a model that holds no more"
+            publisher.publish(String(data=text))
+            assert says("the robot is that of /arm/robot_description"), told
+            assert wait_for(lambda: len(estimates) > count, 10.0), "it goes on"
+        finally:
+            if arm is not None:
+                arm.stop()
+            client.close()
