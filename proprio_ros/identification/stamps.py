@@ -46,7 +46,7 @@ def stamps_off(robot: Robot, fit: FitResult) -> list[Reason]:
     """
     problem = fit.problem
     parameters = problem.parameters(fit.values[None], np.zeros(0, dtype=int))[0][0]
-    found = []
+    found: list[Reason] = []
     for run, row in zip(problem.runs, parameters, strict=True):
         if run.run.free:
             continue
