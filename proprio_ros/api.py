@@ -480,6 +480,7 @@ def check(
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Checks:
     """What is in each bag, which input would be used, and which runs: before any fit.
 
@@ -489,6 +490,7 @@ def check(
         state_topic: As for `weigh`.
         command_topic: As for `weigh`.
         effort_unit: As for `weigh`.
+        settings: As for `weigh`; what is stated about an object is not looked at.
 
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
@@ -500,6 +502,7 @@ def check(
             state_topic=state_topic,
             command_topic=command_topic,
             effort_unit=effort_unit,
+            settings=_settings(settings, {}),
         )
     )
 

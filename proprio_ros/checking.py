@@ -25,6 +25,7 @@ from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_r
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.motions import SLOWEST_HZ, Motion, motion_of
 from proprio_ros.plausibility import EffortUnit, Finding, effort_per_torque, effort_units, findings, moving
+from proprio_ros.probes import all_probes
 from proprio_ros.quantity import shown
 from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, InputRecord, Recording, Run
 from proprio_ros.replay import (
@@ -32,13 +33,16 @@ from proprio_ros.replay import (
     TEXT_ROBOT,
     ReplayOptions,
     bag_recording,
+    configured_robot,
+    held_positions,
     runs_or_motion,
     turning_joints,
     unit_not_used,
 )
 from proprio_ros.resources import paths_of
-from proprio_ros.robot import Robot, is_description, load_robot, with_recorded_torque
+from proprio_ros.robot import Robot, is_description
 from proprio_ros.schema import header, reason_codes
+from proprio_ros.settings import Settings
 from proprio_ros.threads import one_blas_thread
 
 UNUSABLE_EFFORT = ("unsigned_register", "effort_stale", "constant_effort")
@@ -318,6 +322,7 @@ def check_bags(
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> tuple[str, list[BagCheck]]:
     """Look into bags without fitting anything.
 
@@ -327,29 +332,42 @@ def check_bags(
         state_topic: As for ``proprio replay``.
         command_topic: As for ``proprio replay``.
         effort_unit: As for ``proprio replay``; what is left open here is said in the answer.
+        settings: As for ``proprio replay``: ``robot.``, ``held.JOINT`` and ``payload.frame`` count, and what is stated about an
+            object is not looked at.
 
     Returns:
         The robot's name, and one entry per bag.
 
     Raises:
-        ConfigurationError, RobotError, RecordingError: No path is given, the robot cannot be read, or a path is no bag.
+        ConfigurationError, RobotError, RecordingError: No path is given, the robot cannot be read, a path is no bag, or a setting
+            is unknown.
     """
     given = [Path(path) for path in paths_of(paths)]
     if not given:
         raise ConfigurationError("no recording given: name at least one bag")
     only_text = all(is_text_recording(path) for path in given)
     name = str(robot) if robot is not None else TEXT_ROBOT if only_text else DEFAULT_ROBOT
-    # a URDF alone is enough to look: what needs torque constants is then not said
-    described = load_robot(name, with_recorded_torque(name, {}))
+    stated = Settings(settings or {})
+    # a URDF alone is enough to look, as where torque was recorded: what needs torque constants is then not said
+    described = configured_robot(name, None, stated, "N.m")
+    held = held_positions(described, stated)
+    for start in ("solver.", *(start for probe in all_probes() for start in probe.keys)):
+        stated.take_prefix(start)
+    stated.refuse_rest()
     topics = (state_topic, command_topic, effort_unit)
     return described.name, [
-        _text_check(described, path) if is_text_recording(path) else _bag_check(described, path, *topics)
+        _text_check(described, path) if is_text_recording(path) else _bag_check(described, path, held, *topics)
         for path in given
     ]
 
 
 def _bag_check(
-    robot: Robot, path: Path, state_topic: str | None, command_topic: str | None, effort_unit: str | None
+    robot: Robot,
+    path: Path,
+    held: Mapping[str, float],
+    state_topic: str | None,
+    command_topic: str | None,
+    effort_unit: str | None,
 ) -> BagCheck:
     contents = look_into(path, state_topic, command_topic)
     if contents.problem:
@@ -378,7 +396,7 @@ def _bag_check(
     motion: Motion | None = None
     if not problem:
         try:
-            found = runs_or_motion(recording, robot, {})
+            found = runs_or_motion(recording, robot, held)
             if isinstance(found, Motion):
                 motion = found
             else:

@@ -183,6 +183,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     check.add_argument("bags", nargs="+", metavar="BAG", help="as for replay")
     _add_robot(check)
+    _add_set(check)
     _add_topics(check)
     check.add_argument("--json", action="store_true", help="print one JSON object")
     check.set_defaults(command=_check)
@@ -429,6 +430,7 @@ def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
         state_topic=options.state_topic,
         command_topic=options.command_topic,
         effort_unit=options.effort_unit,
+        settings=_settings(options.set),
     )
     if options.json:
         print(json.dumps(as_json(robot, checks), indent=1))

@@ -257,6 +257,8 @@ class Run:
             recorded.
         held_position: Positions of the other joints at ``before_times_s`` and then ``times_s`` [rad or m], shape (P + K,)
             each; those that were not recorded are missing.
+        after_times_s: Instants of the samples after the end, t > duration_s [s], strictly increasing, shape (A,).
+        after_position: Positions of the driven joint at those instants [rad or m], shape (A,). No fit follows them.
 
     Raises:
         RecordingError: A shape, an order or a value is wrong.
@@ -278,6 +280,8 @@ class Run:
     notes: tuple[str, ...] = ()
     reported_effort: FloatArray | None = None
     held_position: Mapping[str, FloatArray] = field(default_factory=dict)
+    after_times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    after_position: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def free(self) -> bool:
@@ -289,6 +293,7 @@ class Run:
         for times_name, values_name in (
             ("times_s", "position"),
             ("before_times_s", "before_position"),
+            ("after_times_s", "after_position"),
             ("input_times_s", "input_current_A"),
         ):
             times = _frozen(getattr(self, times_name), np.float64, f"run {self.name}: {times_name}", (-1,))
@@ -310,5 +315,7 @@ class Run:
             raise RecordingError(f"run {self.name}: samples must lie between 0 and {self.duration_s} s")
         if self.before_times_s.size and self.before_times_s[-1] >= 0.0:
             raise RecordingError(f"run {self.name}: samples before the onset must have negative times")
+        if self.after_times_s.size and self.after_times_s[0] <= self.duration_s:
+            raise RecordingError(f"run {self.name}: samples after the end must come after {self.duration_s} s")
         if self.input_times_s.size == 0 or self.input_times_s[0] != 0.0:
             raise RecordingError(f"run {self.name}: the input must start at time 0")

@@ -37,6 +37,9 @@ SETTLING_S = 0.3
 BEFORE_S = 1.0
 """Rest before the onset that a run carries along [s]."""
 
+AFTER_S = 0.3
+"""Of what the joint does after its run, so much is carried along: it shows when the current truly ended [s]."""
+
 MOVING_SPAN = 0.02
 """A joint that a position controller holds gives way by less than this [rad or m]."""
 
@@ -126,10 +129,11 @@ def cut_runs(
     runs: list[Run] = []
     too_short: list[RecordingError] = []
     previous_end_ns: int | None = None
-    for number, interval in enumerate(intervals, start=1):
+    nexts_ns = [interval.onset_ns for interval in intervals[1:]] + [None]
+    for number, (interval, next_ns) in enumerate(zip(intervals, nexts_ns, strict=True), start=1):
         name = recording.name if len(intervals) == 1 else f"{recording.name}#{number}"
         try:
-            runs.append(_run(name, record, inputs, interval, previous_end_ns, dict(held or {})))
+            runs.append(_run(name, record, inputs, interval, previous_end_ns, next_ns, dict(held or {})))
         except RecordingError as error:
             too_short.append(error)
         previous_end_ns = interval.end_ns
@@ -404,6 +408,7 @@ def _run(
     inputs: InputRecord,
     interval: _Interval,
     previous_end_ns: int | None,
+    next_onset_ns: int | None,
     held: dict[str, float],
 ) -> Run:
     times_s = (record.times_ns - interval.onset_ns) / 1e9
@@ -426,6 +431,9 @@ def _run(
     if previous_end_ns is not None:
         begin_s = max(begin_s, (previous_end_ns - interval.onset_ns) / 1e9 + SETTLING_S)
     before = (times_s >= begin_s) & (times_s < 0.0)
+    after = (times_s > duration_s + INSTANT_S) & (times_s <= duration_s + AFTER_S)
+    if next_onset_ns is not None:
+        after &= record.times_ns < next_onset_ns
     column = record.column(interval.joint)
     before_position = record.position[before, column]
     if not before.any():
@@ -457,6 +465,8 @@ def _run(
         notes=tuple(notes),
         reported_effort=None if record.reported_effort is None else record.reported_effort[inside, column],
         held_position={joint: values for joint, values in others.items() if joint not in held},
+        after_times_s=times_s[after],
+        after_position=record.position[after, column],
     )
 
 

@@ -260,6 +260,19 @@ def test_the_command_check(capsys: pytest.CaptureFixture[str]) -> None:
         check("nowhere")
 
 
+def test_check_takes_the_settings_of_replay(capsys: pytest.CaptureFixture[str]) -> None:
+    frame = ("--set", "payload.frame=link5", "--set", "payload.com=[0,0,0.01]", "--set", "held.joint1=0.1")
+    assert main(["check", str(BAG), *frame]) == 0
+    drive = "robot.joints.joint3.motor.current_limit_A"
+    (limited,) = check(BAG, settings={drive: 0.01})
+    assert "limited to 10 mA" in " ".join(limited.runs[0].notes)
+    capsys.readouterr()
+    assert main(["check", str(BAG), "--set", f"{drive}=0.01"]) == 0
+    assert "limited to 10 mA" in capsys.readouterr().out
+    assert main(["check", str(BAG), "--set", "heldd.joint1=0.1"]) == 2
+    assert "heldd.joint1" in capsys.readouterr().err
+
+
 def test_a_text_recording_is_checked_too(recordings: Path) -> None:
     folder = recordings / "paper_heavy_ball"
     if not folder.is_dir():

@@ -151,6 +151,7 @@ ROOMS: dict[str, set[str]] = {
         "threads",
         "records",
         "resources",
+        "settings",
         "robot",
         "bags",
         "runs",

@@ -76,6 +76,17 @@ def test_one_constant_current_is_one_run() -> None:
     assert run.before_position == pytest.approx(2.0 + run.before_times_s)
 
 
+def test_what_the_joint_does_after_its_run_is_carried_along_until_the_next() -> None:
+    times_s = cycles(1.5)
+    (run,) = cut_runs(recording({"joint3": step(times_s)}, times_s), joints=ROBOT_JOINTS)
+    # 0.9 s is 0.3 s after, but for rounding
+    assert run.after_times_s == pytest.approx(0.6 + np.arange(1, 12) * CYCLE_S)
+    assert run.after_position == pytest.approx(2.0 + run.after_times_s)
+    currents = {"joint3": step(times_s), "joint2": step(times_s, 0.7, 1.2)}
+    first, second = cut_runs(recording(currents, times_s), joints=ROBOT_JOINTS)
+    assert first.after_times_s == pytest.approx([0.625, 0.65, 0.675]) and len(second.after_times_s) in (11, 12)
+
+
 def test_the_held_joints_are_averaged_from_the_rest_to_the_end() -> None:
     (run,) = cut_runs(recording({"joint3": step(cycles())}), joints=ROBOT_JOINTS)
     assert sorted(run.held) == sorted(set(JOINTS) - {"joint3"})

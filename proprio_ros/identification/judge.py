@@ -34,6 +34,7 @@ from proprio_ros.identification.gates import MOVING_START, Contradiction, Findin
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.stamps import stamps_off
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.robot import Robot
@@ -263,6 +264,9 @@ def judge(
             refusal.withheld,
             (*refusal.reasons, Reason("far_from_prior", f"moreover, {'; '.join(far)}")),
         )
+    if np.isfinite(fit.chi2) and (off := stamps_off(robot, fit)):
+        before = () if refusal is None else refusal.reasons
+        refusal = Refusal(Verdict.REJECTED, "the input is not stamped as the joint moved", (*off, *before))
     if refusal is not None:
         verdict = refusal.verdict
         withheld = refusal.withheld

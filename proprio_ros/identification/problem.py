@@ -267,7 +267,10 @@ def at_the_shaft(robot: Robot, run: Run) -> Run:
     if drive is None or drive.transmission == 1.0:
         return run
     return replace(
-        run, position=run.position / drive.transmission, before_position=run.before_position / drive.transmission
+        run,
+        position=run.position / drive.transmission,
+        before_position=run.before_position / drive.transmission,
+        after_position=run.after_position / drive.transmission,
     )
 
 
@@ -519,14 +522,14 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
             unknowns.append(change.at_role(drive_role))
         else:
             unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
-        unknowns.append(Unknown("onset", 0.0, _onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
+        unknowns.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
         # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
         disturbance = 0.0 if run.run.free else robot.torque_disturbance
         unknowns.append(Unknown("disturbance", 0.0, disturbance, scope=row).at_role(drive_role))
     return unknowns
 
 
-def _onset_std(robot: Robot, run: PreparedRun) -> float:
+def onset_std(robot: Robot, run: PreparedRun) -> float:
     """How the delay differs from run to run; where the input is measured effort, its onset is only known to one period."""
     if run.run.free:  # no command begins it
         return 0.0

@@ -17,6 +17,7 @@ CODES = {
     "runs_differ": "a run differs from the others; the interval carries half of that",
     "runs_contradict": "a run contradicts the others",
     "unsimulated": "no guess could be simulated",
+    "stamps_off": "the joint moved earlier or later than the stamps of its input allow",
     "drift": "the empty hand contradicts the calibration",
     "on_bound": "the value ended on a bound of the search",
     "misfit": "the best simulation does not follow the recording",

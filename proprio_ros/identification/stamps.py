@@ -1,0 +1,170 @@
+"""Whether the stamps of the input fit the motion, which says itself when a push began and when it ended.
+
+A joint that sticks may begin late, but none begins before its push. And a joint that moves where its current pushes it slows down
+once that has ended, whether it then coasts or is braked. Where the stamps say otherwise by more than the delay may be, the input is
+not what drove the samples beside it, and no fit of them means anything: friction and armature bend to it, and so does the mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.problem import PreparedRun, onset_std
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import INDEX
+
+STDS = 3.0
+"""So many standard deviations the delay may be from what is known of it, but at least half a period of the joint states."""
+SURE = 16.0
+"""How much worse (chi-square, four standard deviations) the latest onset that the stamps allow must explain the beginning."""
+BEGINS_RAD = 0.1
+"""The beginning of a push ends here: so far, its acceleration changes little and steadily."""
+RESTED_S = 0.5
+"""Of the rest before it, so much is looked at."""
+GRID_S = 0.004
+"""Onsets are looked for at instants so far apart."""
+FORETELL_S = 0.25
+"""So much of the motion before the end of a push foretells how it would go on."""
+MOVING_RAD_S = 0.5
+"""A slower joint may stop and stick where its push ends, which looks as if nothing had changed."""
+SHARE = 0.75
+"""A change of acceleration that is below this part of what the end of the current makes, by three standard deviations, is none."""
+MIN_BEYOND = 2
+"""Samples beyond the end that it takes to see that."""
+
+
+def stamps_off(robot: Robot, fit: FitResult) -> list[Reason]:
+    """A sentence for each run whose input is stamped otherwise than its joint moved.
+
+    Args:
+        robot: as it was identified with.
+        fit: of the runs; what the end of a current changes is taken from it.
+    """
+    problem = fit.problem
+    parameters = problem.parameters(fit.values[None], np.zeros(0, dtype=int))[0][0]
+    found: list[Reason] = []
+    for run, row in zip(problem.runs, parameters, strict=True):
+        if run.run.free:
+            continue
+        period = float(np.median(np.diff(run.run.times_s)))
+        spread = max(STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))), 0.5 * period)
+        # fingers that meet something stop by themselves
+        turns = robot.model.joint(run.run.joint).kind != "prismatic"
+        change = turns * -row[INDEX["torque_constant"]] * float(run.run.input_current_A[-1]) / row[INDEX["inertia"]]
+        found += _sentences(run, robot.delay.value - spread, robot.delay.value + spread, change, robot.stamp_jitter_s)
+    return found
+
+
+def _sentences(run: PreparedRun, least_s: float, most_s: float, change: float, jitter_s: float) -> Iterator[Reason]:
+    name, joint, source = run.run.name, run.run.joint, run.run.source
+    cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
+    begun_s = moves_before(run, least_s, jitter_s)
+    if begun_s is not None:
+        yield Reason(
+            "stamps_off",
+            f"{name}: {joint} moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it: are the stamps of "
+            f"{source} late, or those of the joint states early? {cure}",
+        )
+        return  # then it ended before it is said to have, too
+    driven_s = driven_beyond(run, most_s, change, jitter_s)
+    if driven_s is not None:
+        yield Reason(
+            "stamps_off",
+            f"{name}: {joint} is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended: are the stamps of "
+            f"{source} early, or those of the joint states late? {cure}",
+        )
+
+
+def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | None:
+    """The latest onset that explains how a push begins, where that is earlier than it may be; else None.
+
+    The joint rests, and from its onset on goes as ``a u^2 + b u^3``. Friction that falls with speed lets an onset seem later than
+    it was, never earlier.
+
+    Args:
+        run: a push.
+        least_s: the earliest onset that the stamps allow [s], counted from that of the input.
+        jitter_s: of the stamps.
+    """
+    since = run.run.before_times_s >= least_s - RESTED_S
+    times_s = np.concatenate([run.run.before_times_s[since], run.times_s])
+    position = np.concatenate([run.run.before_position[since], run.position])
+    away = np.abs(position - np.median(position[:3])) > BEGINS_RAD
+    if len(run.run.input_times_s) > 1:
+        away |= times_s > run.run.input_times_s[1]
+    count = int(np.argmax(away)) if away.any() else len(times_s)
+    times_s, position = times_s[:count], position[:count]
+    if count < 7:
+        return None
+    weight = 1.0 / _sigma(run, times_s, position, jitter_s)
+    # two samples of rest, and three of motion
+    onsets = np.arange(times_s[1], times_s[-3], GRID_S)
+    if not len(onsets):
+        return None
+    since_s = np.maximum(times_s - onsets[:, None], 0.0)
+    basis = np.linalg.qr(np.stack([np.ones_like(since_s), since_s**2, since_s**3], axis=2) * weight[:, None])[0]
+    seen = (position - position[0]) * weight
+    chi2 = seen @ seen - np.sum((seen @ basis) ** 2, axis=1)
+    best = float(chi2.min())
+    good = onsets[chi2 <= best + SURE * max(best / (count - 5), 1.0)]
+    return float(good[-1]) if good[-1] < least_s else None
+
+
+def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: float) -> float | None:
+    """How long after its stated end a current still drives the joint, where that is later than it may; else None [s].
+
+    The motion before the end is followed by a cubic, and so is what comes after, up to where the joint is braked. Had the current
+    ended where it must have at the latest, the acceleration would have changed there, by ``change`` or more. A joint that yields to
+    a load says nothing: a brake works the other way than the end of its current.
+
+    Args:
+        run: a push.
+        most_s: the latest that the stamps allow [s], counted from the end of the input.
+        change: of the acceleration by the end of the current, at least [rad/s^2]; 0: nothing can be said.
+        jitter_s: of the stamps.
+    """
+    end_s = run.run.duration_s + most_s
+    begin_s = end_s - FORETELL_S
+    if run.cut_reason or run.run.input_times_s[-1] > begin_s:  # a stop, a motor without voltage, another current
+        return None
+    times_s = np.concatenate([run.run.times_s, run.run.after_times_s])
+    position = np.concatenate([run.run.position, run.run.after_position])[times_s > begin_s]
+    times_s = times_s[times_s > begin_s]
+    ahead = int(np.searchsorted(times_s, end_s, side="right"))
+    if ahead < 7:
+        return None
+    weight = 1.0 / _sigma(run, times_s, position, jitter_s)
+    u = (times_s - end_s) / FORETELL_S
+    smooth = np.stack([np.ones_like(u), u, u**2, u**3], axis=1)
+    bend = 0.5 * np.maximum(times_s - end_s, 0.0)[:, None] ** 2
+    chi2, values, _ = _fitted(smooth[:ahead], position[:ahead], weight[:ahead])
+    scatter = max(chi2 / (ahead - 4), 1.0)
+    if values[1] / FORETELL_S * -np.sign(change) < MOVING_RAD_S:
+        return None
+    for count in range(ahead + MIN_BEYOND, len(times_s) + 1):
+        columns = np.concatenate([smooth[:count], bend[:count]], axis=1)
+        chi2, values, stds = _fitted(columns, position[:count], weight[:count])
+        if chi2 / scatter > count - 5 + SURE:
+            return None
+        if np.sign(change) * values[-1] + 3.0 * np.sqrt(scatter) * stds[-1] < SHARE * abs(change):
+            return float(times_s[count - 1]) - run.run.duration_s
+    return None
+
+
+def _sigma(run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float) -> np.ndarray:
+    reading = float(np.hypot(run.drive.encoder_resolution / np.sqrt(12.0), run.drive.encoder_noise))
+    return np.hypot(max(reading, 1e-9), np.gradient(position, times_s) * jitter_s)
+
+
+def _fitted(columns: np.ndarray, position: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Chi-square of a linear least-squares fit, its values, and their standard deviations."""
+    scaled = columns * weight[:, None]
+    length = np.linalg.norm(scaled, axis=0)
+    values, _, _, _ = np.linalg.lstsq(scaled / length, position * weight, rcond=None)
+    residual = scaled / length @ values - position * weight
+    stds = np.sqrt(np.diag(np.linalg.pinv((scaled / length).T @ (scaled / length), hermitian=True)))
+    return float(residual @ residual), values / length, stds / length
