@@ -42,6 +42,8 @@ ROOMS: dict[str, set[str]] = {
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading", "motors"},
+    # which topics a driver has and what they mean, as files say it
+    "drivers": {"errors", "forms", "reading", "resources", "bags"},
     "runs": {"errors", "records"},
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
@@ -92,8 +94,10 @@ ROOMS: dict[str, set[str]] = {
         "settings",
         "robot",
         "bags",
+        "drivers",
         "runs",
         "motions",
+        "plausibility",
         "published",
         "identification",
         "probes",
@@ -144,6 +148,7 @@ ROOMS: dict[str, set[str]] = {
         "resources",
         "robot",
         "bags",
+        "drivers",
         "runs",
         "motions",
         "identification",

@@ -34,7 +34,7 @@ from threadpoolctl import threadpool_limits
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros import progress
-from proprio_ros.bags import EFFORT_UNITS, RawMessage
+from proprio_ros.bags import CURRENT_PER_COUNT_A, EFFORT_UNITS, JOINT_STATE, OUR_DRIVER, RawMessage
 from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, RobotError
 from proprio_ros.excitation.plans import load_sequence
@@ -170,6 +170,8 @@ class IdentifierNode(ManagedNode):
         Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
         Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
         Parameter("excitation_node", "excitation", "Name of the excitation node."),
+        Parameter("driver", "",
+                  "Which driver publishes, as with --driver: a profile of config/drivers, or a file; the next three win over it."),
         Parameter("state_topic", "", "Topic of the joint states, as with --state-topic; empty: joint_states."),
         Parameter("command_topic", "",
                   "Topic of what drives the joints, as with --command-topic; empty: applied_effort, else current_command."),
@@ -191,6 +193,7 @@ class IdentifierNode(ManagedNode):
         self._job_lock = threading.Lock()
         self._closing = False
         self._topics: dict[str, Any] = {}
+        self._conventions, self._unit = OUR_DRIVER, ""  # of the driver that publishes
         self._joints: list[bytes] = []
         self._motors = b""
         self._session: Session | None = None
@@ -220,6 +223,12 @@ class IdentifierNode(ManagedNode):
             raise ConfigurationError(
                 f"parameter effort_unit={self.values['effort_unit']!r}: choose one of {', '.join(EFFORT_UNITS)}"
             )
+        published = ReplayOptions(effort_unit=self.values["effort_unit"] or None, driver=self.values["driver"] or None)
+        try:
+            published.check_driver()
+        except ConfigurationError as error:
+            raise ConfigurationError(as_parameters(str(error))) from error
+        self._conventions, self._unit = published.conventions, published.stated_unit or ""
         # two arms on one network must not take each other's calibration for their own
         self._data = Path(self.values["data_directory"]).expanduser() / self.get_namespace().strip("/")
         recovered, problems = recover(self._data)
@@ -248,7 +257,7 @@ class IdentifierNode(ManagedNode):
         }
         # bytes as they came over the wire: that is what goes into the bag
         for role, topic, kind in (
-            ("joint_states", self.values["state_topic"] or "joint_states", JointState),
+            ("joint_states", self.values["state_topic"] or self._conventions.states, JointState),
             ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
@@ -257,9 +266,16 @@ class IdentifierNode(ManagedNode):
             self.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=lambda: self._job is None)
         self._motors_topic = self.resolve_topic_name("motors")
         self.create_subscription(DiagnosticStatus, "motors", self._on_motors, LATCHED, raw=True)
-        self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
+        self._joints = [
+            self._conventions.published(name).encode() for name in robot_of(self.values["robot"], None).drive_trains
+        ]
         self._topics = self._stated_topics()
         self._prepare_weighing()
+        # what another driver is told is only recorded: it may be in another unit and order than the estimate of a run takes
+        for each in () if not self.values["driver"] or self.values["command_topic"] else self._conventions.inputs:
+            if (full := self.resolve_topic_name(each.topic)) not in (s.topic_name for s in self.subscriptions):
+                of = JointState if each.msgtype == JOINT_STATE else Float64MultiArray
+                self.listen(of, each.topic, self._listener(full, "applied_current", of), STREAM, raw=True)
         if self._topics["command_topic"]:
             self.every(0.5, self._listen_to_command)
         name = self.values["excitation_node"]
@@ -374,8 +390,11 @@ class IdentifierNode(ManagedNode):
 
     def _stated_topics(self) -> dict[str, Any]:
         """What a replay must be told to take the same topics; nothing where they have their usual names."""
-        topics: dict[str, Any] = {"effort_unit": self.values["effort_unit"] or None}
-        for option, usual in (("state_topic", "joint_states"), ("command_topic", "applied_effort")):
+        topics: dict[str, Any] = {
+            "effort_unit": self.values["effort_unit"] or None,
+            "driver": self.values["driver"] or None,
+        }
+        for option, usual in (("state_topic", self._conventions.states), ("command_topic", "applied_effort")):
             full = self.resolve_topic_name(self.values[option] or usual)
             topics[option] = full if self.values[option] or not full.endswith(f"/{usual}") else None
         return topics
@@ -432,7 +451,8 @@ class IdentifierNode(ManagedNode):
 
     def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
         if role == "joint_states":
-            live.add_state(messages.time_ns(message.header.stamp), message.name, message.position)
+            names = self._conventions.renamed(message.name)
+            live.add_state(messages.time_ns(message.header.stamp), names, message.position)
         elif role == "applied_effort":
             live.add_input(messages.time_ns(message.header.stamp), message.name, message.effort)
             self._driven = any(message.effort)
@@ -555,11 +575,11 @@ class IdentifierNode(ManagedNode):
             return "" if self.count_publishers(named) else f"nobody publishes the parameter command_topic, {named}"
         # what the excitation node commands says it as well, where somebody obeys
         others = [info for info in self.get_subscriptions_info_by_topic(command) if info.node_name != self.get_name()]
-        if others or self.values["effort_unit"]:
+        if others or self._unit:
             return ""
         return (
             f"nothing says what drives the joints: nobody publishes {effort} or listens to {command}; start the driver, or "
-            "give the parameter command_topic or effort_unit"
+            "give the parameter driver, command_topic or effort_unit"
         )
 
     def _make(self, job: Job) -> tuple[bool, str]:
@@ -646,8 +666,7 @@ class IdentifierNode(ManagedNode):
 
     def _measured_unit(self) -> str:
         """What the effort of the joint states is: as stated, or N m where a driver publishes as ours does; empty: nobody says."""
-        stated = str(self.values["effort_unit"])
-        return stated or ("N.m" if time.monotonic() - self._effort_at_s <= STALE_S else "")
+        return self._unit or ("N.m" if time.monotonic() - self._effort_at_s <= STALE_S else "")
 
     def _weigh(self, job: Job) -> tuple[bool, str]:
         """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""
@@ -655,9 +674,9 @@ class IdentifierNode(ManagedNode):
         if self._kept is None:
             raise JobError(f"not weighed: {_NO_MOTIONS}")
         unit = self._measured_unit()
-        if unit in ("", "raw"):
+        if not unit:
             raise JobError(
-                "not weighed: nothing says what the effort of the joint states is; give the parameter effort_unit"
+                "not weighed: nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
             )
         if time.monotonic() - self._state_at_s > STALE_S:
             raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
@@ -718,15 +737,16 @@ class IdentifierNode(ManagedNode):
                 now_ns, data = arrived.popleft()
                 message = deserialize_message(data, JointState)
                 unit = self._measured_unit()
-                if unit in ("", "raw") or not message.effort:
+                if not unit or not message.effort:
                     continue
-                for name, position, effort in zip(message.name, message.position, message.effort, strict=False):
+                names = self._conventions.renamed(message.name)
+                for name, position, effort in zip(names, message.position, message.effort, strict=False):
                     if name in self._per_current:
                         latest[name] = position, _current_A(effort, unit, self._per_current[name])
                 if running is None:
-                    heard = dict(zip(message.name, message.position, strict=False))
+                    heard = dict(zip(names, message.position, strict=False))
                     running = make(held={name: heard[name] for name in self._others if name in heard})
-                if running.joints[0] not in message.name or any(name not in latest for name in running.joints):
+                if running.joints[0] not in names or any(name not in latest for name in running.joints):
                     continue
                 time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
                 rows = [latest[name] for name in running.joints]
@@ -1105,7 +1125,7 @@ def _interval_of(estimate: Estimate) -> str:
 
 def _current_A(effort: float, unit: str, effort_per_current: float) -> float:
     """What flows in a motor by the effort of a joint state."""
-    return {"A": 1.0, "mA": 1e-3}.get(unit, 1.0 / effort_per_current) * effort
+    return {"A": 1.0, "mA": 1e-3, "raw": CURRENT_PER_COUNT_A}.get(unit, 1.0 / effort_per_current) * effort
 
 
 def _refusal_of(estimate: Estimate) -> str:
