@@ -696,7 +696,7 @@ def _unlabelled(
             return order
     advice = "label the columns in layout.dim, or choose another input with --command-topic"
     if conventions.driver:
-        advice = f"state the joints of its controller in a file of your own (extends: {conventions.driver}), and name that with --driver"
+        advice = f"state the joints of its controller in a --driver file of your own (extends: {conventions.driver})"
     raise RecordingError(
         f"{bag.path}: {topic.name} has {length} values but the robot has {len(joint_order)} joints"
         f" ({', '.join(joint_order)}); {advice}"

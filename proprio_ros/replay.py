@@ -465,8 +465,8 @@ def _implausible_unit(recording: Recording, robot: Robot, profile: Driver, unit:
         if each.unit == unit and not each.plausible:
             ratio = f"{float(np.median(list(each.ratio.values()))):.2g}"
             return (
-                f"effort in {unit} (--driver {profile.name}) is {ratio} times the torque that gravity needs by the URDF, and an empty "
-                "hand gives 1: is it this driver, and are the torque constants right?",
+                f"effort in {unit} (--driver {profile.name}) is {ratio} times the torque that gravity needs by the URDF, and an "
+                "empty hand gives 1: is it this driver, and are the torque constants right?",
             )
     return ()
 

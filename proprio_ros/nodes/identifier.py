@@ -228,7 +228,8 @@ class IdentifierNode(ManagedNode):
             published.check_driver()
         except ConfigurationError as error:
             raise ConfigurationError(as_parameters(str(error))) from error
-        self._conventions, self._unit = published.conventions, published.stated_unit or ""
+        self._conventions = published.conventions
+        self._unit = published.stated_unit or ""
         # two arms on one network must not take each other's calibration for their own
         self._data = Path(self.values["data_directory"]).expanduser() / self.get_namespace().strip("/")
         recovered, problems = recover(self._data)
