@@ -265,3 +265,33 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
     with pytest.raises(identifier.JobError, match="refuses"):
         node._excite(job, "payload")
     assert len(asked) == 3
+
+
+def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
+    given: dict[str, Any] = {"data_directory": tmp_path, "calibration": "none"}
+    node = nodes.identifier("cell", **given, driver="robotis")
+    assert node._measured_unit() == "raw" and node._missing_input() == ""
+    heard = {subscription.topic_name for subscription in node.subscriptions}
+    assert {"/cell/joint_states", "/cell/forward_effort_controller/commands"} <= heard
+    options = node._options()
+    assert options.driver == "robotis" and options.effort_unit is None
+    assert options.state_topic is None and options.command_topic is None, "found in the bag as they were found here"
+    assert identifier._current_A(100.0, "raw", 1.78) == pytest.approx(0.269)
+    assert nodes.identifier(**given, driver="robotis", effort_unit="A")._measured_unit() == "A", "what is stated wins"
+    assert nodes.identifier(**given)._measured_unit() == ""
+    with pytest.raises(
+        ConfigurationError, match="the parameter driver ur_torque: this effort lacks what holds the arm"
+    ):
+        nodes.identifier(**given, driver="ur_torque")
+
+
+def test_joints_that_a_driver_calls_otherwise_are_known(nodes: Nodes, tmp_path: Path) -> None:
+    (tmp_path / "left.yaml").write_text("extends: ros2_control\njoint_prefix: left_\njoint_names: {elbow: joint3}\n")
+    node = nodes.identifier(data_directory=tmp_path, calibration="none", driver=tmp_path / "left.yaml")
+    assert node._joints[:3] == [b"left_joint1", b"left_joint2", b"left_elbow"]
+
+    def heard(position: float) -> RawMessage:
+        data = serialize_message(messages.joint_state(1, ["left_elbow", "joint1"], [position, 10.0 * position]))
+        return RawMessage("/joint_states", "sensor_msgs/msg/JointState", 1, data)
+
+    assert node._moved([heard(0.0), heard(0.2)]) and not node._moved([heard(0.0), heard(0.02)])
