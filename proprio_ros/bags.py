@@ -590,6 +590,14 @@ def _joint_state_columns(
     rows = list(bag.rows(topic))
     named = [conventions.renamed(part.message.name) for part in rows]
     names = tuple(dict.fromkeys(name for part in named for name in part))
+    theirs: dict[str, str] = {}
+    for part, own in zip(rows, named, strict=True):
+        for name, other in zip(own, part.message.name, strict=True):
+            if theirs.setdefault(name, other) != other:
+                raise RecordingError(
+                    f"{bag.path}: {topic.name}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver "
+                    f"{conventions.driver} otherwise"
+                )
     index = {name: column for column, name in enumerate(names)}
     bag_ns = np.concatenate([part.bag_ns for part in rows])
     values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}

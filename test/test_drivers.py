@@ -346,6 +346,9 @@ def test_ur_with_currents(tmp_path: Path, ur: Robot, storage: str) -> None:
     recording = read(bag, ur, driver=tmp_path / "left.yaml")
     assert set(UR) | {"right_elbow_joint"} <= set(recording.joints.names)
     assert elbow_A(recording, "elbow_joint").min() == -0.5
+    both += [state(m.time_ns + 2, {"elbow_joint": (0.3, 0.0, 9.0)}) for m in both]
+    with refused("left_elbow_joint and elbow_joint would both be elbow_joint", RecordingError):
+        read(write_bag(tmp_path / "three", both, storage), ur, driver=tmp_path / "left.yaml")
 
 
 @pytest.mark.parametrize("storage", STORAGES)
