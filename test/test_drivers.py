@@ -163,7 +163,7 @@ PUSHED_A = np.array(
 def test_every_profile_loads_says_where_it_is_from_and_is_documented(name: str) -> None:
     driver = load_driver(name)
     text = resource("drivers", name).read_text()
-    assert driver.title and ("commit " in text or name == "proprio")
+    assert driver.title and (name == "proprio" or re.search(r"Source: [\s\S]*commit\s+#?\s*[0-9a-f]{7}", text))
     page = (ROOT / "docs" / "pages" / "another_robot.md").read_text()
     (row,) = re.findall(rf"^\| `{name}` \|.*$", page, re.MULTILINE)
     said = "refused" if driver.refused else driver.effort_unit or "not said"
