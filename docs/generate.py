@@ -209,7 +209,11 @@ def _made_by(
     The body is read, not run: loops over tables of the module are followed, and names are computed from what they hold.
     """
     body = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
-    scope = {**known, "self": SimpleNamespace(values=values), "node": SimpleNamespace(values=values)}
+    scope = {
+        **known,
+        "self": SimpleNamespace(values=values, conventions=importlib.import_module("proprio_ros.bags").OUR_DRIVER),
+        "node": SimpleNamespace(values=values),
+    }
     # a kind of connection, and which of its arguments are type, name and quality of service
     makers = {"create_publisher": ("publishes", 0, 1, 2), "create_subscription": ("takes", 0, 1, 3),
               "listen": ("takes", 0, 1, 3),
@@ -345,6 +349,7 @@ def settings() -> str:
     """The page about settings, robot files, calibrations and limits."""
     from proprio_ros import bags, reading
     from proprio_ros.calibration import NOISE, RANGES
+    from proprio_ros.drivers import FORMS, INPUT
     from proprio_ros.kinds import KINDS
     from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
     from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
@@ -355,8 +360,8 @@ def settings() -> str:
     parts = [
         NOTE,
         "# Settings, files and limits",
-        "What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file and a calibration may say. "
-        "Ranges are "
+        "What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file, a driver profile and a "
+        "calibration may say. Ranges are "
         "wider than any arm on a table needs; what lies outside is refused in one sentence. Defaults are those of "
         "the files in `config/probes`.",
     ]
@@ -392,6 +397,16 @@ def settings() -> str:
         ]
         parts += [f"### {title}", _table(("key", "default", "value", "meaning"), rows)]
     parts += [
+        "## Driver profile",
+        "Files of `config/drivers`, or of your own, for `--driver` and the identifier's parameter `driver`. Keys that are left out "
+        "are those of the profile that a file extends. Topics are named without a namespace, and found in any.",
+        _table(
+            ("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in FORMS.items()]
+        ),
+        "### inputs",
+        _table(
+            ("key", "value", "meaning"), [(f"`{key}`", form.described(), form.meaning) for key, form in INPUT.items()]
+        ),
         "## Calibration",
         "The section `calibration` of a robot file, as `proprio calibrate` writes it. `model_fingerprint` is required; joints and "
         "links "

@@ -354,6 +354,7 @@ def weigh(
     settings: Mapping[str, Any] | None = None,
     solver: str = "lm",
     profile: str = "default",
+    driver: AnyPath | None = None,
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
@@ -372,6 +373,7 @@ def weigh(
         settings: As for ``--set``, by dotted key: ``{"payload.com": [0, 0, 0.01]}``.
         solver: ``lm``, ``adam`` or ``cma``.
         profile: ``default``, or ``paper`` for the paper's own method.
+        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next three win over it.
         state_topic: Of the joint states, where the bag has several.
         command_topic: Of the input, where it has an unusual name.
         effort_unit: What effort of the joint states means: ``N.m``, ``A``, ``mA`` or ``raw``.
@@ -389,6 +391,7 @@ def weigh(
         profile=profile,
         calibration=_text(calibration),
         baseline=_texts(baseline),
+        driver=_text(driver),
         state_topic=state_topic,
         command_topic=command_topic,
         effort_unit=effort_unit,
@@ -404,6 +407,7 @@ def calibrate(
     force: bool = False,
     robot: AnyPath | None = None,
     settings: Mapping[str, Any] | None = None,
+    driver: AnyPath | None = None,
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
@@ -420,6 +424,7 @@ def calibrate(
         progress: Called with a sentence on what is going on.
         robot: As for `weigh`.
         settings: As for `weigh`.
+        driver: As for `weigh`.
         state_topic: As for `weigh`.
         command_topic: As for `weigh`.
         effort_unit: As for `weigh`.
@@ -432,6 +437,7 @@ def calibrate(
     options = ReplayOptions(
         robot=_text(robot),
         settings=_settings(settings, facts),
+        driver=_text(driver),
         state_topic=state_topic,
         command_topic=command_topic,
         effort_unit=effort_unit,
@@ -477,6 +483,7 @@ def check(
     bags: Paths,
     *,
     robot: AnyPath | None = None,
+    driver: AnyPath | None = None,
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
@@ -487,6 +494,7 @@ def check(
     Args:
         bags: Bag folders or files, or text recordings.
         robot: As for `weigh`.
+        driver: As for `weigh`.
         state_topic: As for `weigh`.
         command_topic: As for `weigh`.
         effort_unit: As for `weigh`.
@@ -499,6 +507,7 @@ def check(
         *check_bags(
             _texts(bags),
             _text(robot),
+            driver=_text(driver),
             state_topic=state_topic,
             command_topic=command_topic,
             effort_unit=effort_unit,

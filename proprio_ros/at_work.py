@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from proprio_ros.bags import CURRENT_PER_COUNT_A
 from proprio_ros.identification.running import RunningEstimate, RunningWeight
 from proprio_ros.motions import MOVED_RAD
 from proprio_ros.probes.base import Probe
@@ -20,7 +21,7 @@ NO_MOTIONS = (
 
 def current_A(effort: float, unit: str, effort_per_current: float) -> float:
     """What flows in a motor by the effort of a joint state."""
-    return {"A": 1.0, "mA": 1e-3}.get(unit, 1.0 / effort_per_current) * effort
+    return {"A": 1.0, "mA": 1e-3, "raw": CURRENT_PER_COUNT_A}.get(unit, 1.0 / effort_per_current) * effort
 
 
 def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]) -> bool:
@@ -101,7 +102,7 @@ class RunningFeed:
             names: Of the joints.
             position: [rad or m].
             effort: In the unit.
-            unit: ``N.m``, ``A`` or ``mA``; empty: nobody says it.
+            unit: ``N.m``, ``A``, ``mA`` or ``raw``; empty: nobody says it.
 
         Returns:
             The estimate, where there is a new one.
@@ -113,7 +114,7 @@ class RunningFeed:
         self.moved |= {name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD}
         mine = {name: number for number, name in enumerate(names) if name in self.joints}
         self.waits_for = _why_not(mine, effort, unit) or self.waits_for
-        if unit in ("", "raw"):
+        if not unit:
             return None
         for name, at, measured in zip(names, position, effort, strict=False):
             if name in self._per_current:
@@ -140,8 +141,8 @@ def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str
         effort: Of all joints.
         unit: Of it.
     """
-    if unit in ("", "raw"):
-        return "nothing says what the effort of the joint states is; give the parameter effort_unit"
+    if not unit:
+        return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
     without = [name for name, at in mine.items() if at >= len(effort) or not math.isfinite(effort[at])]
     if not without:
         return ""

@@ -12,7 +12,7 @@ import shutil
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,6 +60,71 @@ BOOL = "std_msgs/msg/Bool"
 TORQUE_ENABLED = "torque_enabled"
 """Topic that says whether the motors' torque is on."""
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
+
+
+@dataclass(frozen=True)
+class InputTopic:
+    """A topic that says what drove the joints.
+
+    Attributes:
+        topic: Its name without a namespace.
+        msgtype: `JOINT_STATE`, whose effort counts, or the first of `FLOAT_ARRAYS`.
+        unit: Of its numbers, one of `EFFORT_UNITS`.
+        joints: Order of numbers that come without names, in the driver's names; empty: the robot's.
+    """
+
+    topic: str
+    msgtype: str
+    unit: str
+    joints: tuple[str, ...] = ()
+
+    @property
+    def msgtypes(self) -> tuple[str, ...]:
+        """Types that can be read alike."""
+        return (JOINT_STATE,) if self.msgtype == JOINT_STATE else FLOAT_ARRAYS
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """Which topics a driver has, and what they mean; the defaults are those of this package's own driver.
+
+    Attributes:
+        driver: What the user called it; empty where nobody said, and the only joint states of any other name are taken, too.
+        states: Topic of the joint states, without a namespace.
+        inputs: Topics of what drives the joints, without a namespace; the first that a bag has is taken.
+        prefix: Before the names of this robot's joints; it is taken off.
+        names: The robot's names by those that the driver uses, once the prefix is off.
+    """
+
+    driver: str = ""
+    states: str = "joint_states"
+    inputs: tuple[InputTopic, ...] = (
+        InputTopic("applied_effort", JOINT_STATE, "N.m"),
+        InputTopic("current_command", FLOAT_ARRAYS[0], "A"),
+    )
+    prefix: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def renamed(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The robot's names of joints that a driver names."""
+        if not self.prefix and not self.names:
+            return tuple(str(name) for name in names)
+        bare = [str(name).removeprefix(self.prefix) for name in names]
+        return tuple(self.names.get(name, name) for name in bare)
+
+    def published(self, name: str) -> str:
+        """The driver's name of one of the robot's joints."""
+        return self.prefix + next((theirs for theirs, ours in self.names.items() if ours == name), name)
+
+    def input_of(self, msgtype: str) -> InputTopic | None:
+        """What a topic of this type means that only the user has named."""
+        return next((each for each in self.inputs if msgtype in each.msgtypes), None)
+
+
+OUR_DRIVER = Conventions()
+_STATED = {JOINT_STATE: InputTopic("", JOINT_STATE, "N.m")} | {
+    kind: InputTopic("", FLOAT_ARRAYS[0], "A") for kind in FLOAT_ARRAYS
+}
 
 MIN_SAMPLES = 5
 MOST_ROWS = 200_000
@@ -430,7 +495,9 @@ def _chosen(bag: _Bag, name: str, msgtypes: Sequence[str], option: str) -> _Topi
     return fitting[0]
 
 
-def _state_topic(bag: _Bag, name: str | None, command_name: str | None) -> _Topic:
+def _state_topic(
+    bag: _Bag, name: str | None, command_name: str | None, conventions: Conventions = OUR_DRIVER
+) -> _Topic:
     if name is not None:
         return _chosen(bag, name, [JOINT_STATE], "--state-topic")
     if not any(topic.size for topic in bag.topics):
@@ -443,7 +510,13 @@ def _state_topic(bag: _Bag, name: str | None, command_name: str | None) -> _Topi
     filled = [topic for topic in typed if topic.size]
     if not filled:
         raise RecordingError(f"{bag.path}: no joint states: {_listed(typed)} holds no messages")
-    candidates = _called(filled, "joint_states") or [
+    candidates = _called(filled, conventions.states)
+    if not candidates and conventions.driver:
+        raise RecordingError(
+            f"{bag.path}: no joint states on {conventions.states}, where --driver {conventions.driver} has them; choose with "
+            f"--state-topic from: {_listed(filled)}"
+        )
+    candidates = candidates or [
         topic
         for topic in filled
         if not topic.name.endswith("/applied_effort") and topic.name not in (command_name, f"/{command_name}")
@@ -453,17 +526,23 @@ def _state_topic(bag: _Bag, name: str | None, command_name: str | None) -> _Topi
     return candidates[0]
 
 
-def _input_topic(bag: _Bag, name: str | None, state: _Topic) -> _Topic | None:
+def _input_topic(
+    bag: _Bag, name: str | None, state: _Topic, conventions: Conventions = OUR_DRIVER
+) -> tuple[_Topic, InputTopic] | None:
+    """The topic of what drove the joints, and what it means."""
     if name is not None:
-        return _chosen(bag, name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")
-    namespace = state.name.rpartition("/")[0]
-    for usual, msgtypes in (("applied_effort", (JOINT_STATE,)), ("current_command", FLOAT_ARRAYS)):
-        filled = [topic for topic in bag.topics if topic.size and topic.msgtype in msgtypes]
-        candidates = [topic for topic in _called(filled, usual, namespace) if topic != state]
+        topic = _chosen(bag, name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")
+        return topic, conventions.input_of(topic.msgtype) or _STATED[topic.msgtype]
+    namespace = state.name.removesuffix(f"/{conventions.states}")
+    if namespace == state.name:  # the user named another topic
+        namespace = state.name.rpartition("/")[0]
+    for usual in conventions.inputs:
+        filled = [topic for topic in bag.topics if topic.size and topic.msgtype in usual.msgtypes]
+        candidates = [topic for topic in _called(filled, usual.topic, namespace) if topic != state]
         if len(candidates) > 1:
             raise RecordingError(f"{bag.path}: which input? choose with --command-topic from: {_listed(candidates)}")
         if candidates:
-            return candidates[0]
+            return candidates[0], usual
     return None
 
 
@@ -504,17 +583,28 @@ class _Columns(NamedTuple):
     notes: list[str]
 
 
-def _joint_state_columns(bag: _Bag, topic: _Topic, quantities: Sequence[str]) -> _Columns:
+def _joint_state_columns(
+    bag: _Bag, topic: _Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
+) -> _Columns:
     """Columns of a JointState topic; the first quantity must be there in every message."""
     rows = list(bag.rows(topic))
-    names = tuple(dict.fromkeys(str(name) for part in rows for name in part.message.name))
+    named = [conventions.renamed(part.message.name) for part in rows]
+    names = tuple(dict.fromkeys(name for part in named for name in part))
+    theirs: dict[str, str] = {}
+    for part, own in zip(rows, named, strict=True):
+        for name, other in zip(own, part.message.name, strict=True):
+            if theirs.setdefault(name, other) != other:
+                raise RecordingError(
+                    f"{bag.path}: {topic.name}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver "
+                    f"{conventions.driver} otherwise"
+                )
     index = {name: column for column, name in enumerate(names)}
     bag_ns = np.concatenate([part.bag_ns for part in rows])
     values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}
     orders = set()
     row = 0
-    for part in rows:
-        columns = [index[name] for name in part.message.name]
+    for part, own in zip(rows, named, strict=True):
+        columns = [index[name] for name in own]
         if len(set(columns)) != len(columns):
             raise RecordingError(f"{bag.path}: {topic.name} names a joint twice in message {row + 1}")
         orders.add(tuple(columns))
@@ -539,23 +629,38 @@ def _marked(values: FloatArray) -> FloatArray:
     return np.where(np.isfinite(values), values, np.inf)
 
 
-def _array_columns(bag: _Bag, topic: _Topic, joint_order: Sequence[str], recorded: Sequence[str]) -> _Columns:
-    """Columns of a Float64MultiArray of currents.
+def _array_columns(
+    bag: _Bag,
+    topic: _Topic,
+    means: InputTopic,
+    joint_order: Sequence[str],
+    recorded: Sequence[str],
+    conventions: Conventions,
+) -> _Columns:
+    """Columns of a Float64MultiArray of what drives the joints.
 
     A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
     the push.
     """
     parts = list(bag.rows(topic))
     notes: dict[str, None] = {}
+    stated = conventions.renamed(means.joints)
     labelled: list[Sequence[str]] = []
     for part in parts:
         if not len(part.message.data):
             labelled.append(())
             continue
-        labels = _labels(bag, topic, part.message, {*joint_order, *recorded})
+        labels = _labels(bag, topic, part.message, {*joint_order, *recorded}, conventions)
+        if labels is None and stated:
+            if len(part.message.data) != len(stated):
+                raise RecordingError(
+                    f"{bag.path}: {topic.name} has {len(part.message.data)} values but --driver {conventions.driver} names "
+                    f"{len(stated)} joints ({', '.join(stated)}); state its controller's joints in a file of your own"
+                )
+            labels = stated
         if labels is None:
-            labels = _unlabelled(bag, topic, len(part.message.data), joint_order, recorded)
-            if len(labels) < len(joint_order):
+            labels = _unlabelled(bag, topic, len(part.message.data), joint_order, recorded, conventions)
+            if len(labels) < len(joint_order) or means not in OUR_DRIVER.inputs:
                 notes[f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."] = None
         labelled.append(labels)
     names = tuple(dict.fromkeys(name for labels in labelled for name in labels))
@@ -570,10 +675,12 @@ def _array_columns(bag: _Bag, topic: _Topic, joint_order: Sequence[str], recorde
     return _Columns(times_ns, np.zeros_like(times_ns), names, {"current": current}, list(notes))
 
 
-def _labels(bag: _Bag, topic: _Topic, message: Any, known: set[str]) -> tuple[str, ...] | None:
+def _labels(
+    bag: _Bag, topic: _Topic, message: Any, known: set[str], conventions: Conventions
+) -> tuple[str, ...] | None:
     """Joint names of a message's columns: a dimension each, or one dimension with the names joined by commas."""
     dimensions = [str(dimension.label) for dimension in message.layout.dim]
-    labels = tuple(label.strip() for label in ",".join(dimensions).split(","))
+    labels = conventions.renamed([label.strip() for label in ",".join(dimensions).split(",")])
     if not any(labels) or (len(labels) != len(message.data) and known.isdisjoint(labels)):
         return None  # no labels, or some that describe the dimensions ("currents") and not the columns
     if len(labels) != len(message.data) or len(set(labels)) != len(labels) or not all(labels):
@@ -585,14 +692,22 @@ def _labels(bag: _Bag, topic: _Topic, message: Any, known: set[str]) -> tuple[st
 
 
 def _unlabelled(
-    bag: _Bag, topic: _Topic, length: int, joint_order: Sequence[str], recorded: Sequence[str]
+    bag: _Bag,
+    topic: _Topic,
+    length: int,
+    joint_order: Sequence[str],
+    recorded: Sequence[str],
+    conventions: Conventions,
 ) -> tuple[str, ...]:
     for order in (tuple(joint_order), tuple(joint for joint in joint_order if joint in recorded)):
         if length == len(order):
             return order
+    advice = "label the columns in layout.dim, or choose another input with --command-topic"
+    if conventions.driver:
+        advice = f"state the joints of its controller in a --driver file of your own (extends: {conventions.driver})"
     raise RecordingError(
         f"{bag.path}: {topic.name} has {length} values but the robot has {len(joint_order)} joints"
-        f" ({', '.join(joint_order)}); label the columns in layout.dim, or choose another input with --command-topic"
+        f" ({', '.join(joint_order)}); {advice}"
     )
 
 
@@ -748,18 +863,24 @@ def _torque_constants(names: Sequence[str], nominal: Mapping[str, float]) -> Flo
 def _commands(
     bag: _Bag,
     topic: _Topic,
+    means: InputTopic,
+    conventions: Conventions,
     clock_ns: int,
     nominal: Mapping[str, float],
     joint_order: Sequence[str],
     recorded: Sequence[str],
+    per_count_A: float,
     notes: list[str],
 ) -> InputRecord:
     """Input from a command topic; clock_ns is how far the joint states' stamps are ahead of the recorder's time."""
     if topic.msgtype == JOINT_STATE:
-        columns = _joint_state_columns(bag, topic, ["effort"])
-        times = _times(columns, topic, notes)
+        columns = _joint_state_columns(bag, topic, ["effort"], conventions)
+        times, effort = _times(columns, topic, notes), columns.values["effort"]
+    else:
+        columns = _array_columns(bag, topic, means, joint_order, recorded, conventions)
+        times, effort = columns.bag_ns, columns.values["current"]
+    if means.unit == "N.m":
         constants = _torque_constants(columns.names, nominal)
-        effort = columns.values["effort"]
         unknown = np.flatnonzero(np.isnan(constants) & _any(np.nan_to_num(effort) != 0.0, axis=0))
         if unknown.size:
             raise RecordingError(
@@ -768,9 +889,7 @@ def _commands(
             )
         current = effort / np.where(np.isnan(constants), 1.0, constants)
     else:
-        columns = _array_columns(bag, topic, joint_order, recorded)
-        times = columns.bag_ns
-        current = columns.values["current"]
+        current = effort * _ampere(means.unit, per_count_A)
     if not columns.stamp_ns.any() and abs(clock_ns) > FOREIGN_CLOCK_NS:
         times = times + clock_ns
         notes.append(
@@ -786,7 +905,7 @@ def _commands(
     latest = np.diff(times, append=times[-1] + 1) > 0
     if not latest.all():
         notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
-    return InputRecord(times[latest], columns.names, current[latest], printable(topic.name))
+    return InputRecord(times[latest], columns.names, current[latest], printable(topic.name), means.unit)
 
 
 def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> FloatArray:
@@ -807,6 +926,11 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
     return result
 
 
+def _ampere(unit: str, per_count_A: float) -> float:
+    """Ampere of one of a unit of current."""
+    return {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
+
+
 def _effort_and_current(
     names: Sequence[str], recorded: FloatArray, unit: str | None, nominal: Mapping[str, float], per_count_A: float
 ) -> tuple[FloatArray | None, FloatArray | None]:
@@ -816,16 +940,19 @@ def _effort_and_current(
         return None, None
     if unit == "N.m":
         return effort, _known_or_none(effort / _torque_constants(names, nominal))
-    return None, effort * {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
+    return None, effort * _ampere(unit, per_count_A)
 
 
-def _measured(path: Path, topic: _Topic, record: JointRecord, has_effort: bool, unit: str | None) -> InputRecord | None:
+def _measured(
+    path: Path, topic: _Topic, record: JointRecord, has_effort: bool, unit: str | None, conventions: Conventions
+) -> InputRecord | None:
     """Input from what the motors reported, when no command was recorded."""
     if not has_effort:
         return None
     if unit is None:
+        usual = " or ".join(f"/{each.topic}" for each in conventions.inputs) or "input"
         raise RecordingError(
-            f"{path}: no /applied_effort or /current_command in the bag, and what the effort of {topic.name} means is"
+            f"{path}: no {usual} in the bag, and what the effort of {topic.name} means is"
             f" not stated; state it with --effort-unit {'|'.join(EFFORT_UNITS)}, or name the input with --command-topic"
         )
     if record.current is None:
@@ -835,7 +962,7 @@ def _measured(path: Path, topic: _Topic, record: JointRecord, has_effort: bool, 
         )
     known = _any(np.isfinite(record.current), axis=0)
     names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
-    return InputRecord(record.times_ns, names, _held(record.current[:, known]), MEASURED_EFFORT)
+    return InputRecord(record.times_ns, names, _held(record.current[:, known]), MEASURED_EFFORT, unit)
 
 
 def read_recording(
@@ -848,21 +975,25 @@ def read_recording(
     joint_order: Sequence[str],
     current_per_count_A: float = CURRENT_PER_COUNT_A,
     states_only: bool = False,
+    conventions: Conventions = OUR_DRIVER,
 ) -> Recording:
     """Read joint states and input currents from a ROS 2 bag.
 
-    The input comes from /applied_effort, else from /current_command, else from measured effort.
+    The input comes from /applied_effort, else from /current_command, else from measured effort; of another driver from the topics
+    that its conventions name, else from measured effort.
 
     Args:
         path: Bag folder (with or without metadata.yaml), or one .mcap or .db3 file.
         state_topic: Topic of the joint states; None takes /joint_states, also under a namespace, else the only one.
         command_topic: Topic of the input: sensor_msgs/JointState with effort = commanded current x nominal torque
-            constant [N m or N], or std_msgs/Float64MultiArray of currents [A]; None looks for the usual ones.
+            constant [N m or N], or std_msgs/Float64MultiArray of currents [A]; None looks for the usual ones. Where the conventions
+            have an input of that type, its unit and its order of joints hold.
         effort_unit: What effort of the joint states means: 'N.m', 'A', 'mA' or 'raw'; None: not stated, never guessed.
         nominal_torque_constants: By joint; the ones with which effort was published [N m/A or N/A].
         joint_order: Joints in the order of an unlabelled current command.
         current_per_count_A: Current of one raw count [A].
         states_only: Whether to leave the input out, whatever there is of it.
+        conventions: Of the driver that published.
 
     Returns:
         The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
@@ -878,14 +1009,23 @@ def read_recording(
         raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
     notes: list[str] = []
     with _open(path) as bag:
-        state = _state_topic(bag, state_topic, command_topic)
-        command = None if states_only else _input_topic(bag, command_topic, state)
-        columns = _joint_state_columns(bag, state, ["position", "velocity", "effort"])
+        state = _state_topic(bag, state_topic, command_topic, conventions)
+        command = None if states_only else _input_topic(bag, command_topic, state, conventions)
+        columns = _joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
         notes += columns.notes
         inputs = None
-        if command is not None and command != state:
-            clock_ns = _clock(columns)
-            inputs = _commands(bag, command, clock_ns, nominal_torque_constants, joint_order, columns.names, notes)
+        if command is not None and command[0] != state:
+            inputs = _commands(
+                bag,
+                *command,
+                conventions,
+                _clock(columns),
+                nominal_torque_constants,
+                joint_order,
+                columns.names,
+                current_per_count_A,
+                notes,
+            )
         torque_off = _torque_off(bag, state, columns, notes)
         notes = bag.notes + notes
     driven: list[str] = []
@@ -905,7 +1045,7 @@ def read_recording(
     )
     # zero current needs no unit
     if inputs is None and not states_only and not (torque_off and effort_unit is None):
-        inputs = _measured(path, state, record, reported is not None, effort_unit)
+        inputs = _measured(path, state, record, reported is not None, effort_unit, conventions)
     return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
 
 
@@ -968,7 +1108,12 @@ class Contents:
     problem: str = ""
 
 
-def look_into(path: str | Path, state_topic: str | None = None, command_topic: str | None = None) -> Contents:
+def look_into(
+    path: str | Path,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    conventions: Conventions = OUR_DRIVER,
+) -> Contents:
     """List a bag's topics, and say which ones `read_recording` takes.
 
     Raises:
@@ -977,14 +1122,14 @@ def look_into(path: str | Path, state_topic: str | None = None, command_topic: s
     with _open(Path(path)) as bag:
         topics = tuple((one_line(topic.name), one_line(topic.msgtype), topic.size) for topic in bag.topics)
         try:
-            state = _state_topic(bag, state_topic, command_topic)
+            state = _state_topic(bag, state_topic, command_topic, conventions)
         except RecordingError as error:
             return Contents(topics, None, None, str(error))
         try:
-            inputs = _input_topic(bag, command_topic, state)
+            inputs = _input_topic(bag, command_topic, state, conventions)
         except RecordingError as error:
             return Contents(topics, one_line(state.name), None, str(error))
-    chosen = None if inputs is None or inputs == state else one_line(inputs.name)
+    chosen = None if inputs is None or inputs[0] == state else one_line(inputs[0].name)
     return Contents(topics, one_line(state.name), chosen)
 
 

@@ -68,6 +68,7 @@ def calibrate_from_bags(
     if output is not None:
         check_new_yaml(Path(output), force)
     started = time.perf_counter()
+    options.check_driver()
     if not paths and not references:
         raise ConfigurationError("no recording given: name at least one bag with an empty hand")
     for path, mass in references.items():
@@ -75,7 +76,7 @@ def calibrate_from_bags(
             raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
     settings = Settings(options.settings)
     overrides = settings.take_prefix("robot.")
-    if options.effort_unit == "N.m":
+    if options.stated_unit == "N.m":
         overrides = with_recorded_torque(options.robot or DEFAULT_ROBOT, overrides)
     robot = robot_of(options.robot, None, overrides)
     held = held_positions(robot, settings)

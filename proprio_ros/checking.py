@@ -12,11 +12,13 @@ import numpy as np
 from proprio_ros.bags import (
     CURRENT_PER_COUNT_A,
     EFFORT_UNITS,
+    JOINT_STATE,
     is_text_recording,
     look_into,
     read_recording,
     read_text_recording,
 )
+from proprio_ros.drivers import Driver, drivers_of
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import plain
 from proprio_ros.identification.foretold import mass_from_motion, mass_from_run
@@ -159,6 +161,8 @@ class BagCheck:
         effort_per_N_m: The effort over what gravity needs, by joint, in the publisher's unit.
         tells: What a motion determines.
         record: What to record instead, or beside it.
+        driver: Profile by which it was read; None where nobody stated one.
+        fitting: Names of the profiles that its topics identify; none of them is used before it is stated.
     """
 
     bag: str
@@ -182,6 +186,8 @@ class BagCheck:
     effort_per_N_m: Mapping[str, float] = field(default_factory=dict)
     tells: MotionCheck | None = None
     record: tuple[str, ...] = ()
+    driver: Driver | None = None
+    fitting: tuple[str, ...] = ()
 
     @property
     def usable(self) -> int:
@@ -215,6 +221,8 @@ class BagCheck:
                 "effort_per_N_m": dict(self.effort_per_N_m),
                 "tells": None if self.tells is None else self.tells.as_json(),
                 "record": self.record,
+                "driver": None if self.driver is None else self.driver.name,
+                "fitting_drivers": self.fitting,
             }
         )
         return dict(record)
@@ -234,6 +242,7 @@ class BagCheck:
         if self.input:
             lines.append(f"  input: {self.input}" + (f" ({self.input_unit})" if self.input_unit else ""))
         lines += [f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics]
+        lines += self._driver_lines()
         for run in self.runs:
             moved = f"{1e3 * run.current_A:+.0f} mA for {run.duration_s:.2f} s, travel {run.travel:+.3f} {run.unit}"
             judged = f"not usable, {run.problem}" if run.problem else "usable"
@@ -270,6 +279,19 @@ class BagCheck:
         lines += [f"  problem: {self.problem}"] * bool(self.problem)
         lines += [f"  record: {advice}" for advice in self.record]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    def _driver_lines(self) -> list[str]:
+        stated = self.driver
+        lines = []
+        if stated is not None:
+            lines = [f"  driver: {stated.name}, {stated.title}", *(f"    {note}" for note in stated.notes)]
+        if not self.fitting or (stated is not None and {stated.name, *stated.extends} & set(self.fitting)):
+            return lines
+        words = f"its topics are those of {' or '.join(self.fitting)}"
+        if stated is not None:
+            return [*lines, f"  problem: {words}, not of {stated.name}"]
+        which = "one" if len(self.fitting) > 1 else "it"
+        return [*lines, f"  driver: {words}; state {which} with --driver, none is used before"]
 
     def _effort_lines(self) -> list[str]:
         if not self.effort_per_N_m:
@@ -323,6 +345,7 @@ def check_bags(
     command_topic: str | None = None,
     effort_unit: str | None = None,
     settings: Mapping[str, Any] | None = None,
+    driver: str | Path | None = None,
 ) -> tuple[str, list[BagCheck]]:
     """Look into bags without fitting anything.
 
@@ -334,6 +357,7 @@ def check_bags(
         effort_unit: As for ``proprio replay``; what is left open here is said in the answer.
         settings: As for ``proprio replay``: ``robot.``, ``held.JOINT`` and ``payload.frame`` count, and what is stated about an
             object is not looked at.
+        driver: As for ``proprio replay``.
 
     Returns:
         The robot's name, and one entry per bag.
@@ -354,41 +378,42 @@ def check_bags(
     for start in ("solver.", *(start for probe in all_probes() for start in probe.keys)):
         stated.take_prefix(start)
     stated.refuse_rest()
-    topics = (state_topic, command_topic, effort_unit)
+    options = ReplayOptions(
+        state_topic=state_topic, command_topic=command_topic, effort_unit=effort_unit, driver=driver
+    )
+    profile = options.publisher
     return described.name, [
-        _text_check(described, path) if is_text_recording(path) else _bag_check(described, path, held, *topics)
+        _text_check(described, path)
+        if is_text_recording(path)
+        else _of_driver(_bag_check(described, path, held, options), profile)
         for path in given
     ]
 
 
-def _bag_check(
-    robot: Robot,
-    path: Path,
-    held: Mapping[str, float],
-    state_topic: str | None,
-    command_topic: str | None,
-    effort_unit: str | None,
-) -> BagCheck:
-    contents = look_into(path, state_topic, command_topic)
+def _of_driver(check: BagCheck, profile: Driver | None) -> BagCheck:
+    """The same with the profile that was stated, and those that would fit."""
+    fitting = drivers_of((name, kind) for name, kind, _ in check.topics)
+    return replace(check, driver=profile, fitting=tuple(driver.name for driver in fitting))
+
+
+def _bag_check(robot: Robot, path: Path, held: Mapping[str, float], options: ReplayOptions) -> BagCheck:
+    effort_unit, conventions = options.stated_unit, options.conventions
+    contents = look_into(path, options.state_topic, options.command_topic, conventions)
     if contents.problem:
         return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=contents.problem)
-
-    def read(unit: str | None) -> Recording:
-        options = ReplayOptions(state_topic=state_topic, command_topic=command_topic, effort_unit=unit)
-        return bag_recording(path, robot, options)
-
     problem = ""
     try:
-        recording = read(effort_unit)
+        recording = bag_recording(path, robot, options)
     except RecordingError as error:
         problem = str(error)
         try:  # only to look at: no run is cut from a current of an unstated unit
             recording = read_recording(
                 path,
-                state_topic=state_topic,
+                state_topic=options.state_topic,
                 nominal_torque_constants={},
                 joint_order=list(robot.drive_trains),
                 states_only=True,
+                conventions=conventions,
             )
         except RecordingError as worse:
             return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=str(worse))
@@ -430,7 +455,7 @@ def _bag_check(
         driven_in or None,
         runs,
         problem,
-        recording.notes + (() if motion is not None else unit_not_used(recording.inputs, effort_unit)),
+        recording.notes + (() if motion is not None else unit_not_used(recording.inputs, options.effort_unit)),
         motion,
         moved,
         tuple(name for name in recording.joints.names if name not in moved),
@@ -558,7 +583,10 @@ def _input_of(
         return "", ""
     if inputs is None or inputs.measured:
         return MEASURED_EFFORT, unit or f"not stated: --effort-unit {'|'.join(EFFORT_UNITS)}"
-    return inputs.source, "N m or N, current x nominal torque constant" if "JointState" in types[inputs.source] else "A"
+    if inputs.unit != "N.m":
+        return inputs.source, inputs.unit
+    published = types[inputs.source] == JOINT_STATE
+    return inputs.source, "N m or N, current x nominal torque constant" if published else "N m or N"
 
 
 def _run_check(robot: Robot, run: Run) -> RunCheck:

@@ -303,6 +303,12 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_topics(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--driver",
+        metavar="NAME|FILE",
+        help="which driver published, and so where what stands and what its effort is: a profile of config/drivers, such as "
+        "ros2_control, or one of your own; the next three win over it",
+    )
     parser.add_argument("--state-topic", metavar="T")
     parser.add_argument("--command-topic", metavar="T")
     parser.add_argument(
@@ -351,6 +357,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
             profile=options.profile,
             calibration=options.calibration,
             baseline=tuple(options.baseline),
+            driver=options.driver,
             state_topic=options.state_topic,
             command_topic=options.command_topic,
             effort_unit=options.effort_unit,
@@ -392,6 +399,7 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         ReplayOptions(
             robot=options.robot,
             settings=settings,
+            driver=options.driver,
             state_topic=options.state_topic,
             command_topic=options.command_topic,
             effort_unit=options.effort_unit,
@@ -427,6 +435,7 @@ def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
     robot, checks = check_bags(
         options.bags,
         options.robot,
+        driver=options.driver,
         state_topic=options.state_topic,
         command_topic=options.command_topic,
         effort_unit=options.effort_unit,

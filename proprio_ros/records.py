@@ -147,6 +147,7 @@ class InputRecord:
         names: Joint names, one per column, unique.
         current_A: Motor current [A], finite, shape (C, J).
         source: Where it comes from: the topic's name, or `MEASURED_EFFORT`.
+        unit: What the source gives its numbers in, as for ``--effort-unit``; nominal torque constants made currents of torques.
 
     Raises:
         RecordingError: A shape, an order or a value is wrong.
@@ -156,6 +157,7 @@ class InputRecord:
     names: tuple[str, ...]
     current_A: FloatArray
     source: str
+    unit: str = "A"
 
     def __post_init__(self) -> None:
         names = _names(self.names, "input")

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.bags import (
+    CURRENT_PER_COUNT_A,
+    OUR_DRIVER,
+    Conventions,
     TextRecording,
     is_text_recording,
     read_motors,
@@ -18,11 +21,13 @@ from proprio_ros.bags import (
     read_text_recording,
     without_jumps,
 )
+from proprio_ros.drivers import Driver, load_driver
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.motions import Motion, motion_of
 from proprio_ros.motors import other_arm, other_firmware
+from proprio_ros.plausibility import effort_per_torque, effort_units
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
@@ -50,6 +55,7 @@ class ReplayOptions:
         calibration: what ``proprio calibrate`` wrote.
         baseline: recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
             empty container.
+        driver: profile of the driver that published; topics and unit that are stated beside it win.
     """
 
     probe: str = "payload"
@@ -62,6 +68,34 @@ class ReplayOptions:
     state_topic: str | None = None
     command_topic: str | None = None
     effort_unit: str | None = None
+    driver: str | Path | None = None
+
+    @property
+    def publisher(self) -> Driver | None:
+        """The driver's, read anew.
+
+        Raises:
+            ConfigurationError: there is none of that name, or it is wrong.
+        """
+        return None if self.driver is None else load_driver(self.driver)
+
+    @property
+    def conventions(self) -> Conventions:
+        """Of the driver that published; Raises as `publisher` does."""
+        profile = self.publisher
+        return OUR_DRIVER if profile is None else profile.conventions
+
+    @property
+    def stated_unit(self) -> str | None:
+        """What effort is, as the user says or else the profile; Raises as `publisher` does."""
+        profile = self.publisher
+        return self.effort_unit or (None if profile is None else profile.effort_unit)
+
+    def check_driver(self) -> None:
+        """Raises: ConfigurationError: nothing can be weighed with what this driver publishes."""
+        profile = self.publisher
+        if profile is not None and profile.refused:
+            raise ConfigurationError(f"--driver {profile.name}: {profile.refused}")
 
 
 @one_blas_thread
@@ -80,12 +114,13 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     paths, baseline_paths = paths_of(paths), paths_of(options.baseline)
     started = time.perf_counter()
     probe = probe_asked_for(options)
+    options.check_driver()
     if not paths:
         raise ConfigurationError("no recording given: name at least one bag")
     settings = Settings(options.settings)
     texts = [Path(path) for path in paths if is_text_recording(path)]
     robot_name = options.robot or (TEXT_ROBOT if len(texts) == len(paths) else None)
-    robot = configured_robot(robot_name, options.calibration, settings, options.effort_unit)
+    robot = configured_robot(robot_name, options.calibration, settings, options.stated_unit)
     held = held_positions(robot, settings)
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
@@ -164,7 +199,7 @@ def compile_for(options: ReplayOptions) -> None:
     """
     probe = probe_asked_for(options)
     settings = Settings(options.settings)
-    robot = configured_robot(options.robot, options.calibration, settings, options.effort_unit)
+    robot = configured_robot(options.robot, options.calibration, settings, options.stated_unit)
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
     probe.compile(robot, facts)
@@ -387,22 +422,28 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
     Raises:
         RecordingError: it cannot be read.
     """
+    profile = options.publisher
+    if profile is not None and profile.refused:
+        raise RecordingError(f"{path}: {profile.refused}")
     recording = read_recording(
         path,
         state_topic=options.state_topic,
         command_topic=options.command_topic,
-        effort_unit=options.effort_unit,
+        effort_unit=options.stated_unit,
+        conventions=options.conventions,
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=list(robot.drive_trains),
     )
     recording = without_jumps(recording, list(robot.drive_trains))
     notes = recording.notes + check_motors(path, robot, options.state_topic)
+    if profile is not None:
+        notes += _implausible_unit(recording, robot, profile, options.stated_unit)
     if (
-        options.effort_unit == "N.m"
+        options.stated_unit == "N.m"
         and is_description(str(robot.source))
         and recording.inputs is not None
         and not recording.inputs.measured
-        and not recording.inputs.source.endswith("applied_effort")
+        and recording.inputs.unit != "N.m"
     ):
         raise RecordingError(
             f"{path}: {recording.inputs.source} are currents, and {robot.source.name} states no torque constants: write a file "
@@ -410,6 +451,24 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
         )
     # a bag's folder is often called after its storage, so the folder above says which one it is
     return replace(recording, notes=notes, name="/".join(path.resolve().parts[-2:]))
+
+
+def _implausible_unit(recording: Recording, robot: Robot, profile: Driver, unit: str | None) -> tuple[str, ...]:
+    """A note where the effort is far from what gravity needs in the unit that holds."""
+    try:
+        per_torque = effort_per_torque(recording, robot)
+    except RobotError:  # a body without mass
+        return ()
+    stated = {} if is_description(str(robot.source)) else robot.drive_trains
+    constants = {name: drive.torque_constant.value for name, drive in stated.items()}
+    for each in effort_units(per_torque, constants, CURRENT_PER_COUNT_A):
+        if each.unit == unit and not each.plausible:
+            ratio = f"{float(np.median(list(each.ratio.values()))):.2g}"
+            return (
+                f"effort in {unit} (--driver {profile.name}) is {ratio} times the torque that gravity needs by the URDF, and an "
+                "empty hand gives 1: is it this driver, and are the torque constants right?",
+            )
+    return ()
 
 
 def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str, ...]:

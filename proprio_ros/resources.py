@@ -22,6 +22,7 @@ from proprio_ros.errors import ConfigurationError
 KINDS: dict[str, tuple[str, str]] = {
     "robots": ("config/robots", ".yaml"),
     "probes": ("config/probes", ".yaml"),
+    "drivers": ("config/drivers", ".yaml"),
     "parameters": ("config", ".yaml"),
     "schema": ("config/schema", ".json"),
     "urdf": ("urdf", ".urdf"),

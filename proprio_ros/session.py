@@ -271,7 +271,7 @@ def setting_of(options: ReplayOptions) -> Setting:
 
 def robot_of_settings(options: ReplayOptions, settings: Settings) -> Robot:
     """The robot, with what the settings say of it."""
-    robot = configured_robot(options.robot, options.calibration, settings, options.effort_unit)
+    robot = configured_robot(options.robot, options.calibration, settings, options.stated_unit)
     held_positions(robot, settings)
     return robot
 
@@ -312,7 +312,8 @@ def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, opti
             bag,
             state_topic=options.state_topic,
             command_topic=command if any(message.topic == command for message in messages) else None,
-            effort_unit=options.effort_unit or "raw",  # at rest nothing says what it means, and nothing asks
+            effort_unit=options.stated_unit or "raw",  # at rest nothing says what it means, and nothing asks
+            conventions=options.conventions,
             nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
             joint_order=list(robot.drive_trains),
         )
@@ -334,7 +335,7 @@ def as_parameters(sentence: str) -> str:
     """The same with options of the command line called what they are called in a node."""
     sentence = sentence.replace("--set ", "the parameter settings with ")
     return re.sub(
-        r"--(robot|calibration|data-directory|[a-z]+-topic|effort-unit)\b",
+        r"--(robot|driver|calibration|data-directory|[a-z]+-topic|effort-unit)\b",
         lambda found: f"the parameter {found[1].replace('-', '_')}",
         sentence,
     )
@@ -357,6 +358,8 @@ def replay_command(bag: Path, options: ReplayOptions) -> str:
         words += ["--robot", options.robot]
     if options.calibration:
         words += ["--calibration", str(options.calibration)]
+    if options.driver:
+        words += ["--driver", str(options.driver)]
     for name in ("state_topic", "command_topic", "effort_unit"):
         if getattr(options, name):
             words += [f"--{name.replace('_', '-')}", getattr(options, name)]

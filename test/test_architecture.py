@@ -45,6 +45,8 @@ ROOMS: dict[str, set[str]] = {
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading", "motors"},
+    # which topics a driver has and what they mean, as files say it
+    "drivers": {"errors", "forms", "reading", "resources", "bags"},
     "runs": {"errors", "records"},
     # recordings in which several joints move at once
     "motions": {"errors", "records"},
@@ -95,8 +97,10 @@ ROOMS: dict[str, set[str]] = {
         "settings",
         "robot",
         "bags",
+        "drivers",
         "runs",
         "motions",
+        "plausibility",
         "published",
         "identification",
         "probes",
@@ -137,7 +141,7 @@ ROOMS: dict[str, set[str]] = {
     # what a live job goes by, and the folder where all is kept
     "keeping": {"errors", "settings", "robot", "probes", "replay", "session"},
     # joint states of an arm at work, and what they say of its hand
-    "at_work": {"motions", "quantity", "robot", "identification", "probes"},
+    "at_work": {"bags", "motions", "quantity", "robot", "identification", "probes"},
     # an answer in words, and as keys and values
     "answers": {"quantity", "identification", "probes"},
     # what is in a bag, before any fit
@@ -154,6 +158,7 @@ ROOMS: dict[str, set[str]] = {
         "settings",
         "robot",
         "bags",
+        "drivers",
         "runs",
         "motions",
         "identification",

@@ -63,9 +63,8 @@ def test_a_joint_state_without_measured_effort_is_named(feed: RunningFeed) -> No
 
 
 def test_an_effort_of_which_nobody_says_the_unit_is_named(feed: RunningFeed) -> None:
-    for unit in ("", "raw"):
-        assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], unit) is None
-        assert feed.waits_for.endswith("give the parameter effort_unit")
+    assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "") is None
+    assert feed.waits_for.endswith("give the parameter driver or effort_unit")
     feed = new_feed()
     feed.add(0.0, ["joint1"], [0.1], [1.0], "A")
     assert feed.waits_for == "no joint states of joint2 are coming"

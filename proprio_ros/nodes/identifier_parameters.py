@@ -58,6 +58,8 @@ PARAMETERS = (
     Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
     Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
     Parameter("excitation_node", "excitation", "Name of the excitation node."),
+    Parameter("driver", "",
+              "Which driver publishes, as with --driver: a profile of config/drivers, or a file; the next three win over it."),
     Parameter("state_topic", "", "Topic of the joint states, as with --state-topic; empty: joint_states."),
     Parameter("command_topic", "",
               "Topic of what drives the joints, as with --command-topic; empty: applied_effort, else current_command."),

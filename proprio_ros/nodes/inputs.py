@@ -14,10 +14,12 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
-from proprio_ros.bags import RawMessage
+from proprio_ros.bags import JOINT_STATE, RawMessage
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
-from proprio_ros.session import LiveEstimate, Session
+from proprio_ros.replay import ReplayOptions
+from proprio_ros.session import LiveEstimate, Session, as_parameters
 
 STALE_S = 0.5
 SILENT_S = 3.0
@@ -44,6 +46,10 @@ class Inputs:
         live: The estimate that goes along with a recording.
         driven: Whether a joint is driven just now; known while there is `live`.
         swings: Whether a joint was let go of during the recording.
+        conventions: Of the driver that publishes.
+
+    Raises:
+        ConfigurationError: There is no such driver, or its efforts are of no use.
     """
 
     def __init__(self, node: ManagedNode, busy: Callable[[], bool]) -> None:
@@ -60,14 +66,21 @@ class Inputs:
         self.stamp_ns = 0
         """Of the newest joint state."""
         self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
+        stated = node.values["effort_unit"] or None
+        published = ReplayOptions(effort_unit=stated, driver=node.values["driver"] or None)
+        try:
+            published.check_driver()
+        except ConfigurationError as error:
+            raise ConfigurationError(as_parameters(str(error))) from error
+        self.conventions, self._unit = published.conventions, published.stated_unit or ""
 
     # --- topics -------------------------------------------------------------------------------------------------------
 
     def stated_topics(self) -> dict[str, Any]:
         """What a replay must be told to take the same topics; nothing where they have their usual names."""
         values = self._node.values
-        topics: dict[str, Any] = {"effort_unit": values["effort_unit"] or None}
-        for option, usual in (("state_topic", "joint_states"), ("command_topic", "applied_effort")):
+        topics: dict[str, Any] = {"effort_unit": values["effort_unit"] or None, "driver": values["driver"] or None}
+        for option, usual in (("state_topic", self.conventions.states), ("command_topic", "applied_effort")):
             full = self._node.resolve_topic_name(values[option] or usual)
             topics[option] = full if values[option] or not full.endswith(f"/{usual}") else None
         return topics
@@ -79,9 +92,9 @@ class Inputs:
             joints: Of the robot; whoever else publishes joint states may have another clock.
         """
         node = self._node
-        self._joints = [name.encode() for name in joints]
+        self._joints = [self.conventions.published(name).encode() for name in joints]
         for role, topic, kind in (
-            ("joint_states", node.values["state_topic"] or "joint_states", JointState),
+            ("joint_states", node.values["state_topic"] or self.conventions.states, JointState),
             ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
@@ -93,6 +106,11 @@ class Inputs:
         # latched, but only what changes while a recording is under way belongs to it
         torque = partial(self._on_torque_enabled, node.resolve_topic_name("torque_enabled"))
         node.create_subscription(Bool, "torque_enabled", torque, LATCHED, raw=True)
+        # what another driver is told is only recorded: it may be in another unit and order than the estimate of a run takes
+        for each in () if not node.values["driver"] or node.values["command_topic"] else self.conventions.inputs:
+            if (full := node.resolve_topic_name(each.topic)) not in (s.topic_name for s in node.subscriptions):
+                of = JointState if each.msgtype == JOINT_STATE else Float64MultiArray
+                node.listen(of, each.topic, self.listener(full, "applied_current", of), STREAM, raw=True)
         self._command_topic = self.stated_topics()["command_topic"]
         if self._command_topic:
             node.every(0.5, self._listen_to_command)
@@ -144,7 +162,8 @@ class Inputs:
 
     def _add_live(self, live: LiveEstimate, role: str, now_ns: int, message: Any) -> None:
         if role == "joint_states":
-            live.add_state(messages.time_ns(message.header.stamp), message.name, message.position)
+            names = self.conventions.renamed(message.name)
+            live.add_state(messages.time_ns(message.header.stamp), names, message.position)
         elif role == "applied_effort":
             live.add_input(messages.time_ns(message.header.stamp), message.name, message.effort)
             self.driven = any(message.effort)
@@ -186,8 +205,7 @@ class Inputs:
 
     def measured_unit(self) -> str:
         """What the effort of the joint states is: as stated, or N m where a driver publishes as ours does; empty: nobody says."""
-        stated = str(self._node.values["effort_unit"])
-        return stated or ("N.m" if self.has_effort else "")
+        return self._unit or ("N.m" if self.has_effort else "")
 
     def missing(self) -> str:
         """Why a recording would not say what drove the joints, or an empty string."""
@@ -202,11 +220,11 @@ class Inputs:
             return "" if node.count_publishers(named) else f"nobody publishes the parameter command_topic, {named}"
         # what the excitation node commands says it as well, where somebody obeys
         others = [info for info in node.get_subscriptions_info_by_topic(command) if info.node_name != node.get_name()]
-        if others or node.values["effort_unit"]:
+        if others or self._unit:
             return ""
         return (
             f"nothing says what drives the joints: nobody publishes {effort} or listens to {command}; start the driver, or "
-            "give the parameter command_topic or effort_unit"
+            "give the parameter driver, command_topic or effort_unit"
         )
 
     # --- begin and end of a recording ---------------------------------------------------------------------------------

@@ -86,15 +86,16 @@ class Weighing:
         if self._inputs.kept is None:
             raise JobError(f"not weighed: {NO_MOTIONS}")
         unit = self._inputs.measured_unit()
-        if unit in ("", "raw"):
+        if not unit:
             raise JobError(
-                "not weighed: nothing says what the effort of the joint states is; give the parameter effort_unit"
+                "not weighed: nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
             )
         if not self._inputs.has_states:
             raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
         kept = list(self._inputs.kept)
+        renamed = self._inputs.conventions.renamed
         states = (deserialize_message(raw.data, JointState) for raw in kept)
-        if not any_moved(((state.name, state.position) for state in states), self._robot.drive_trains):
+        if not any_moved(((renamed(state.name), state.position) for state in states), self._robot.drive_trains):
             raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
         stated = parse_settings(value_of(self._node, "settings"))
         setting = self._keeping.setting(probe_at_work(), stated, None)
@@ -143,7 +144,7 @@ class Weighing:
 
     def _weigh_on(self, feed: RunningFeed) -> None:
         """Take what arrived, and publish what it says."""
-        arrived = self._inputs.arrived
+        arrived, renamed = self._inputs.arrived, self._inputs.conventions.renamed
         published_s, fed_s, samples, said = -math.inf, time.monotonic(), 0, ""
         with threadpool_limits(1, user_api="blas"):
             while arrived is not None and arrived is self._inputs.arrived:
@@ -155,7 +156,7 @@ class Weighing:
                 message = deserialize_message(data, JointState)
                 time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
                 estimate = feed.add(
-                    time_s, message.name, message.position, message.effort, self._inputs.measured_unit()
+                    time_s, renamed(message.name), message.position, message.effort, self._inputs.measured_unit()
                 )
                 if feed.samples > samples:
                     samples, fed_s = feed.samples, time.monotonic()

@@ -226,7 +226,7 @@ def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_
     )
     node._inputs.kept = deque()
     assert not node._inputs.may_skip("joint_states") and node._inputs.may_skip("applied_effort")
-    with pytest.raises(JobError, match="give the parameter effort_unit"):
+    with pytest.raises(JobError, match="give the parameter driver or effort_unit"):
         node._weighing.weigh(job, node._jobs.identify)
     hear = {role: node._inputs.listener(f"/{role}", role, JointState) for role in ("joint_states", "applied_effort")}
     hear["applied_effort"](b"")
@@ -288,3 +288,30 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
     with pytest.raises(JobError, match="refuses"):
         node._excitation.make(job, "payload", lambda: None)
     assert len(asked) == 3
+
+
+def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
+    given: dict[str, Any] = {"data_directory": tmp_path, "calibration": "none"}
+    node = nodes.identifier("cell", **given, driver="robotis")
+    assert node._inputs.measured_unit() == "raw" and node._inputs.missing() == ""
+    heard = {subscription.topic_name for subscription in node.subscriptions}
+    assert {"/cell/joint_states", "/cell/forward_effort_controller/commands"} <= heard
+    options = node._keeping.options()
+    assert options.driver == "robotis" and options.effort_unit is None
+    assert options.state_topic is None and options.command_topic is None, "found in the bag as they were found here"
+    assert current_A(100.0, "raw", 1.78) == pytest.approx(0.269)
+    assert nodes.identifier(**given, driver="robotis", effort_unit="A")._inputs.measured_unit() == "A", (
+        "what is stated wins"
+    )
+    assert nodes.identifier(**given)._inputs.measured_unit() == ""
+    with pytest.raises(
+        ConfigurationError, match="the parameter driver ur_torque: this effort lacks what holds the arm"
+    ):
+        nodes.identifier(**given, driver="ur_torque")
+
+
+def test_joints_that_a_driver_calls_otherwise_are_known(nodes: Nodes, tmp_path: Path) -> None:
+    (tmp_path / "left.yaml").write_text("extends: ros2_control\njoint_prefix: left_\njoint_names: {elbow: joint3}\n")
+    node = nodes.identifier(data_directory=tmp_path, calibration="none", driver=tmp_path / "left.yaml")
+    assert node._inputs._joints[:3] == [b"left_joint1", b"left_joint2", b"left_elbow"]
+    assert node._inputs.conventions.renamed(["left_elbow", "joint1"])[0] == "joint3"
