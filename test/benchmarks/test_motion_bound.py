@@ -31,6 +31,10 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
     # priors are like measurements around the truth; from there, Newton's steps with the slopes of the truth
     covariance, precision = model.covariance()
     slopes, rng = model.slopes(), np.random.default_rng(1)
+    for unknown in range(len(model.truth)):
+        step = 1e-6 * np.eye(len(model.truth))[unknown]
+        for rows, up, down in zip(slopes, model.read(model.truth + step), model.read(model.truth - step), strict=True):
+            np.testing.assert_allclose(rows[:, unknown], (up - down).ravel() / 2e-6, atol=1e-4 * np.abs(rows).max())
     std = FOUR.current_noise_A * np.array(FOUR.constants)
     errors = []
     for _ in range(400):
