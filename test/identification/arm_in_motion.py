@@ -6,7 +6,7 @@ The arm that moves differs from the one in the robot file: links, friction, roto
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -169,12 +169,30 @@ def write_robot(folder: Path, torque_std: float = 0.01, build: Build = SIX) -> P
     return path
 
 
+@dataclass(frozen=True)
+class Truth:
+    """What a motion really was at its samples; all of shape (T, n).
+
+    Attributes:
+        position, velocity, acceleration: Of the joints in SI units.
+        torque: Of the motors [N m], which the currents say.
+        warm: Coulomb friction of this motion over that of the arm, shape (n,).
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    warm: np.ndarray
+
+
 @dataclass
 class Twin:
-    """One arm as it really is, drawn at random."""
+    """One arm as it really is, drawn at random; `truths` keeps what its motions really were, by name."""
 
     seed: int
     build: Build = SIX
+    truths: dict[str, Truth] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
@@ -232,7 +250,7 @@ class Twin:
         data.qpos[:], data.qvel[:], _ = wanted(0.0)
         constants = np.array(build.constants)
         queue = [np.zeros(count)] * (self.delay + 1)
-        times, positions, currents = [], [], []
+        times, positions, currents, true = [], [], [], []
         every = round(1.0 / RATE_HZ / STEP_S)
         full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
@@ -250,11 +268,16 @@ class Twin:
             direction = np.tanh(data.qvel / 0.01)
             lost = (coulomb + self.gears * np.abs(transmitted)) * direction
             data.qfrc_applied[:] = transmitted - lost
-            if step * STEP_S >= 1.0 and step % every == 0:
+            sampled = step * STEP_S >= 1.0 and step % every == 0
+            if sampled:
+                true.append([data.qpos.copy(), data.qvel.copy(), data.qvel, torque])
                 times.append(step * STEP_S + 2e-4 * rng.standard_normal())
                 positions.append(data.qpos + 1e-4 * rng.standard_normal(count))
                 currents.append(torque / (constants * self.torque) + build.current_noise_A * rng.standard_normal(count))
             mujoco.mj_step(model, data)
+            if sampled:
+                true[-1][2] = data.qacc.copy()
+        self.truths[name] = Truth(*np.swapaxes(true, 0, 1), warm)
         times_s = np.array(times)
         return Motion(
             name, build.joints, times_s - times_s[0], np.array(positions), np.array(currents), {}, "measured current"

@@ -1,0 +1,56 @@
+"""The bound of `motion_bound` is one: its model is the simulator's, and the best estimate on that model errs by as much."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
+
+
+@pytest.mark.long
+def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound_says() -> None:
+    pytest.importorskip("mujoco")
+    from arm_in_motion import FOUR, Twin
+    from motion_bound import Model, bound, parameters
+
+    arm = Twin(21, FOUR)
+    mass, centre = 0.1, np.array([0.02, -0.01, 0.01])
+    arm.record("empty", 5.0)
+    arm.record("loaded", 4.0, (mass, centre))
+    empty, loaded = arm.truths["empty"], arm.truths["loaded"]
+    model = Model(arm, [(empty, False), (loaded, True)], parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2)))
+    clean = model.read(model.truth)
+    for torque, truth in zip(clean, (empty, loaded), strict=True):
+        np.testing.assert_allclose(torque * arm.torque, truth.torque, atol=1e-9)
+
+    # priors are like measurements around the truth; from there, Newton's steps with the slopes of the truth
+    covariance, precision = model.covariance()
+    slopes, rng = model.slopes(), np.random.default_rng(1)
+    for unknown in range(len(model.truth)):
+        step = 1e-6 * np.eye(len(model.truth))[unknown]
+        for rows, up, down in zip(slopes, model.read(model.truth + step), model.read(model.truth - step), strict=True):
+            np.testing.assert_allclose(rows[:, unknown], (up - down).ravel() / 2e-6, atol=1e-4 * np.abs(rows).max())
+    std = FOUR.current_noise_A * np.array(FOUR.constants)
+    errors = []
+    for _ in range(400):
+        stated = rng.multivariate_normal(model.truth, np.linalg.inv(precision), method="cholesky")
+        read = [torque + std * rng.standard_normal(torque.shape) for torque in clean]
+        estimate = model.truth.copy()
+        for _ in range(4):
+            left = [((y - f) / std**2).ravel() for y, f in zip(read, model.read(estimate), strict=True)]
+            score = sum(rows.T @ part for rows, part in zip(slopes, left, strict=True))
+            step = covariance @ (score + precision @ (stated - estimate))
+            estimate += step
+        assert abs(step[0]) < 0.05 * np.sqrt(covariance[0, 0])
+        errors.append(estimate[0] - mass)
+    least = bound(arm, empty, loaded, mass, centre)
+    assert least == pytest.approx(np.sqrt(covariance[0, 0]))
+    # 400 draws show a standard deviation to 3.5 %
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(least, rel=0.1)
+    # noise of the positions makes no bound smaller, and hardly any larger
+    assert 1.0 <= bound(arm, empty, loaded, mass, centre, positions=True) / least < 1.05
