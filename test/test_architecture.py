@@ -34,11 +34,16 @@ ROOMS: dict[str, set[str]] = {
         "quantity",
         "calibration",
         "motion_calibration",
+        "joint_calibration",
         "kinds",
         "forms",
         "reading",
         "bags",
     },
+    # what drives a motor that knows no current
+    "voltage": {"errors", "records", "robot"},
+    # what motions with known loads say about the only joint of a robot
+    "joint_calibration": {"errors", "forms", "records", "calibration"},
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading", "motors"},
@@ -54,6 +59,7 @@ ROOMS: dict[str, set[str]] = {
         "records",
         "motions",
         "motion_calibration",
+        "joint_calibration",
         "quantity",
         "kinds",
         "robot",
@@ -70,6 +76,7 @@ ROOMS: dict[str, set[str]] = {
         "records",
         "motions",
         "motion_calibration",
+        "joint_calibration",
         "quantity",
         "kinds",
         "settings",
@@ -98,6 +105,7 @@ ROOMS: dict[str, set[str]] = {
         "identification",
         "probes",
         "report",
+        "voltage",
     },
     "calibrating": {
         "errors",
@@ -110,6 +118,9 @@ ROOMS: dict[str, set[str]] = {
         "robot",
         "calibration",
         "motion_calibration",
+        "joint_calibration",
+        "quantity",
+        "voltage",
         "motions",
         "sim",
         "identification",
@@ -149,6 +160,7 @@ ROOMS: dict[str, set[str]] = {
         "identification",
         "probes",
         "replay",
+        "voltage",
     },
     # for scripts and notebooks
     "api": {

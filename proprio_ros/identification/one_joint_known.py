@@ -2,7 +2,8 @@
 
 In weak form (`weak_form`) the motor's torque, as the robot file makes it of currents, is linear in a few terms of the joint
 (`joint_calibration.TERMS`): the true torque of everything that hangs on it, times a scale; inertia of the rotor; viscous friction,
-back EMF included; Coulomb friction; gears that lose a share of what they transmit, more of much (those of small servos lose half); and an offset that each recording has of its own. Known loads tell the terms; with the terms a load is one number.
+back EMF included; Coulomb friction; gears that lose a share of what they transmit, more of much (those of small servos lose half);
+and an offset that each recording has of its own. Known loads tell the terms; with the terms a load is one number.
 
 A few seconds of one motion know their error badly, so nothing formal is used. How much a mass errs is made of: leaving out
 stretches of 1 s of the recording itself; leaving out one recording of the calibration at a time; and by how much masses of the
