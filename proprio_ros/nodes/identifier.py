@@ -629,6 +629,11 @@ class IdentifierNode(ManagedNode):
                 self.say("warning", f"the running estimate is off: {_NO_MOTIONS}")
             return
         self._kept = deque()
+        if any(drive.driven_by is not None for drive in robot.drive_trains.values()):
+            # a published effort of theirs is no current
+            if self.values["running"]:
+                self.say("warning", f"the running estimate is off: a voltage drives motors of {robot.name} (driven_by)")
+            return
         if self.values["running"]:
             facts = self._setting(probe_named("payload"), None).facts.payload
             std = float(np.max(facts.com_std)) or CENTRE_STD_M
