@@ -251,11 +251,11 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
     read = load_robot(tmp_path / "known.yaml")
-    assert read.delay.std == 0.0 and read.delay.value == pytest.approx(0.03, abs=0.006)
+    assert read.delay.std == 0.0 and read.delay.value == pytest.approx(0.025, abs=0.005)
     assert read.joint_calibration is not None and learnt.joint is not None
-    np.testing.assert_array_equal(read.joint_calibration.without, learnt.joint.without)
+    np.testing.assert_allclose(read.joint_calibration.without, learnt.joint.without, rtol=1e-12)
     scale, armature = learnt.joint.values[:2]
-    assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(0.01, rel=0.25)
+    assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(0.01, abs=0.004)
     for seed, kg in ((10, 0.35), (11, 0.55)):
         bag = write(tmp_path / f"asked{seed}", driven(kg, seed))
         estimate = replay(bag, ReplayOptions(calibration=tmp_path / "known.yaml", settings=POINT))
