@@ -231,7 +231,8 @@ def test_without_known_loads_no_mass_is_said(tmp_path: Path, rows: dict[str, np.
 
 def test_the_spread_is_what_errors_exceed_their_own_word_by() -> None:
     assert spread_of(np.array([0.1, -0.1, 0.1]), np.full(3, 0.04)) == 0.0
-    assert spread_of(np.array([0.1, -0.1, 0.1]), np.full(3, 1e-12)) == pytest.approx(0.1)
+    for nothing in (0.0, 1e-12):
+        assert spread_of(np.array([0.1, -0.1, 0.1]), np.full(3, nothing)) == pytest.approx(0.1)
 
 
 def test_the_delay_is_looked_for_where_it_was_stated() -> None:
@@ -262,6 +263,20 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
         mass = estimate.values[0]
         assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
         assert mass.ci95[0] < kg < mass.ci95[1] and mass.value == pytest.approx(kg, rel=0.08)
+
+
+@pytest.mark.long
+def test_known_loads_do_not_make_a_torque_of_a_stale_magnitude(tmp_path: Path) -> None:
+    if not REAL.exists():
+        pytest.skip("needs the real recordings")
+    robot = robot_file(tmp_path)
+    robot.write_text(robot.read_text().replace(f"      driven_by: {SERVO}\n", ""))
+    references = {REAL / f"sts3215_{motion}_1.168kg": 1.168 for motion in STS}
+    references |= {REAL / f"sts3215_{motion}_0.535kg": 0.535 for motion in STS}
+    options = ReplayOptions(robot=str(robot), settings=STS_OBJECT, effort_unit="mA")
+    learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
+    assert learnt.verdict is Verdict.REJECTED and "what drives the motor" in learnt.reasons[0]
+    assert not (tmp_path / "known.yaml").exists()
 
 
 XL330 = ("sin_sin", "sin_time_square", "up_and_down")

@@ -229,6 +229,8 @@ def spread_of(errors: FloatArray, variances: FloatArray) -> float:
         variances: That each knows, shape (n,).
     """
 
+    variances = np.maximum(variances, 1e-12)
+
     def excess(variance: float) -> float:
         return float(np.sum(np.square(errors) / (variances + variance))) - len(errors)
 
