@@ -228,7 +228,6 @@ def spread_of(errors: FloatArray, variances: FloatArray) -> float:
         errors: Of each, shape (n,).
         variances: That each knows, shape (n,).
     """
-
     variances = np.maximum(variances, 1e-12)
 
     def excess(variance: float) -> float:
