@@ -35,6 +35,7 @@ from proprio_ros.records import (
     MEASURED_EFFORT,
     ZERO_CURRENT_A,
     BoolArray,
+    DriveSignals,
     FloatArray,
     InputRecord,
     JointRecord,
@@ -57,8 +58,11 @@ REGISTER, LARGEST_COUNT = 65536, 4096
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 BOOL = "std_msgs/msg/Bool"
+BATTERY = "sensor_msgs/msg/BatteryState"
 TORQUE_ENABLED = "torque_enabled"
 """Topic that says whether the motors' torque is on."""
+JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
+"""Topics of the goals of position servos, and of their supply."""
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 
 
@@ -137,6 +141,7 @@ MOST_BYTES_OF_ONE = 200_000
 """Bytes of one message: that of a thousand joints."""
 MOST_UNPACKED = 2_000_000_000
 """Bytes of a compressed bag's files, or of one chunk of it, once they are unpacked."""
+_NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
 _TOGETHER = 8192  # messages that are decoded at once
 IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
@@ -170,6 +175,10 @@ _DEFINITIONS = {
     "geometry_msgs/msg/PointStamped": "std_msgs/Header header\nPoint point",
     "sensor_msgs/msg/JointState": "std_msgs/Header header\nstring[] name\n"
     "float64[] position\nfloat64[] velocity\nfloat64[] effort",
+    "sensor_msgs/msg/BatteryState": "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\nfloat32 current\n"
+    "float32 charge\nfloat32 capacity\nfloat32 design_capacity\nfloat32 percentage\nuint8 power_supply_status\n"
+    "uint8 power_supply_health\nuint8 power_supply_technology\nbool present\nfloat32[] cell_voltage\n"
+    "float32[] cell_temperature\nstring location\nstring serial_number",
 }
 """The messages of Jazzy that a recording needs; loading the whole distribution's takes ten times as long."""
 
@@ -1047,6 +1056,46 @@ def read_recording(
     if inputs is None and not states_only and not (torque_off and effort_unit is None):
         inputs = _measured(path, state, record, reported is not None, effort_unit, conventions)
     return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
+
+
+def read_drive_signals(path: str | Path, state_topic: str | None = None) -> DriveSignals:
+    """Read goals (positions of /joint_command) and supply voltage (/battery_state), as far as they are there.
+
+    Raises:
+        RecordingError: The bag cannot be read, or several topics may be meant.
+    """
+    with _open(Path(path)) as bag:
+        state = _state_topic(bag, state_topic, None)
+        namespace = state.name.rpartition("/")[0]
+
+        def found(name: str, msgtype: str) -> _Topic | None:
+            filled = [topic for topic in bag.topics if topic.size and topic.msgtype == msgtype and topic != state]
+            topics = _called(filled, name, namespace)
+            if len(topics) > 1:
+                raise RecordingError(f"{path}: which {name}? {_listed(topics)}: record one of them")
+            return topics[0] if topics else None
+
+        goal, battery = found(JOINT_COMMAND, JOINT_STATE), found(BATTERY_STATE, BATTERY)
+        if goal is None and battery is None:
+            return DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
+        ahead_ns = _clock(_joint_state_columns(bag, state, ["position"]))
+        goal_ns, names, goals = _NO_TIMES, tuple[str, ...](), np.empty((0, 0))
+        if goal is not None:
+            columns = _joint_state_columns(bag, goal, ["position"])
+            goal_ns = np.where(columns.stamp_ns == 0, columns.bag_ns + ahead_ns, columns.stamp_ns)
+            order = np.argsort(goal_ns, kind="stable")
+            goals = np.where(np.isfinite(columns.values["position"]), columns.values["position"], np.nan)[order]
+            goal_ns, names = goal_ns[order], columns.names
+        times, volts = [], []
+        for time_ns, message in [] if battery is None else bag.messages(battery):
+            stamp = message.header.stamp
+            stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+            if np.isfinite(message.voltage) and message.voltage > 0.0:
+                times.append(stamp_ns or time_ns + ahead_ns)
+                volts.append(float(message.voltage))
+    order = np.argsort(np.array(times, dtype=np.int64), kind="stable")
+    voltage_ns = np.array(times, dtype=np.int64)[order]
+    return DriveSignals(goal_ns, names, goals, voltage_ns, np.array(volts, dtype=np.float64)[order])
 
 
 def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:

@@ -22,21 +22,34 @@ from proprio_ros.calibration import Calibration
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
 from proprio_ros.identification.motion_estimate import calibrate_motions
+from proprio_ros.identification.one_joint_estimate import best_delay, calibrate_joint, torque_left_over
 from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.joint_calibration import FEWEST_RUNS, JointCalibration
 from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.motions import Motion
 from proprio_ros.motors import MotorIdentity, other_arm
 from proprio_ros.probes.payload.facts import payload_facts
-from proprio_ros.replay import DEFAULT_ROBOT, Recordings, ReplayOptions, bag_runs_or_motion, held_positions, robot_of
+from proprio_ros.quantity import Quantity
+from proprio_ros.replay import (
+    DEFAULT_ROBOT,
+    Recordings,
+    ReplayOptions,
+    bag_recording,
+    bag_runs_or_motion,
+    held_positions,
+    robot_of,
+    runs_or_motion,
+)
 from proprio_ros.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
 from proprio_ros.robot import Robot, is_description, nested_settings, with_recorded_torque
 from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.threads import one_blas_thread
+from proprio_ros.voltage import with_stall_currents
 
 HEAVIEST_REFERENCE_KG = 5.0
 
@@ -86,6 +99,8 @@ def calibrate_from_bags(
     loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
     motors = _motors_of([path for path, _ in loads], options)
+    robot, delay = _with_learnt_delay(robot, loads, facts, options, held, progress)
+    overrides |= delay
     runs: list[LoadedRun] = []
     motions: list[tuple[Motion, float]] = []
     for number, (path, load) in enumerate(loads, start=1):
@@ -101,14 +116,17 @@ def calibrate_from_bags(
             f"{motions[0][0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].run.name} holds "
             "probes: calibrate with one or the other, each makes a file of its own"
         )
-    if motions:
+    if motions and references and len(motions[0][0].joints) == 1:
+        progress(f"fitting {len(motions)} motions of one joint")
+        estimate = calibrate_joint(robot, [motion for motion, _ in motions], [kg for _, kg in motions], facts)
+    elif motions:
         estimate = _from_motions(robot, motions, facts if "payload.com" in settings.taken else None, progress)
     else:
         estimate = calibrate(robot, runs, progress=progress)
     if estimate.calibration is not None:
         estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors))
     written = None
-    learnt = estimate.calibration or estimate.motion
+    learnt = estimate.calibration or estimate.motion or estimate.joint
     if output is not None and learnt is not None and estimate.verdict.value == "accepted":
         said = "" if estimate.weighable is None else estimate.weighable.sentence()
         write_calibration(Path(output), robot, learnt, overrides, said)
@@ -175,7 +193,7 @@ def _from_motions(
 def write_calibration(
     path: Path,
     robot: Robot,
-    calibration: Calibration | MotionCalibration,
+    calibration: Calibration | MotionCalibration | JointCalibration,
     overrides: Mapping[str, Any] | None = None,
     said: str = "",
 ) -> None:
@@ -194,8 +212,9 @@ def write_calibration(
     settings = calibration.as_settings()
     section = CommentedMap(settings)
     section["runs"] = [_on_one_line(run) for run in settings["runs"]]
-    section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
-    for name in ("correlation", "deviations"):
+    if "unknowns" in settings:
+        section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
+    for name in ("correlation", "deviations", "without"):
         if name in settings:
             section[name] = LiteralScalarString(settings[name])
     if isinstance(calibration, MotionCalibration):
@@ -206,7 +225,7 @@ def write_calibration(
     if isinstance(calibration, Calibration):
         content["calibrated"] = True
     content["model_fingerprint"] = robot.model.fingerprint()
-    content["calibration" if isinstance(calibration, Calibration) else "motion_calibration"] = section
+    content[_section_of(calibration)] = section
     noun = "runs" if isinstance(calibration, Calibration) else "motions"
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     content.yaml_set_start_comment(
@@ -219,6 +238,44 @@ def write_calibration(
     writer.width = 1000
     writer.dump(content, stream)
     write_in_one_step(path, stream.getvalue(), "--output")
+
+
+def _section_of(calibration: Calibration | MotionCalibration | JointCalibration) -> str:
+    """The key of the robot file under which it stands."""
+    if isinstance(calibration, Calibration):
+        return "calibration"
+    return "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
+
+
+def _with_learnt_delay(
+    robot: Robot,
+    loads: Sequence[tuple[Path, KnownLoad]],
+    facts: PayloadFacts,
+    options: ReplayOptions,
+    held: Mapping[str, float],
+    progress: Callable[[str], None],
+) -> tuple[Robot, dict[str, Any]]:
+    """The robot with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
+
+    Only where a single joint follows its goal by a law, so that all of its torque hangs on that delay.
+    """
+    (joint, *others), drives = list(robot.drive_trains), robot.drive_trains
+    driven_by = drives[joint].driven_by
+    if others or driven_by is None or not driven_by.follows_goal or robot.delay.std == 0.0 or len(loads) < FEWEST_RUNS:
+        return robot, {}
+    recordings = [bag_recording(path, robot, options) for path, _ in loads]
+    if any(recording.torque_off_ns for recording in recordings):
+        return robot, {}
+    progress("looking for the delay from a goal to its torque")
+    masses = [load.mass for _, load in loads]
+
+    def left_over(delay_s: float) -> float:
+        late = replace(robot, delay=Quantity(delay_s))
+        motions = [runs_or_motion(with_stall_currents(each, late), late, held) for each in recordings]
+        return torque_left_over(late, [each for each in motions if isinstance(each, Motion)], masses, facts)
+
+    delay = best_delay(left_over, robot.delay)
+    return replace(robot, delay=delay), {"delay_s": {"value": delay.value, "std": delay.std}}
 
 
 def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:

@@ -29,7 +29,7 @@ from proprio_ros.motions import SLOWEST_HZ, Motion, motion_of
 from proprio_ros.plausibility import EffortUnit, Finding, effort_per_torque, effort_units, findings, moving
 from proprio_ros.probes import all_probes
 from proprio_ros.quantity import shown
-from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, InputRecord, Recording, Run
+from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, STALL_CURRENT, InputRecord, Recording, Run
 from proprio_ros.replay import (
     DEFAULT_ROBOT,
     TEXT_ROBOT,
@@ -46,6 +46,7 @@ from proprio_ros.robot import Robot, is_description
 from proprio_ros.schema import header, reason_codes
 from proprio_ros.settings import Settings
 from proprio_ros.threads import one_blas_thread
+from proprio_ros.voltage import voltage_driven
 
 UNUSABLE_EFFORT = ("unsigned_register", "effort_stale", "constant_effort")
 """Findings after which no torque can be made of a measured effort."""
@@ -258,7 +259,9 @@ class BagCheck:
             else:
                 lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
             lines += [f"    note: {note}" for note in run.notes]
-        if self.motion is not None and len(self.motion.joints) == 1:
+        if self.motion is not None and self.input is not None and self.input.startswith(STALL_CURRENT):
+            lines.append(f"  a motion under a controller, {self.motion.times_s[-1]:.1f} s, driven by a voltage")
+        elif self.motion is not None and len(self.motion.joints) == 1:
             lines.append(
                 f"  a motion of one joint under a controller, {self.motion.times_s[-1]:.1f} s: tells how it swings (`replay "
                 "--probe payload`), and the mass where the torque is known and one with an empty hand is beside it "
@@ -431,13 +434,18 @@ def _bag_check(robot: Robot, path: Path, held: Mapping[str, float], options: Rep
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
     moved = moving(recording.joints, slides)
     seen = (*findings(recording, slides), *_of_robot(robot, recording, effort_unit))
-    if recording.inputs is None or recording.inputs.measured:
+    by_voltage = voltage_driven(robot)
+    # what the law of a position servo makes of goal and position needs no effort
+    without = {name for name in by_voltage if robot.drive_trains[name].driven_by.follows_goal}  # type: ignore[union-attr]
+    seen = tuple(each for each in seen if each.code not in DOUBTFUL_EFFORT or not without.issuperset(each.joints))
+    if recording.inputs is None or recording.inputs.measured or recording.inputs.computed:
         runs = tuple(_with_effort(run, seen) for run in runs)
         for finding in seen:
             if motion is not None and finding.code in UNUSABLE_EFFORT and set(finding.joints) & set(motion.moved):
                 motion, problem = None, f"of no use as a motion: {finding.sentence}"
-    per_torque, units = _effort(recording, robot, seen)
-    tells = _motion_check(robot, recording, motion)
+    per_torque, units = ({}, ()) if by_voltage else _effort(recording, robot, seen)
+    # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
+    tells = None if by_voltage and len(robot.drive_trains) == 1 else _motion_check(robot, recording, motion)
     times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])
     intervals = np.diff(times_s)
     period = float(np.median(intervals))
@@ -485,7 +493,17 @@ def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tu
                 "--effort-unit N.m where effort is torque",
             ),
         )
-    return ()
+    driven_by = {name: drive.driven_by for name, drive in robot.drive_trains.items() if drive.driven_by is not None}
+    return tuple(
+        Finding(
+            "voltage_driven",
+            f"a voltage drives {name} ({kind.kind} in {robot.source.name}): its torque is made from {kind.takes}, and its scale is "
+            "open: a joint alone is weighed with motions of known loads (`calibrate --reference BAG=KG ..`, three or more)",
+            (name,),
+        )
+        for name, kind in driven_by.items()
+        if name in recording.joints.names
+    )
 
 
 def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
@@ -581,6 +599,8 @@ def _input_of(
         return "none, torque is off", ""
     if inputs is None and recording.joints.reported_effort is None:
         return "", ""
+    if inputs is not None and inputs.computed:
+        return inputs.source, "A"
     if inputs is None or inputs.measured:
         return MEASURED_EFFORT, unit or f"not stated: --effort-unit {'|'.join(EFFORT_UNITS)}"
     if inputs.unit != "N.m":

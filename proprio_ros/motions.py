@@ -80,6 +80,8 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
     measured = None if record.current is None else record.current[:, columns]
     if measured is not None and np.isfinite(measured).any(axis=0).all():
         current, source = measured, "measured current"
+        if recording.inputs is not None and recording.inputs.computed:
+            source = recording.inputs.source
         complete = np.isfinite(current).all(axis=1)
         if not complete.all():
             notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")

@@ -23,6 +23,9 @@ BoolArray = NDArray[np.bool_]
 MEASURED_EFFORT = "measured effort"
 """`InputRecord.source` when no command was recorded and the input is the current that the motors reported."""
 
+STALL_CURRENT = "stall current"
+"""How `InputRecord.source` begins where a voltage drives the motors and the input was made of it."""
+
 ZERO_CURRENT_A = 1e-6
 """A commanded current up to this is a command of zero [A]."""
 
@@ -174,6 +177,11 @@ class InputRecord:
         """Whether the input is what the motors reported, not what they were commanded."""
         return self.source == MEASURED_EFFORT
 
+    @property
+    def computed(self) -> bool:
+        """Whether the input is the stall current of motors that a voltage drives."""
+        return self.source.startswith(STALL_CURRENT)
+
     def column(self, name: str) -> int:
         """Column of a joint.
 
@@ -181,6 +189,32 @@ class InputRecord:
             RecordingError: The joint has no input column.
         """
         return _column(self.names, name)
+
+
+@dataclass(frozen=True)
+class DriveSignals:
+    """What a bag holds of what drives servos that know no current, on the clock of the joint states.
+
+    Attributes:
+        goal_ns: When each row of goals was sent [ns], shape (G,); empty where none was recorded.
+        names: Of the joints, one per column.
+        goals: [rad], NaN where a message gave none, shape (G, J).
+        voltage_ns, voltage_V: Of the supply, shape (B,); empty where it was not recorded.
+    """
+
+    goal_ns: TimeArray
+    names: tuple[str, ...]
+    goals: FloatArray
+    voltage_ns: TimeArray
+    voltage_V: FloatArray
+
+    def goal(self, joint: str) -> tuple[TimeArray, FloatArray]:
+        """When one joint was sent [ns] and where [rad]; both empty where that was not recorded."""
+        if joint not in self.names:
+            return np.empty(0, dtype=np.int64), np.empty(0)
+        column = self.goals[:, self.names.index(joint)]
+        known = np.isfinite(column)
+        return self.goal_ns[known], column[known]
 
 
 @dataclass(frozen=True)
@@ -193,6 +227,7 @@ class Recording:
         inputs: Input currents; None when the recording has nothing about them.
         notes: Every repair made while reading, one sentence each.
         torque_off_ns: From when to when torque was off [ns], one pair per stretch, on the clock of the joint states.
+        signals: What stall currents are made of, where voltages drive motors; else None.
     """
 
     name: str
@@ -200,6 +235,7 @@ class Recording:
     inputs: InputRecord | None
     notes: tuple[str, ...] = ()
     torque_off_ns: tuple[tuple[int, int], ...] = ()
+    signals: DriveSignals | None = None
 
     def __post_init__(self) -> None:
         _show(self)

@@ -16,6 +16,7 @@ from proprio_ros.bags import (
     Conventions,
     TextRecording,
     is_text_recording,
+    read_drive_signals,
     read_motors,
     read_recording,
     read_text_recording,
@@ -40,6 +41,7 @@ from proprio_ros.runs import DrivenAtOnce, cut_runs
 from proprio_ros.schema import calibration_used
 from proprio_ros.settings import Settings, number
 from proprio_ros.threads import one_blas_thread
+from proprio_ros.voltage import refuse_unit, voltage_driven, with_stall_currents
 
 DEFAULT_ROBOT = "open_manipulator_x"
 TEXT_ROBOT = "open_manipulator_x_as_published"
@@ -171,7 +173,7 @@ def replay(paths: str | Path | Sequence[str | Path], options: ReplayOptions | No
     estimate = probe.identify(robot, Recorded(runs, baseline, sources, text, motions, baseline_motions), facts)
     solved = time.perf_counter()
     timing = {"load": loaded - started, "read": read - loaded, "solve": solved - read}
-    learnt = robot.motion_calibration if motions else robot.calibration
+    learnt = (robot.motion_calibration or robot.joint_calibration) if motions else robot.calibration
     origin = {
         "bags": [str(path) for path in paths],
         "baseline": [str(path) for path in baseline_paths],
@@ -251,7 +253,7 @@ def robot_of(name: str | None, calibration: str | Path | None, overrides: Mappin
             f"--calibration {calibration}: expected the .yaml file that `proprio calibrate --output` wrote"
         )
     robot = load_robot(calibration, overrides)
-    if robot.calibration is None and robot.motion_calibration is None:
+    if robot.calibration is None and robot.motion_calibration is None and robot.joint_calibration is None:
         raise RobotError(
             f"--calibration {calibration}: holds no calibration; write it with `proprio calibrate --output`"
         )
@@ -411,8 +413,11 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
     inputs = recording.inputs
     if recording.joints.current is None or inputs is None:
         return False
+    if inputs.computed:
+        return True
     if inputs.measured:
-        return robot.motion_calibration is not None and robot.calibration is None
+        learnt = robot.motion_calibration is not None or robot.joint_calibration is not None
+        return learnt and robot.calibration is None
     return not inputs.current_A.any()
 
 
@@ -425,6 +430,8 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
     profile = options.publisher
     if profile is not None and profile.refused:
         raise RecordingError(f"{path}: {profile.refused}")
+    refuse_unit(robot, options.stated_unit)
+    by_voltage = voltage_driven(robot)
     recording = read_recording(
         path,
         state_topic=options.state_topic,
@@ -433,8 +440,12 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
         conventions=options.conventions,
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=list(robot.drive_trains),
+        states_only=len(by_voltage) == len(robot.drive_trains),
     )
     recording = without_jumps(recording, list(robot.drive_trains))
+    if by_voltage:
+        recording = replace(recording, signals=read_drive_signals(path, options.state_topic))
+        recording = with_stall_currents(recording, robot)
     notes = recording.notes + check_motors(path, robot, options.state_topic)
     if profile is not None:
         notes += _implausible_unit(recording, robot, profile, options.stated_unit)

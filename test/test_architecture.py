@@ -37,11 +37,16 @@ ROOMS: dict[str, set[str]] = {
         "quantity",
         "calibration",
         "motion_calibration",
+        "joint_calibration",
         "kinds",
         "forms",
         "reading",
         "bags",
     },
+    # what drives a motor that knows no current
+    "voltage": {"errors", "records", "robot"},
+    # what motions with known loads say about the only joint of a robot
+    "joint_calibration": {"errors", "forms", "records", "calibration"},
     "settings": {"errors", "resources", "forms", "reading"},
     "realtime": set(),
     "bags": {"errors", "records", "forms", "reading", "motors"},
@@ -59,6 +64,7 @@ ROOMS: dict[str, set[str]] = {
         "records",
         "motions",
         "motion_calibration",
+        "joint_calibration",
         "quantity",
         "kinds",
         "robot",
@@ -75,6 +81,7 @@ ROOMS: dict[str, set[str]] = {
         "records",
         "motions",
         "motion_calibration",
+        "joint_calibration",
         "quantity",
         "kinds",
         "settings",
@@ -105,6 +112,7 @@ ROOMS: dict[str, set[str]] = {
         "identification",
         "probes",
         "report",
+        "voltage",
     },
     "calibrating": {
         "errors",
@@ -117,6 +125,9 @@ ROOMS: dict[str, set[str]] = {
         "robot",
         "calibration",
         "motion_calibration",
+        "joint_calibration",
+        "quantity",
+        "voltage",
         "motions",
         "sim",
         "identification",
@@ -164,6 +175,7 @@ ROOMS: dict[str, set[str]] = {
         "identification",
         "probes",
         "replay",
+        "voltage",
     },
     # for scripts and notebooks
     "api": {

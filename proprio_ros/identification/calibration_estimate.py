@@ -8,6 +8,7 @@ from typing import Any
 
 from proprio_ros.calibration import Calibration
 from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, plain
+from proprio_ros.joint_calibration import JointCalibration
 from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
@@ -185,7 +186,8 @@ class CalibrationEstimate:
         weighable: what can be weighed with it; None where that was not asked for, or nothing can.
         empty_hand: how far the runs themselves say that the hand was empty; None where no empty run moved it.
         motion: what motions say instead of runs; then ``calibration`` is None.
-        weighed_empty: of motions, what each weighs by the others, which should be nothing.
+        joint: what motions of one joint with known loads say; then ``calibration`` is None, too.
+        weighed_empty: of motions, what each weighs by the others, which should be nothing, or the known load.
         origin: bags, references, and the file that was written, as ``as_json`` gives them.
     """
 
@@ -205,6 +207,7 @@ class CalibrationEstimate:
     weighable: Weighable | None = None
     empty_hand: EmptyHand | None = None
     motion: MotionCalibration | None = None
+    joint: JointCalibration | None = None
     weighed_empty: tuple[EmptyWeighing, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
@@ -212,7 +215,21 @@ class CalibrationEstimate:
     @property
     def used(self) -> int:
         """How many of the runs, or of the motions, were used."""
-        return len(self.run_fits) if self.motion is None else len(self.motion.runs)
+        learnt = self.motion or self.joint
+        return len(self.run_fits) if learnt is None else len(learnt.runs)
+
+    def _joint_as_json(self) -> dict[str, Any]:
+        joint = self.joint
+        if joint is None:
+            return {}
+        return {
+            "one_joint": {
+                "joint": joint.joint,
+                "spread": joint.spread,
+                "residual_N_m": joint.residual,
+                "runs": [dict(run) for run in joint.runs],
+            }
+        }
 
     def _motion_as_json(self) -> dict[str, Any]:
         motion = self.motion
@@ -284,6 +301,7 @@ class CalibrationEstimate:
                     for h in self.held_out
                 ],
                 **self._motion_as_json(),
+                **self._joint_as_json(),
                 "not_separated": list(self.not_separated),
                 "advice": [plan.as_json() for plan in self.advice],
                 "notes": list(self.notes),

@@ -43,6 +43,8 @@ MIN_BLOCKS = 4
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 LEAST_TORQUE_STD = 0.01
 """Relative; magnets lose 0.1 % of their torque per kelvin, and motors that lift warm by ten."""
+VOLTAGE_TORQUE_STD = 0.2
+"""Relative, where a voltage drives the motor: its torque is a maker's constant over a winding that warms up, times a gain."""
 URDF_SHARE = 0.15
 """An arm that weighs more or less than its URDF by more may owe it to the torque constants, whatever their file says of them; URDFs
 were seen to be off by 8 to 16 %."""
@@ -475,8 +477,10 @@ def _arm_over_urdf(matrix: FloatArray, values: FloatArray, prior: FloatArray, co
 
 def relative_torque_std(robot: Robot, joint: str) -> float:
     """How well a joint's torque constant is known, relative to it; no file knows it exactly."""
-    constant = robot.drive_trains[joint].torque_constant
-    return max(constant.std / abs(constant.value), LEAST_TORQUE_STD)
+    drive = robot.drive_trains[joint]
+    constant = drive.torque_constant
+    least = LEAST_TORQUE_STD if drive.driven_by is None else VOLTAGE_TORQUE_STD
+    return max(constant.std / abs(constant.value), least)
 
 
 def _solve(normal: FloatArray, side: FloatArray, prior: FloatArray, spread: FloatArray) -> FloatArray:

@@ -112,7 +112,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
         raise RecordingError(f"{motions[0].name}: {joint} turns about the vertical, where gravity does nothing")
     directions = directions_of(axis)
     gravity = base.T @ model.gravity
-    tables = [[_table(robot, motion, joint, gravity, axis, directions, w) for motion in motions] for w in WINDOWS_S]
+    tables = [[table_of(robot, motion, joint, gravity, axis, directions, w) for motion in motions] for w in WINDOWS_S]
     stretches = np.unique(np.concatenate([part.stretch + RUNS_OF_ITS_OWN * n for n, part in enumerate(tables[-1])]))
     if len(stretches) < MIN_STRETCHES:
         raise RecordingError(
@@ -153,7 +153,7 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
 
 
 @dataclass(frozen=True)
-class _Table:
+class Table:
     """Windows of one motion.
 
     Attributes:
@@ -167,7 +167,7 @@ class _Table:
     stretch: NDArray[np.int64]
 
 
-def _table(
+def table_of(
     robot: Robot,
     motion: Motion,
     joint: str,
@@ -175,7 +175,13 @@ def _table(
     axis: FloatArray,
     directions: FloatArray,
     window_s: float,
-) -> _Table:
+    slow_rad_s: float = SLOW_RAD_S,
+) -> Table:
+    """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
+
+    Raises:
+        RecordingError: It does not move for long enough.
+    """
     column = motion.joints.index(joint)
     period_s = float(np.median(np.diff(motion.times_s)))
     times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
@@ -196,21 +202,21 @@ def _table(
             windows.derivative(velocity, period_s),
             windows.mean(moments),
             windows.mean(velocity),
-            windows.mean(np.tanh(velocity / SLOW_RAD_S)),
+            windows.mean(np.tanh(velocity / slow_rad_s)),
             np.ones(len(windows.starts)),
         ]
     )
-    counts = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) < 0.5
+    counts = windows.mean((np.abs(velocity) < slow_rad_s).astype(np.float64)) < 0.5
     counts &= ~across_gaps(motion, times_s, windows, width)
     if counts.sum() <= columns.shape[1]:
         raise RecordingError(f"{motion.name}: {joint} does not move for long enough without a pause or a gap")
     torque = robot.drive_trains[joint].torque_constant.value * windows.mean(current)
     middle_s = times_s[windows.starts] + 0.5 * window_s
     stretch = (middle_s / STRETCH_S).astype(np.int64)
-    return _Table(columns[counts], torque[counts], stretch[counts])
+    return Table(columns[counts], torque[counts], stretch[counts])
 
 
-def _choices(tables: Sequence[Sequence[_Table]], left_out: int | None) -> FloatArray:
+def _choices(tables: Sequence[Sequence[Table]], left_out: int | None) -> FloatArray:
     """The four values by each way to take them, shape (C, 4)."""
     rows = []
     for parts in tables:
@@ -229,7 +235,7 @@ class _Solution:
 
 
 def _stacked(
-    parts: Sequence[_Table], left_out: int | None
+    parts: Sequence[Table], left_out: int | None
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
     """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
     loads, frictions, torques, numbers = [], [], [], []
@@ -248,7 +254,7 @@ def _stacked(
     return np.vstack(loads), np.vstack(frictions), np.concatenate(torques), np.concatenate(numbers)
 
 
-def _by_torque(parts: Sequence[_Table], left_out: int | None) -> _Solution:
+def _by_torque(parts: Sequence[Table], left_out: int | None) -> _Solution:
     """The torque has the error: least squares of it, with gears that lose part of the load's."""
     load, friction, torque, number = _stacked(parts, left_out)
     direction = friction[:, 1::3].sum(axis=1)
@@ -270,7 +276,7 @@ def _by_torque(parts: Sequence[_Table], left_out: int | None) -> _Solution:
     return _Solution(values[:3], values[3:-1].reshape(-1, 3), residual)
 
 
-def _by_acceleration(parts: Sequence[_Table], left_out: int | None) -> FloatArray:
+def _by_acceleration(parts: Sequence[Table], left_out: int | None) -> FloatArray:
     """The acceleration has the error: inertia and two moments, shape (3,)."""
     load, friction, torque, _ = _stacked(parts, left_out)
     matrix = np.column_stack([torque, load[:, 1:], friction])

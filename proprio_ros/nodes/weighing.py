@@ -71,6 +71,13 @@ class Weighing:
                 self._node.say("warning", f"the running estimate is off: {NO_MOTIONS}")
             return
         self._inputs.kept = deque()
+        if any(drive.driven_by is not None for drive in self._robot.drive_trains.values()):
+            # a published effort of theirs is no current
+            if asked:
+                self._node.say(
+                    "warning", f"the running estimate is off: a voltage drives motors of {self._robot.name} (driven_by)"
+                )
+            return
         if asked:
             probe = probe_at_work()
             setting = self._keeping.setting(probe, stated, None)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from proprio_ros.quantity import Quantity
+from proprio_ros.robot.drives import Drive
 from proprio_ros.robot.geometry import FloatArray
 
 
@@ -92,6 +93,7 @@ class DriveTrain:
         stribeck: By how much of itself dry friction is greater at rest.
         stribeck_velocity: Speed at which 1/e of that is left [rad/s].
         finger_travel: What was measured of a finger's travel, for squeezes alone: published positions count with `transmission`.
+        driven_by: What drives the motor where no current does; None: a current.
     """
 
     torque_constant: Quantity
@@ -112,6 +114,14 @@ class DriveTrain:
     stribeck: Quantity = field(default_factory=lambda: Quantity(0.0))
     stribeck_velocity: Quantity = field(default_factory=lambda: Quantity(0.1))
     finger_travel: FingerTravel | None = None
+    driven_by: Drive | None = None
+
+    @property
+    def electric_damping(self) -> float:
+        """Viscous friction that back EMF makes where a voltage drives the motor [N m s/rad]."""
+        if self.driven_by is None:
+            return 0.0
+        return self.torque_constant.value * self.back_emf_V_s_per_rad / self.resistance_ohm
 
     @property
     def travel_coefficients(self) -> tuple[float, float, float]:

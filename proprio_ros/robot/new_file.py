@@ -19,7 +19,7 @@ from proprio_ros.robot.wide import Wide, largest_torque
 STATE = "STATE THIS"
 CHECK = "CHECK THIS"
 _COLUMN = 52  # where comments begin
-_WRITTEN_BY_CALIBRATE = ("model_fingerprint", "calibration")
+_WRITTEN_BY_CALIBRATE = ("model_fingerprint", "calibration", "joint_calibration")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 from proprio_ros.calibration import NOISE, RANGES, TERMS, Calibration, check_complete
 from proprio_ros.errors import RobotError, one_line
 from proprio_ros.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
+from proprio_ros.joint_calibration import JointCalibration
 from proprio_ros.kinds import Key
 from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.quantity import Quantity
@@ -22,6 +23,7 @@ from proprio_ros.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, is_bag, is_description, read_model
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
+from proprio_ros.robot.drives import KINDS_OF_DRIVE, Drive, required
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
 from proprio_ros.robot.wide import Wide, largest_torque
@@ -51,6 +53,7 @@ class Robot:
         residual_scale: Residuals of a calibration over what encoder and stamps explain.
         calibration: What is known about this very arm, with all correlations; None when the file's numbers stand alone.
         motion_calibration: What motions with an empty hand say about this very arm; it is for motions alone.
+        joint_calibration: What motions with known loads say about the only joint of this very robot.
         friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
         payload_frame: Link in which objects are held.
         gravity: In the base frame [m/s^2], shape (3,).
@@ -81,6 +84,7 @@ class Robot:
     residual_scale: float = 1.0
     calibration: Calibration | None = None
     motion_calibration: MotionCalibration | None = None
+    joint_calibration: JointCalibration | None = None
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -195,6 +199,17 @@ def _finger_travel(value: Any, where: str) -> FingerTravel:
     return travel
 
 
+def _drive(value: Any, where: str) -> Drive:
+    given = dict(_as_mapping(value, where))
+    name = given.pop("kind", None)
+    kind = KINDS_OF_DRIVE.get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise RobotError(f"{where}: kind must be one of {', '.join(KINDS_OF_DRIVE)}, got {shortly(name)}")
+    defaults = {key: getattr(kind, key) for key in kind.forms if key not in required(kind)}
+    fields = {key: _Field(form, defaults.get(key, _REQUIRED)) for key, form in kind.forms.items()}
+    return kind(**_section(given, fields, where))
+
+
 def _quantity(form: Number) -> _Nested:
     """A number that is known exactly, or its value and standard deviation."""
 
@@ -221,6 +236,13 @@ _MOTOR = {
     "encoder_noise_rad": _Field(Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.001),
     "encoder_once_per_turn_rad": _Field(
         Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.002
+    ),
+    "driven_by": _Field(
+        _Nested(
+            "what drives the motor where no current does, as {kind: duty_cycle, per_count: 0.00113}; null: a current",
+            nested=_drive,
+        ),
+        None,
     ),
 }
 _DRIVE_TRAIN = {
@@ -278,9 +300,13 @@ _ROBOT = {
         ),
         None,
     ),
+    "joint_calibration": _Field(
+        _Nested("what `proprio calibrate` learnt from motions of one joint", nested=JointCalibration.from_settings),
+        None,
+    ),
 }
 _ELSEWHERE = ("urdf", "joints", "extends")  # read before the others
-_FILE_ONLY = ("model_fingerprint", "calibration", "motion_calibration")  # no --set
+_FILE_ONLY = ("model_fingerprint", "calibration", "motion_calibration", "joint_calibration")  # no --set
 
 
 def _unknown_of(path: tuple[str, ...]) -> Key:
@@ -395,7 +421,7 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
         base = _read_settings(
             _located(_PATH.read(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
         )
-        for section in ("calibration", "motion_calibration"):
+        for section in ("calibration", "motion_calibration", "joint_calibration"):
             if section in settings:
                 base.pop(section, None)  # a newer calibration replaces an older one as a whole
         settings = _merged(base, settings)
@@ -538,7 +564,8 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
     expected = given["model_fingerprint"]
     motion = given["motion_calibration"]
-    if expected is None and (given["calibration"] is not None or motion is not None):
+    of_joint = given["joint_calibration"]
+    if expected is None and any(each is not None for each in (given["calibration"], motion, of_joint)):
         raise RobotError(
             f"{file}: model_fingerprint is missing: which URDF the calibration was made with cannot be checked; write it again "
             "with `proprio calibrate`"
@@ -578,6 +605,11 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
                 f"{file}: motion_calibration: is of {', '.join(foreign)}, but {given['name']} drives {', '.join(drive_trains)}: "
                 "calibrate this robot"
             )
+    if of_joint is not None and [of_joint.joint] != list(drive_trains):
+        raise RobotError(
+            f"{file}: joint_calibration: is of {of_joint.joint}, but {given['name']} drives {', '.join(drive_trains)}: calibrate "
+            "this robot"
+        )
     robot = Robot(
         name=given["name"],
         model=model,
@@ -599,6 +631,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         source=source,
         settings=settings,
         motion_calibration=motion,
+        joint_calibration=of_joint,
     )
     if calibration is None:
         return robot
@@ -644,6 +677,14 @@ def _drive_train(settings: Any, model: RobotModel, name: str, where: str) -> tup
         raise RobotError(
             f"{where}: motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
         )
+    if motor["driven_by"] is not None:
+        if joint.kind == "prismatic":
+            raise RobotError(f"{where}: motor: driven_by is for a joint that turns, but this one slides; remove it")
+        if motor["resistance_ohm"] == 0.0:
+            raise RobotError(
+                f"{where}: motor: driven_by {motor['driven_by'].kind} needs resistance_ohm too, to make a current of a voltage; "
+                "state it"
+            )
     if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
         raise RobotError(
             f"{where}: motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect"
@@ -668,6 +709,7 @@ def _drive_train(settings: Any, model: RobotModel, name: str, where: str) -> tup
             encoder_once_per_turn=motor["encoder_once_per_turn_rad"],
             transmission=1.0 if transmission is None else transmission,
             finger_travel=travel,
+            driven_by=motor["driven_by"],
         ),
         Motor(model=motor["model"], id=motor["id"], current_limit_A=motor["current_limit_A"]),
     )

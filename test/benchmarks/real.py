@@ -205,6 +205,47 @@ def controllers(real: Path, folder: Path) -> Iterator[Answer]:
                 yield asked("STS3215 driven, effort has no sign, as any unit", f"{bag.name} {unit}", truth, words)
 
 
+XL330_DRIVE = "{kind: duty_cycle, per_count: 0.00112994}"
+STS_DRIVE = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
+"""Its P of 16 times 0.166, goal speed and largest duty cycle: what Rhoban/bam measured of the STS3215."""
+
+
+def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
+    """Servos that know no current, each motion weighed by others of the same machine with known loads."""
+    for name, object_is, drive, delay in (
+        ("xl330", ("--set", "payload.com=[0,0,0]"), XL330_DRIVE, "0.0"),
+        ("sts3215", STS_OBJECT, STS_DRIVE, "{value: 0.02, std: 0.02}"),
+    ):
+        pendulum(folder, name, 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.4}")
+        robot = folder / f"{name}.yaml"
+        motor = f"resistance_ohm: 2.68, back_emf_V_s_per_rad: 1.0, driven_by: {drive}, "
+        text = robot.read_text().replace("motor: {", "motor: {" + motor)
+        robot.write_text(text.replace("joints:", f"delay_s: {delay}\njoints:"))
+        # machine, set-up (gain or load) and motion of each recording
+        bags = {}
+        for bag in sorted(real.glob(f"{name}_*")):
+            if "release" not in bag.name and "lift" not in bag.name:
+                rest = bag.name.partition("_")[2]
+                setup, motion = rest.split("_", 1) if name == "xl330" else rest.rsplit("_", 1)[::-1]
+                bags[bag] = (setup, motion, XL330_KG if name == "xl330" else float(setup.removesuffix("kg")))
+        other = "another gain" if name == "xl330" else "another load"
+        for row, known_by in (
+            (f"{name.upper()} driven, motions under {other} known", lambda one, two: one[0] != two[0]),
+            (f"{name.upper()} driven, other motions known", lambda one, two: one[1] != two[1]),
+            (f"{name.upper()} driven, all others known", lambda one, two: one != two),
+        ):
+            written: dict[tuple[Path, ...], Path] = {}
+            for bag, what in bags.items():
+                known = tuple(each for each, its in bags.items() if known_by(what, its))
+                if known not in written:
+                    written[known] = folder / f"{name}_{len(written)}_{len(known)}.yaml"
+                    references = [word for each in known for word in ("--reference", f"{each}={bags[each][2]}")]
+                    words = ["--robot", str(robot), *object_is, "--output", str(written[known]), "--force"]
+                    said(["calibrate", *references, *words])
+                words = [str(bag), "--calibration", str(written[known]), *object_is]
+                yield asked(row, f"{bag.name} by {len(known)}", what[2], words)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--recordings", type=Path, default=REAL)
@@ -212,7 +253,7 @@ def main() -> None:
     options = parser.parse_args()
     answers: list[Answer] = []
     with tempfile.TemporaryDirectory() as folder:
-        for machine in (ur10e, open_manipulator, swings, controllers):
+        for machine in (ur10e, open_manipulator, swings, controllers, by_voltage):
             for answer in machine(options.recordings, Path(folder)):
                 answers.append(answer)
                 if options.bags:

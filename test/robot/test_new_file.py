@@ -35,7 +35,7 @@ def written(folder: Path, urdf: str = THREE) -> str:
 def test_every_key_is_there_with_its_default(tmp_path: Path) -> None:
     text = written(tmp_path)
     content = yaml_of(text)
-    assert set(content) == {*_ROBOT, "urdf", "joints"} - {"calibration", "model_fingerprint"}
+    assert set(content) == {*_ROBOT, "urdf", "joints"} - {"calibration", "joint_calibration", "model_fingerprint"}
     assert set(content["joints"]) == {"a", "b"}, "c is fixed"
     assert set(content["joints"]["b"]["motor"]) == set(_MOTOR)
     assert set(content["joints"]["b"]["drive_train"]) == set(_DRIVE_TRAIN)

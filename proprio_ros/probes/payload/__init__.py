@@ -97,6 +97,14 @@ class Payload(Probe[PayloadJob]):
                 raise RecordingError(
                     f"{recorded.motions[0].name}: is a motion under a controller; the paper's method wants a joint driven from rest"
                 )
+            if robot.joint_calibration is not None:
+                from proprio_ros.probes.payload.known_joint import weigh_known_joint
+
+                if recorded.baseline_motions:
+                    raise RecordingError(
+                        f"{recorded.baseline_motions[0].name}: a joint that was calibrated with known loads takes no --baseline"
+                    )
+                return weigh_known_joint(robot, recorded.motions, robot.joint_calibration, facts.payload)
             if len(recorded.motions[0].joints) == 1:
                 return weigh_one_joint(robot, recorded.motions, recorded.baseline_motions, facts.payload)
             stated_centre = "payload.com" in facts.stated

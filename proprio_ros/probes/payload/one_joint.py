@@ -14,7 +14,7 @@ from proprio_ros.identification.motion_fit import URDF_SHARE, relative_torque_st
 from proprio_ros.identification.one_joint_fit import STRETCH_S, OneJointFit, fit_one_joint
 from proprio_ros.motions import Motion
 from proprio_ros.probes.payload.moving import WIDEST_SHARE, MotionDetail
-from proprio_ros.quantity import shown
+from proprio_ros.quantity import Quantity, shown
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -36,6 +36,9 @@ AWRY_RAD = 0.15
 """The load hangs where the URDF says, but for this."""
 LEAST_FRICTION_SHARE = 0.02
 """Friction is stated no better than to this share of the torque."""
+
+EMF_SHARE = 0.3
+"""Back EMF is a maker's number, over a winding that warms up."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +254,9 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
             "the load: check the URDF's zero, the effort's sign and payload.com",
         )
     least = LEAST_FRICTION_SHARE * fit.driven
-    for term, value, stated in (("viscous", fit.viscous, drive.viscous), ("Coulomb", fit.coulomb, drive.coulomb)):
+    damping = drive.electric_damping
+    viscous = Quantity(drive.viscous.value + damping, float(np.hypot(drive.viscous.std, EMF_SHARE * damping)))
+    for term, value, stated in (("viscous", fit.viscous, viscous), ("Coulomb", fit.coulomb, drive.coulomb)):
         spread = max(stated.std, 0.5 * abs(stated.value), least)
         if abs(value - stated.value) > FAR * spread:
             yield rejected(
