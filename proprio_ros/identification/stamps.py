@@ -14,6 +14,7 @@ import numpy as np
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.problem import PreparedRun, onset_std
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.records import MEASURED_EFFORT
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import INDEX
 
@@ -48,7 +49,9 @@ def stamps_off(robot: Robot, fit: FitResult) -> list[Reason]:
     parameters = problem.parameters(fit.values[None], np.zeros(0, dtype=int))[0][0]
     found: list[Reason] = []
     for run, row in zip(problem.runs, parameters, strict=True):
-        if run.run.free:
+        if run.run.free or run.run.source == MEASURED_EFFORT:  # which comes in one message with the positions
+            continue
+        if len(run.run.input_times_s) > 1:  # what is shaken inside a container pushes back at any time
             continue
         period = float(np.median(np.diff(run.run.times_s)))
         spread = max(STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))), 0.5 * period)
@@ -94,8 +97,6 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     times_s = np.concatenate([run.run.before_times_s[since], run.times_s])
     position = np.concatenate([run.run.before_position[since], run.position])
     away = np.abs(position - np.median(position[:3])) > BEGINS_RAD
-    if len(run.run.input_times_s) > 1:
-        away |= times_s > run.run.input_times_s[1]
     count = int(np.argmax(away)) if away.any() else len(times_s)
     times_s, position = times_s[:count], position[:count]
     if count < 7:
@@ -129,7 +130,7 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
     """
     end_s = run.run.duration_s + most_s
     begin_s = end_s - FORETELL_S
-    if run.cut_reason or run.run.input_times_s[-1] > begin_s:  # a stop, a motor without voltage, another current
+    if run.cut_reason:  # a stop, a motor without voltage
         return None
     times_s = np.concatenate([run.run.times_s, run.run.after_times_s])
     position = np.concatenate([run.run.position, run.run.after_position])[times_s > begin_s]
