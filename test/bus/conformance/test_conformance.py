@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import dynamixel_sdk as sdk
 import pytest
@@ -62,14 +63,23 @@ class Bench:
         """Result of the vendor's library, and the error number in the answer."""
         address = REGISTERS[register].address
         packets = sdk.PacketHandler(2.0)
-        result, error = self.bus._guarded(lambda port: packets.writeTxRx(port, self.id, address, len(data), list(data)))
+        result, error = self._tried(lambda port: packets.writeTxRx(port, self.id, address, len(data), list(data)))
         return result, error & ~ALERT
 
     def raw_read(self, address: int, length: int) -> tuple[bytes, int, int]:
         """Data, result and error number."""
         packets = sdk.PacketHandler(2.0)
-        data, result, error = self.bus._guarded(lambda port: packets.readTxRx(port, self.id, address, length))
+        data, result, error = self._tried(lambda port: packets.readTxRx(port, self.id, address, length))
         return bytes(data), result, error & ~ALERT
+
+    def _tried(self, exchange: Callable[[Any], Any]) -> Any:
+        """Once more where no answer came in time: on a busy machine one is late now and then."""
+        for _ in range(3):
+            answer = self.bus._guarded(exchange)
+            if answer[-2] == sdk.COMM_SUCCESS:
+                break
+            self.bus._settle()
+        return answer
 
     def refusal(self, register: str, value: int) -> int:
         """Number of the error with which a write is refused; 0 when it is not."""
