@@ -69,8 +69,8 @@ def weigh_known_joint(
             f"masses differ by {100.0 * calibration.spread:.0f} % from recording to recording, as those of the known loads did: "
             "friction is not the same every time",
             "each recording has an offset of its own; samples in which the joint creeps do not count",
-            "the servo's settings and its zero are what they were then: one joint alone does not show whether they changed, and a mass "
-            "errs as the torque does",
+            "the servo's settings and its zero are what they were then: one joint alone does not show whether they changed, and "
+            "a mass errs as the torque does",
         ),
         notes=tuple(note for motion in motions for note in motion.notes),
     )
