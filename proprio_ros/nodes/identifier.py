@@ -81,20 +81,21 @@ class IdentifierNode(ManagedNode):
         self._weighing = Weighing(self, keeping, self._inputs, results, lambda: self._busy() or bool(self._missing()))
         self._excitation = Excitation(self, self._on_progress)
         self._jobs = Jobs(self, keeping, self._inputs, self._excitation, results, self._weighing, self._unsaved)
+        self._prepared, self._described = False, None
+        if is_topic(self.values["robot"]):
+            topic = topic_of(self.values["robot"])
+            self._described = described = LiveDescription(self.resolve_topic_name(topic), data)
+            self.create_subscription(String, topic, partial(self._on_description, described), LATCHED)
+            results.tell_and_log("starting", described.problem)
+        else:
+            self._prepare()
+        # last: whoever waits for a service then waits for the kernels as well
         self._service_of = services()
         for kind, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind))
         LongService(self, "~/cancel", self._cancel)
         self.every(5.0, self._jobs.save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._prepared, self._described = False, None
-        if not is_topic(self.values["robot"]):
-            return self._prepare()
-        topic = topic_of(self.values["robot"])
-        self._described = described = LiveDescription(self.resolve_topic_name(topic), data)
-        self.create_subscription(String, topic, partial(self._on_description, described), LATCHED)
-        results.tell_and_log("starting", described.problem)
-        return None
 
     def _prepare(self) -> None:
         """All that needs the robot.
