@@ -53,11 +53,11 @@ def stamps_off(robot: Robot, fit: FitResult) -> list[Reason]:
             continue
         if len(run.run.input_times_s) > 1:  # what is shaken inside a container pushes back at any time
             continue
+        if robot.model.joint(run.run.joint).kind == "prismatic":  # fingers meet something, which pushes back, too
+            continue
         period = float(np.median(np.diff(run.run.times_s)))
         spread = max(STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))), 0.5 * period)
-        # fingers that meet something stop by themselves
-        turns = robot.model.joint(run.run.joint).kind != "prismatic"
-        change = turns * -row[INDEX["torque_constant"]] * float(run.run.input_current_A[-1]) / row[INDEX["inertia"]]
+        change = -row[INDEX["torque_constant"]] * float(run.run.input_current_A[-1]) / row[INDEX["inertia"]]
         found += _sentences(run, robot.delay.value - spread, robot.delay.value + spread, change, robot.stamp_jitter_s)
     return found
 

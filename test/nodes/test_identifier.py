@@ -19,7 +19,7 @@ import rclpy
 from domains import free_domain
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from visualization_msgs.msg import Marker
 
 from proprio_ros.at_work import current_A
@@ -288,6 +288,20 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
     with pytest.raises(JobError, match="refuses"):
         node._excitation.make(job, "payload", lambda: None)
     assert len(asked) == 3
+
+
+def test_the_estimate_of_a_run_takes_the_current_command_where_no_effort_comes(nodes: Nodes, tmp_path: Path) -> None:
+    inputs = nodes.identifier(data_directory=tmp_path, calibration="none")._inputs
+    taken: list[dict[str, float]] = []
+    inputs.live = SimpleNamespace(
+        joints=("joint2", "joint3"), add_command=lambda at_ns, current_A: taken.append(current_A)
+    )
+    inputs.session = SimpleNamespace(add=lambda *message: None)
+    hear = inputs.listener("/current_command", "current_command", Float64MultiArray)
+    for current in (0.2, 0.0):
+        hear(serialize_message(messages.labelled({"joint2": 0.0, "joint3": current})))
+        assert inputs.driven is (current != 0.0)
+    assert [each["joint3"] for each in taken] == [0.2, 0.0]
 
 
 def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
