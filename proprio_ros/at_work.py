@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from proprio_ros.bags import CURRENT_PER_COUNT_A
+from proprio_ros.bags import ampere
 from proprio_ros.identification.running import RunningEstimate, RunningWeight
 from proprio_ros.motions import MOVED_RAD
 from proprio_ros.probes.base import Probe
@@ -21,7 +21,7 @@ NO_MOTIONS = (
 
 def current_A(effort: float, unit: str, effort_per_current: float) -> float:
     """What flows in a motor by the effort of a joint state."""
-    return {"A": 1.0, "mA": 1e-3, "raw": CURRENT_PER_COUNT_A}.get(unit, 1.0 / effort_per_current) * effort
+    return (1.0 / effort_per_current if unit == "N.m" else ampere(unit)) * effort
 
 
 def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]) -> bool:

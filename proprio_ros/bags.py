@@ -898,7 +898,7 @@ def _commands(
             )
         current = effort / np.where(np.isnan(constants), 1.0, constants)
     else:
-        current = effort * _ampere(means.unit, per_count_A)
+        current = effort * ampere(means.unit, per_count_A)
     if not columns.stamp_ns.any() and abs(clock_ns) > FOREIGN_CLOCK_NS:
         times = times + clock_ns
         notes.append(
@@ -935,7 +935,7 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
     return result
 
 
-def _ampere(unit: str, per_count_A: float) -> float:
+def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
     """Ampere of one of a unit of current."""
     return {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
 
@@ -949,7 +949,7 @@ def _effort_and_current(
         return None, None
     if unit == "N.m":
         return effort, _known_or_none(effort / _torque_constants(names, nominal))
-    return None, effort * _ampere(unit, per_count_A)
+    return None, effort * ampere(unit, per_count_A)
 
 
 def _measured(

@@ -176,15 +176,10 @@ class Calibration:
         Raises:
             RobotError: A key is missing, a number is none, or the correlations belong to no covariance.
         """
-        if not isinstance(section, Mapping):
-            raise RobotError(
-                f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
-            )
+        check_section(section, where)
         unknowns = part_of(section, "unknowns", Mapping, where)
         correlation = part_of(section, "correlation", str, where)
-        runs = part_of(section, "runs", list, where)
-        for number, run in enumerate(runs, 1):
-            read_forms(run, _RUN, f"{where}: runs: {number}")
+        runs = runs_of(section, _RUN, where)
         motors = {}
         for joint, entry in (part_of(section, "motors", Mapping, where) if "motors" in section else {}).items():
             at = f"{where}: motors: {one_line(str(joint), 80)}"
@@ -335,6 +330,22 @@ def read_forms(entry: Any, forms: Mapping[str, Form], where: str, beside: tuple[
     if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
         raise RobotError(f"{where}: expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
     return [read_as(entry[key], form, f"{where}: {key}") for key, form in forms.items()]
+
+
+def check_section(section: Any, where: str) -> None:
+    """Raises: RobotError: What a robot file has as a calibration is no mapping."""
+    if not isinstance(section, Mapping):
+        raise RobotError(
+            f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
+        )
+
+
+def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form], where: str) -> list[Any]:
+    """The runs of a calibration, each a mapping that has exactly these keys."""
+    runs: list[Any] = part_of(section, "runs", list, where)
+    for number, run in enumerate(runs, 1):
+        read_forms(run, forms, f"{where}: runs: {number}")
+    return runs
 
 
 def part_of(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:

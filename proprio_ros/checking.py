@@ -436,7 +436,8 @@ def _bag_check(robot: Robot, path: Path, held: Mapping[str, float], options: Rep
     seen = (*findings(recording, slides), *_of_robot(robot, recording, effort_unit))
     by_voltage = voltage_driven(robot)
     # what the law of a position servo makes of goal and position needs no effort
-    without = {name for name in by_voltage if robot.drive_trains[name].driven_by.follows_goal}  # type: ignore[union-attr]
+    drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
+    without = {name for name, drive in drives.items() if drive is not None and drive.follows_goal}
     seen = tuple(each for each in seen if each.code not in DOUBTFUL_EFFORT or not without.issuperset(each.joints))
     if recording.inputs is None or recording.inputs.measured or recording.inputs.computed:
         runs = tuple(_with_effort(run, seen) for run in runs)

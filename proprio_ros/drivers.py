@@ -15,7 +15,7 @@ from typing import Any
 from proprio_ros.bags import EFFORT_UNITS, FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
 from proprio_ros.errors import ConfigurationError, one_line
 from proprio_ros.forms import Choice, Form, FormError, Perhaps, Text, shortly
-from proprio_ros.reading import path_problem, text_of, yaml_of
+from proprio_ros.reading import path_problem, yaml_file
 from proprio_ros.resources import resource, resource_names
 
 DEEPEST = 8
@@ -230,12 +230,7 @@ def _settings(name: str, folder: Path, above: tuple[str, ...]) -> tuple[dict[str
     if len(above) == DEEPEST:
         raise ConfigurationError(f"{_called(above[0])}: extends: more than {DEEPEST} files extend each other")
     path = _located(name, folder)
-    try:
-        content = yaml_of(text_of(path, ConfigurationError))
-    except ConfigurationError:
-        raise
-    except ValueError as error:
-        raise ConfigurationError(f"{_called(name)}: not readable as YAML ({one_line(str(error), 120)})") from error
+    content = yaml_file(path, ConfigurationError, _called(name))
     try:
         own = _section(content, FORMS)
     except FormError as error:

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration import numbers_of, part_of, read_as, read_forms, short
+from proprio_ros.calibration import check_section, numbers_of, part_of, read_as, runs_of, short
 from proprio_ros.errors import RobotError
-from proprio_ros.forms import Form, Number, Text, shortly
+from proprio_ros.forms import Form, Number, Text
 from proprio_ros.records import FloatArray
 
 TERMS: Mapping[str, str] = {
@@ -106,13 +106,8 @@ class JointCalibration:
         Raises:
             RobotError: A key is missing, or a number is none.
         """
-        if not isinstance(section, Mapping):
-            raise RobotError(
-                f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
-            )
-        runs = part_of(section, "runs", list, where)
-        for number, run in enumerate(runs, 1):
-            read_forms(run, _RUN, f"{where}: runs: {number}")
+        check_section(section, where)
+        runs = runs_of(section, _RUN, where)
         joint = part_of(section, "joint", str, where)
         numbers = [read_as(section.get(key), form, f"{where}: {key}") for key, form in _FORMS.items()]
         rows = numbers_of(part_of(section, "without", str, where), f"{where}: without")

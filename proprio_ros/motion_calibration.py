@@ -24,7 +24,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from proprio_ros.calibration import correlation_of, numbers_of, part_of, read_as, read_forms, short, triangle_of
+from proprio_ros.calibration import (
+    check_section,
+    correlation_of,
+    numbers_of,
+    part_of,
+    read_as,
+    read_forms,
+    runs_of,
+    short,
+    triangle_of,
+)
 from proprio_ros.errors import RobotError
 from proprio_ros.forms import Form, Number, Text, shortly
 from proprio_ros.kinds import name_of
@@ -157,13 +167,8 @@ class MotionCalibration:
         Raises:
             RobotError: A key is missing, a number is none, or the correlations belong to no covariance.
         """
-        if not isinstance(section, Mapping):
-            raise RobotError(
-                f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
-            )
-        runs = part_of(section, "runs", list, where)
-        for number, run in enumerate(runs, 1):
-            read_forms(run, _RUN, f"{where}: runs: {number}")
+        check_section(section, where)
+        runs = runs_of(section, _RUN, where)
         stated = part_of(section, "joints", list, where)
         entries = [read_forms(entry, _JOINT, f"{where}: joints: {n}") for n, entry in enumerate(stated, 1)]
         joints = tuple(entry[0] for entry in entries)

@@ -189,3 +189,21 @@ def yaml_of(text: str) -> Any:
         where = f", line {mark.line + 1}" if problem and mark is not None else ""
         words = " ".join(str(problem or reason).split())
         raise _Refused(one_line(words, 160) + where if words else type(reason).__name__) from reason
+
+
+def yaml_file(path: Path, kind: type[ProprioError], called: str = "") -> Any:
+    """What a YAML file says (plain types only).
+
+    Args:
+        path: of a regular file.
+        kind: what is raised, with one sentence.
+        called: what the file is called in it; empty: by its path.
+
+    Raises:
+        ProprioError: of that kind: it is not readable, or no YAML that `yaml_of` takes.
+    """
+    text = text_of(path, kind)
+    try:
+        return yaml_of(text)
+    except ValueError as error:
+        raise kind(f"{called or path}: not readable as YAML ({one_line(str(error), 120)})") from error

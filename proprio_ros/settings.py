@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from proprio_ros.errors import ConfigurationError, one_line
 from proprio_ros.forms import Choice, Form, FormError, Number, Numbers, Perhaps, Whole, shortly
-from proprio_ros.reading import LONGEST_VALUE, json_of, text_of, yaml_of
+from proprio_ros.reading import LONGEST_VALUE, json_of, yaml_file
 from proprio_ros.resources import resource
 
 _Options = TypeVar("_Options")
@@ -152,12 +152,7 @@ def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
         ConfigurationError: it is not readable, or lacks a section.
     """
     path: Path = resource("probes", name)
-    try:
-        content = yaml_of(text_of(path, ConfigurationError))
-    except ConfigurationError:
-        raise
-    except ValueError as error:
-        raise ConfigurationError(f"{path}: not readable as YAML ({one_line(str(error), 120)})") from error
+    content = yaml_file(path, ConfigurationError)
     if not isinstance(content, dict) or not all(isinstance(content.get(section), dict) for section in sections):
         raise ConfigurationError(f"{path}: needs the sections {', '.join(sorted(sections))}")
     return content

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, one_line
-from proprio_ros.reading import finite, text_of, yaml_of
+from proprio_ros.reading import finite, yaml_file
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance
@@ -293,12 +293,7 @@ def _all(robot: Robot) -> tuple[str, ...]:
 
 
 def _content(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml_of(text_of(path, ConfigurationError))
-    except ConfigurationError:
-        raise
-    except ValueError as error:
-        raise ConfigurationError(f"{path}: not readable as YAML ({error})") from error
+    content = yaml_file(path, ConfigurationError)
     if not isinstance(content, Mapping):
         raise ConfigurationError(f"{path}: holds no sections; a probe file starts with 'excitation:'")
     return content

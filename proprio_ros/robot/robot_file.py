@@ -306,7 +306,8 @@ _ROBOT = {
     ),
 }
 _ELSEWHERE = ("urdf", "joints", "extends")  # read before the others
-_FILE_ONLY = ("model_fingerprint", "calibration", "motion_calibration", "joint_calibration")  # no --set
+_CALIBRATIONS = ("calibration", "motion_calibration", "joint_calibration")
+_FILE_ONLY = ("model_fingerprint", *_CALIBRATIONS)  # no --set
 
 
 def _unknown_of(path: tuple[str, ...]) -> Key:
@@ -421,7 +422,7 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
         base = _read_settings(
             _located(_PATH.read(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
         )
-        for section in ("calibration", "motion_calibration", "joint_calibration"):
+        for section in _CALIBRATIONS:
             if section in settings:
                 base.pop(section, None)  # a newer calibration replaces an older one as a whole
         settings = _merged(base, settings)
