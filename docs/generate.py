@@ -58,7 +58,8 @@ ABOUT = {
     "/driver/torque": "torque on or off",
     "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
     "payload also while the probe is under way, and with `running` all the time, with `changed`",
-    "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it",
+    "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it; `inertia` of `~/estimate` "
+    "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",
     "/identifier/youngs_modulus": "Pa, to plot",

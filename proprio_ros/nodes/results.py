@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64
@@ -85,9 +84,10 @@ class Results:
             entries[answers[job.kind][0]] = "not determined"
         self.publish_estimate("error", job.kind, job.message, entries)
 
-    def final(self, estimate: Estimate, name: str) -> None:
-        """An estimate without what it says of the hand."""
-        self._conclude(estimate, name, {**as_diagnostics(estimate), "final": True, "calibration": self._calibration})
+    def final(self, estimate: Estimate, name: str, carried: Carried | None = None) -> None:
+        """An estimate without what it says of the hand; with a load that will be published, where its inertia comes from."""
+        entries = {**as_diagnostics(estimate), "final": True, "calibration": self._calibration}
+        self._conclude(estimate, name, entries | _about_load(carried))
 
     def calibration(self, estimate: CalibrationEstimate, output: str) -> None:
         """That of the robot.
@@ -112,7 +112,10 @@ class Results:
 
     def publish(self, setting: Setting, estimate: Estimate) -> None:
         """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""
-        self.final(estimate, estimate.probe)
+        probe, robot, facts = setting.probe, setting.robot, setting.facts
+        accepted = estimate.verdict is Verdict.ACCEPTED
+        carried = probe.carried(robot, facts, estimate) if accepted else None
+        self.final(estimate, estimate.probe, carried)
         value = estimate.values[0]
         if (
             estimate.verdict not in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
@@ -120,13 +123,10 @@ class Results:
             or not isinstance(value.std, float)
         ):
             return
-        probe, robot, facts = setting.probe, setting.robot, setting.facts
         now_ns, frame = self._now_ns(), self._node.values["frame_prefix"] + robot.payload_frame
-        accepted = estimate.verdict is Verdict.ACCEPTED
         values = {entry.name: entry.value for entry in estimate.values if isinstance(entry.value, float)}
         if accepted:
             self._publish_numbers(probe, values)
-        carried = probe.carried(robot, facts, estimate) if accepted else None
         if carried is not None:
             self._publish_load(now_ns, frame, carried)
         shapes = probe.shapes(robot, facts, estimate)
@@ -145,14 +145,15 @@ class Results:
         """
         probe, words = feed.probe, "; ".join(filter(None, (running_words(estimate), feed.warning)))
         level = "warning" if feed.warning else "ok"
-        self.publish_estimate(level, probe.name, words, running_entries(feed, estimate, behind_s))
-        if not estimate.known:
-            return self.withdraw()
         held = max(estimate.mass_kg, 0.0)
+        load = feed.load(held) if estimate.known else None
+        entries = {**running_entries(feed, estimate, behind_s), **_about_load(load)}
+        self.publish_estimate(level, probe.name, words, entries)
+        if load is None:
+            return self.withdraw()
         self._publish_numbers(probe, {probe.answer[0]: held})
-        nothing = np.full((3, 3), math.nan)
         frame = self._node.values["frame_prefix"] + link
-        return self._publish_load(self._now_ns(), frame, Carried(held, feed.centre_m, nothing))
+        return self._publish_load(self._now_ns(), frame, load)
 
     def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
         for topic, name in probe.numbers.items():
@@ -173,3 +174,8 @@ class Results:
         while self._standing:
             _, withdraw = self._standing.popitem()
             withdraw()
+
+
+def _about_load(carried: Carried | None) -> dict[str, Any]:
+    """What `~/payload` cannot say of itself."""
+    return {} if carried is None else {"inertia": carried.inertia_is}

@@ -6,6 +6,7 @@ import math
 import sys
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -91,12 +92,19 @@ def answer(probe: str, value: float | None, verdict: Verdict = Verdict.ACCEPTED)
     return Estimate(probe, "open_manipulator_x", verdict, (), (known,), None, None, 1)
 
 
+def entries_of(node: Any) -> dict[str, str]:
+    """Keys and values of the newest estimate."""
+    (status,) = node._results._estimate[-1].status
+    return {pair.key: pair.value for pair in status.values}
+
+
 def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node._results.withdraw()
     assert not any(node._results._numbers.values()) and not node._results._load, "nothing stands at the beginning"
     node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
     assert node._results._numbers["mass"][-1].data == 0.05 and node._results._load[-1].inertia.m == 0.05
+    assert node._results._load[-1].inertia.ixx > 0.0 and entries_of(node)["inertia"] == "assumed"
     assert not node._results._numbers["sphere_mass"]
     node._results.withdraw()
     assert math.isnan(node._results._numbers["mass"][-1].data)
@@ -112,6 +120,18 @@ def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> No
     assert all(math.isnan(node._results._numbers[name][-1].data) for name in ("mass", "sphere_mass"))
 
 
+def test_the_load_has_the_inertia_that_a_motion_identified_or_else_what_is_stated(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    weighed = answer("payload", 0.05)
+    entries = [1e-3, 1e-5, 2e-5, 2e-3, 3e-5, 3e-3]
+    for found, source, ixx in ((entries, "identified", 1e-3), ([None, *entries[1:]], "stated", 0.05 * 0.03**2 / 6.0)):
+        both = replace(weighed, values=(*weighed.values, Value("payload_inertia", "kg m^2", found, None)))
+        node._results.publish(setting_of(ReplayOptions(settings={"payload.shape": "cube", "payload.size": 0.03})), both)
+        assert entries_of(node)["inertia"] == source and node._results._load[-1].inertia.ixx == pytest.approx(ixx)
+    node._results.publish(setting_of(ReplayOptions()), answer("payload", None, Verdict.REJECTED))
+    assert "inertia" not in entries_of(node)
+
+
 def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node.active = True
@@ -120,8 +140,7 @@ def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_
     answers: list[Any] = []
     node._work(Job("payload", "calibrate_payload"), lambda *given: answers.append(given))
     assert answers == [(False, "no object")]
-    (status,) = node._results._estimate[-1].status
-    told = {pair.key: pair.value for pair in status.values}
+    told = entries_of(node)
     assert told["payload_mass"] == "not determined" and told["verdict"] == "failed" and told["reason.1"] == "no object"
     assert math.isnan(node._results._numbers["mass"][-1].data)
 

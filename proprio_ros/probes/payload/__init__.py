@@ -131,13 +131,27 @@ class Payload(Probe[PayloadJob]):
         std_m = float(max(facts.payload.com_std)) or CENTRE_STD_M
         return RunningWeight(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
 
-    def carried(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Carried | None:
+    def load(self, facts: PayloadJob, mass_kg: float) -> Carried:
         from proprio_ros.probes.payload.facts import inertia_tensor
+
+        payload = facts.payload
+        source = "assumed" if payload.shape_std_relative > 0.0 else "stated"
+        return Carried(mass_kg, [float(axis) for axis in payload.com], inertia_tensor(payload, mass_kg), source)
+
+    def carried(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Carried | None:
+        import numpy as np
 
         mass = estimate.values[0].value
         if not isinstance(mass, float):
             return None
-        return Carried(mass, self._centre(facts, estimate), inertia_tensor(facts.payload, mass))
+        load = replace(self.load(facts, mass), com_m=self._centre(facts, estimate))
+        found = next((value.value for value in estimate.values if value.name == "payload_inertia"), None)
+        if not isinstance(found, list) or None in found:
+            return load
+        xx, xy, xz, yy, yz, zz = found
+        return replace(
+            load, inertia_kg_m2=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), inertia_is="identified"
+        )
 
     def shapes(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Shapes | None:
         import numpy as np
