@@ -319,6 +319,33 @@ def ros_interface() -> str:
                 [_parameter(parameter) for parameter in (parameters.AUTOSTART, *node.parameters)],
             ),
         ]
+    parts += [
+        "## proprio_msgs",
+        "Where the package `proprio_msgs` is built, too, the identifier publishes its estimates as messages with numbers, NaN "
+        "where one is not known or stands no longer, and weighs as an action. `ros2 interface show` says what each field holds. "
+        "From pip there are none of them, and the services do the same.",
+        _table(
+            ("name", "type", "holds"),
+            [
+                (
+                    "`/identifier/mass_estimate`",
+                    "`proprio_msgs/MassEstimate`",
+                    "of payload or sphere: as `~/estimate`; latched",
+                ),
+                (
+                    "`/identifier/elasticity_estimate`",
+                    "`proprio_msgs/ElasticityEstimate`",
+                    "of a block: as `~/estimate`; latched",
+                ),
+                (
+                    "`/identifier/weigh_action`",
+                    "`proprio_msgs/Weigh`",
+                    "as `~/calibrate_payload`, `~/calibrate_container` or `~/weigh`, with facts and sequence in the goal; a goal "
+                    "is refused while a job is under way, and cancelling it does what `~/cancel` does",
+                ),
+            ],
+        ),
+    ]
     parts.append(
         "*running*: may be changed with `ros2 param set` while the node runs; the others are read when it is configured."
     )

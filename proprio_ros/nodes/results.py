@@ -20,6 +20,7 @@ from proprio_ros.identification.running import RunningEstimate
 from proprio_ros.keeping import Keeping
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.job import WEIGH, Job
+from proprio_ros.nodes.numeric import StampedEstimates
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Probe
@@ -35,11 +36,17 @@ class Results:
 
     Attributes:
         concluded: Whether a final estimate was published since this was last set to false.
+        entries: Keys and values of the last final estimate.
+        link: That holds what is identified.
+        hear: Called with each sentence, and its keys and values.
     """
 
     def __init__(self, node: ManagedNode, keeping: Keeping) -> None:
         self._node, self._keeping = node, keeping
-        self.concluded = False
+        self.concluded, self.link = False, ""
+        self.entries: Mapping[str, Any] = {}
+        self.hear: Callable[[str, Mapping[str, Any]], None] = lambda message, entries: None
+        self._stamped = StampedEstimates(node)
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
@@ -63,6 +70,7 @@ class Results:
         """The status."""
         values = {"doing": doing, "calibration": self._calibration, **(entries or {})}
         self._status.publish(messages.status(level, "identifier", message, values))
+        self.hear(message, values)
 
     def tell_and_log(self, doing: str, message: str) -> None:
         """The same, and a line of the log."""
@@ -75,6 +83,10 @@ class Results:
         """Keys and values as they are, and the calibration used."""
         values = {**entries, "calibration": entries.get("calibration", self._calibration)}
         self._estimate.publish(messages.diagnostics(self._now_ns(), [messages.status(level, name, message, values)]))
+        withdraw = self._stamped.publish(self.link, values)
+        if withdraw is not None:
+            self._standing["stamped"] = withdraw
+        self.hear(message, values)
 
     def failure(self, job: Job) -> None:
         """That there is no estimate, and why, in the place of the last."""
@@ -82,6 +94,7 @@ class Results:
         answers = {probe.name: probe.answer for probe in all_probes()} | {WEIGH: probe_at_work().answer}
         if job.kind in answers:
             entries[answers[job.kind][0]] = "not determined"
+        self.entries = entries
         self.publish_estimate("error", job.kind, job.message, entries)
 
     def final(self, estimate: Estimate, name: str, carried: Carried | None = None) -> None:
@@ -105,7 +118,7 @@ class Results:
     def _conclude(self, estimate: Estimate | CalibrationEstimate, name: str, entries: dict[str, Any]) -> None:
         entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
         words = "; ".join(estimate.reasons) or estimate.verdict.value
-        self.concluded = True
+        self.concluded, self.entries = True, entries
         self.publish_estimate("ok" if estimate.verdict is Verdict.ACCEPTED else "warning", name, words, entries)
 
     # --- the hand -----------------------------------------------------------------------------------------------------
@@ -113,6 +126,7 @@ class Results:
     def publish(self, setting: Setting, estimate: Estimate) -> None:
         """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""
         probe, robot, facts = setting.probe, setting.robot, setting.facts
+        self.link = robot.payload_frame
         accepted = estimate.verdict is Verdict.ACCEPTED
         carried = probe.carried(robot, facts, estimate) if accepted else None
         self.final(estimate, estimate.probe, carried)
@@ -145,7 +159,7 @@ class Results:
         """
         probe, words = feed.probe, "; ".join(filter(None, (running_words(estimate), feed.warning)))
         level = "warning" if feed.warning else "ok"
-        held = max(estimate.mass_kg, 0.0)
+        self.link, held = link, max(estimate.mass_kg, 0.0)
         load = feed.load(held) if estimate.known else None
         entries = {**running_entries(feed, estimate, behind_s), **_about_load(load)}
         self.publish_estimate(level, probe.name, words, entries)
