@@ -28,6 +28,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.keeping import Keeping
 from proprio_ros.nodes.exciting import CALL_S, Excitation
+from proprio_ros.nodes.handing_on import HandingOn
 from proprio_ros.nodes.identifier_parameters import PARAMETERS, services
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.job import Job
@@ -94,6 +95,7 @@ class IdentifierNode(ManagedNode):
         for kind, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind))
         LongService(self, "~/cancel", self._cancel)
+        HandingOn(self, results)
         self.every(5.0, self._jobs.save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,7 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
-from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics
+from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.at_work import RunningFeed, running_entries, running_words
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -24,7 +25,23 @@ from proprio_ros.nodes.job import WEIGH, Job
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Probe
+from proprio_ros.robot import Robot
 from proprio_ros.session import Setting
+
+
+@dataclass(frozen=True)
+class StandingLoad:
+    """What an accepted answer says the hand holds, until something newer is known.
+
+    Attributes:
+        robot: In whose payload frame it is.
+        carried: The load.
+        words: Its mass with the interval.
+    """
+
+    robot: Robot
+    carried: Carried
+    words: str
 
 
 class Results:
@@ -36,11 +53,13 @@ class Results:
 
     Attributes:
         concluded: Whether a final estimate was published since this was last set to false.
+        load: What stands of the hand.
     """
 
     def __init__(self, node: ManagedNode, keeping: Keeping) -> None:
         self._node, self._keeping = node, keeping
         self.concluded = False
+        self.load: StandingLoad | None = None
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
@@ -129,6 +148,7 @@ class Results:
         carried = probe.carried(robot, facts, estimate) if accepted else None
         if carried is not None:
             self._publish_load(now_ns, frame, carried)
+            self.load = StandingLoad(robot, carried, interval_of(estimate))
         shapes = probe.shapes(robot, facts, estimate)
         if shapes is not None:
             self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
@@ -148,6 +168,7 @@ class Results:
         self.publish_estimate(level, probe.name, words, running_entries(feed, estimate, behind_s))
         if not estimate.known:
             return self.withdraw()
+        self.load = None  # the hand may hold something else since
         held = max(estimate.mass_kg, 0.0)
         self._publish_numbers(probe, {probe.answer[0]: held})
         nothing = np.full((3, 3), math.nan)
@@ -170,6 +191,7 @@ class Results:
 
     def withdraw(self) -> None:
         """What was published of the hand says nothing about what is in it now; `~/estimate`, which has a stamp, stands."""
+        self.load = None
         while self._standing:
             _, withdraw = self._standing.popitem()
             withdraw()

@@ -124,11 +124,13 @@ class Carried:
         mass_kg: [kg].
         com_m: centre of mass in the payload frame, shape (3,).
         inertia_kg_m2: about it, shape (3, 3); NaN where it is not known.
+        com_guessed: whether nobody stated the centre and nothing showed it.
     """
 
     mass_kg: float
     com_m: Sequence[float]
     inertia_kg_m2: np.ndarray
+    com_guessed: bool = False
 
 
 @dataclass(frozen=True)

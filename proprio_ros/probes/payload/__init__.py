@@ -137,7 +137,8 @@ class Payload(Probe[PayloadJob]):
         mass = estimate.values[0].value
         if not isinstance(mass, float):
             return None
-        return Carried(mass, self._centre(facts, estimate), inertia_tensor(facts.payload, mass))
+        guessed = facts.payload.com_guessed and self._found_centre(estimate) is None
+        return Carried(mass, self._centre(facts, estimate), inertia_tensor(facts.payload, mass), guessed)
 
     def shapes(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Shapes | None:
         import numpy as np
@@ -150,8 +151,13 @@ class Payload(Probe[PayloadJob]):
         return Shapes(self._centre(facts, estimate), [Body("sphere", [size] * 3, np.eye(3), 0.7)])
 
     @staticmethod
-    def _centre(facts: PayloadJob, estimate: Estimate) -> list[float]:
-        """Centre of mass [m]: as identified, else as stated."""
+    def _found_centre(estimate: Estimate) -> list[float] | None:
+        """Centre of mass [m], where all three of its coordinates were identified."""
         found = next((value.value for value in estimate.values if value.name == "payload_com"), None)
         known = [axis for axis in found if axis is not None] if isinstance(found, list) else []
-        return known if len(known) == 3 else [float(axis) for axis in facts.payload.com]
+        return known if len(known) == 3 else None
+
+    @classmethod
+    def _centre(cls, facts: PayloadJob, estimate: Estimate) -> list[float]:
+        """Centre of mass [m]: as identified, else as stated."""
+        return cls._found_centre(estimate) or [float(axis) for axis in facts.payload.com]
