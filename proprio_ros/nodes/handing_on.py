@@ -1,4 +1,4 @@
-"""`~/apply`: the load that was weighed is handed on to the arm's own controller, where somebody asks for it.
+"""What `~/apply` does: the load that was weighed is handed on to the arm's own controller, where somebody asks for it.
 
 A controller that believes in another load than it has lets the arm sink or jump. So nothing is ever handed on by itself, and only
 what stands: an accepted answer that nothing newer has replaced.
@@ -14,7 +14,7 @@ from rclpy.clock import Clock, ClockType
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.handing_on import CONTROLLERS, check_tool, load_at, together
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import Answer, LongService, ManagedNode
+from proprio_ros.nodes.runtime import Answer, ManagedNode
 
 ANSWER_S = 5.0
 """A controller that takes longer has not heard."""
@@ -34,10 +34,10 @@ def stated_tool(text: str) -> list[float]:
 
 
 class HandingOn:
-    """The service, where the parameter `hand_on` names a controller.
+    """Calls the service of the controller that the parameter `hand_on` names.
 
     Args:
-        node: That offers it.
+        node: That calls.
         results: Whose load is handed on.
 
     Raises:
@@ -62,7 +62,6 @@ class HandingOn:
             ) from error
         self._kind = getattr(kinds, controller.kind)
         self._client = node.create_client(self._kind, node.values["hand_on_service"] or controller.service)
-        LongService(node, "~/apply", self._apply)
 
     def _link(self, links: set[str]) -> str:
         """Whose frame is the controller's."""
@@ -77,7 +76,13 @@ class HandingOn:
             "of the flange"
         )
 
-    def _apply(self, answer: Answer) -> None:
+    def apply(self, answer: Answer) -> None:
+        """Hand on what stands, or answer why not."""
+        if self._name == "none":
+            names = ", ".join(CONTROLLERS)
+            return answer(
+                False, f"nothing was handed on: the parameter hand_on names no controller; choose one of {names}"
+            )
         standing = self._results.load
         if standing is None:
             return answer(

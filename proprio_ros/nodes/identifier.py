@@ -95,7 +95,7 @@ class IdentifierNode(ManagedNode):
         for kind, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind))
         LongService(self, "~/cancel", self._cancel)
-        HandingOn(self, results)
+        LongService(self, "~/apply", HandingOn(self, results).apply)
         self.every(5.0, self._jobs.save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
 
