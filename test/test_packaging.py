@@ -80,8 +80,14 @@ def test_dependencies_are_declared_once(arguments: dict[str, Any]) -> None:
 def pins(name: str) -> dict[str, Version]:
     """Versions of a file of `.ci`, where every line is a name and a version: no address, no path, no option."""
     lines = [line for line in (REPOSITORY / ".ci" / name).read_text().splitlines() if not line.startswith("#")]
-    assert lines and all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][A-Za-z0-9.]*", line) for line in lines)
-    return {canonicalize_name(line.split("==")[0]): Version(line.split("==")[1]) for line in lines}
+    exact = r"[A-Za-z0-9._-]+==[0-9][A-Za-z0-9.]*"
+    assert lines and all(re.fullmatch(rf'{exact}(; python_full_version (<|>=) "[0-9.]+")?', line) for line in lines)
+    needs = [Requirement(line) for line in lines]
+    return {
+        canonicalize_name(need.name): Version(str(need.specifier).removeprefix("=="))
+        for need in needs
+        if need.marker is None or need.marker.evaluate()
+    }
 
 
 def test_the_gate_pins_every_dependency_within_its_bounds(arguments: dict[str, Any]) -> None:
