@@ -1,8 +1,8 @@
 """What live jobs go by: the robot and its calibration, what is stated about the object, and the folder where all of it is kept.
 
-No ROS here. Beside the recordings a link to the calibration of the robot, and one to the newest baseline of each probe, say what holds
-until something else is made. A calibration that knows fewer joints under current than the one in use, as one of free swings does, takes
-no one's place.
+No ROS here. Beside the recordings a link to the calibration of the robot, and one to the newest baseline of each probe, say what
+holds until something else is made. A calibration that knows fewer joints under current than the one in use, as one of free swings
+does, does not take its place.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Keeping:
         """Take the calibration that is stated, or the newest.
 
         Args:
-            stated: A path; empty: the newest of this robot; ``none``: none.
+            stated: A path; empty: the one last taken of this robot; ``none``: none.
 
         Returns:
             Why the newest is not taken, or an empty string.

@@ -85,7 +85,7 @@ def test_what_is_known_given_one_unknown_is_what_its_precision_says() -> None:
     np.testing.assert_array_equal(small().given(set()).covariance, small().covariance)
 
 
-def test_a_calibration_that_knows_fewer_joints_under_current_takes_no_ones_place(tmp_path: Path) -> None:
+def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_place(tmp_path: Path) -> None:
     """Free swings know nothing of a torque constant: what a current drives would be weighed with the robot file's."""
     robot, second = load_robot("open_manipulator_x"), {"joint3": "joint2"}
     other = tuple(key if isinstance(key, str) else (key[0], second.get(str(key[1]), key[1])) for key in small().keys)

@@ -62,7 +62,7 @@ RISE = ("stribeck", "stribeck_velocity")
 KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, *RISE)
 """Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
 learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows. What another rise would
-have made of the rest is in a calibration's covariance; the next swing of the joint, which has the same, is fitted given the rise."""
+have made of the rest is in a calibration's covariance; the next swing of the joint, whose rise is the same, is fitted given it."""
 MIN_SLOW = 3
 """Slow samples needed to relate reported effort to the command."""
 _POSE_STEP = 1e-5  # rad or m, central difference over the pose of a held joint (numpy only, error about 1e-10)

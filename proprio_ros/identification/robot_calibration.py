@@ -531,8 +531,8 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> _Fitted:
 def _with_another_rise(fitted: _Fitted) -> _Fitted:
     """Count what the swings would say if friction rose towards standstill in another way than the robot file has it.
 
-    The rise is kept in the fit (see ``KEPT_IN_A_SWING``), and known no better after it: the fit is made again with each of its terms
-    up to one standard deviation higher, and what the others follow is theirs, in one direction with that term.
+    The rise is kept in the fit (see ``KEPT_IN_A_SWING``), and known no better after it: the fit is made again with each of its
+    terms up to one standard deviation higher, and by what the others change they are uncertain, together with that term.
     """
     covariance = fitted.covariance.copy()
     for column, row in enumerate(fitted.problem.free):

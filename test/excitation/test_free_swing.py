@@ -374,8 +374,8 @@ def test_what_lets_go_and_what_catches_are_no_probes() -> None:
 def test_swings_of_a_virtual_arm_tell_its_friction_and_its_rotor(seed: int) -> None:
     """The joint's friction rises towards standstill as the file does not say; nothing that is stated may be wrong for that.
 
-    Two and a half standard deviations: the rise of the first is 2.3 of the file's off. Before the rise counted, its viscous friction
-    was 5.7 off; the third's rotor was 2.3 off, four times as far as the swings allow, where the search had not arrived.
+    Two and a half standard deviations: the rise of the first is 2.3 of the file's off. Before the rise counted, its viscous
+    friction was 5.7 off; the third's rotor was twice too heavy, where the search had not arrived.
     """
     machine, ticks, hand = swung(SEQUENCE, coulomb=None, seed=seed)
     assert machine.phase is Phase.DONE and all(outcome.used for outcome in machine.outcomes)
