@@ -187,6 +187,7 @@ def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
     assert abs(value.value - MASSES_KG[2]) < 1.96 * value.std < 0.05 * MASSES_KG[2]
 
 
+@pytest.mark.long
 def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(robot: Robot, runs: list[Run]) -> None:
     """How friction rises is not learnt from swings: what else they say is wider by that, and moves with it."""
     answers = []
