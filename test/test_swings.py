@@ -188,6 +188,25 @@ def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
 
 
 @pytest.mark.long
+def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(robot: Robot, runs: list[Run]) -> None:
+    """How friction rises is not learnt from swings: what else they say is wider by that, and moves with it."""
+    answers = []
+    for std in (0.3, 1e-9):
+        stated = robot.with_overrides({"joints.pivot.drive_train.stribeck": {"value": 0.0, "std": std}})
+        learnt = calibrate(stated, known(runs[:2], MASSES_KG[:2]))
+        assert learnt.calibration is not None
+        answers.append((learnt.calibration, weigh(stated.with_calibration(learnt.calibration), runs[2:], facts())))
+    (calibration, estimate), (fixed, given) = answers
+    viscous, rise = ("viscous", "pivot"), ("stribeck", "pivot")
+    assert calibration.quantities[viscous].std > 1.05 * fixed.quantities[viscous].std
+    at, by = calibration.keys.index(viscous), calibration.keys.index(rise)
+    assert abs(calibration.correlation[at, by]) > 0.2
+    # the joint is the same, and so is its rise: the next swing of it is fitted given the rise, and is as certain as before
+    assert estimate.values[0].value == pytest.approx(given.values[0].value, rel=1e-4)
+    assert estimate.values[0].std == pytest.approx(given.values[0].std, rel=1e-2)
+
+
+@pytest.mark.long
 def test_the_torque_constant_does_not_matter(robot: Robot, runs: list[Run]) -> None:
     answers = []
     for constant in (1.0, {"value": 4.0, "std": 1.0}):

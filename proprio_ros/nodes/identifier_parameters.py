@@ -46,7 +46,7 @@ PARAMETERS = (
         ROBOT,
         description="Robot of config/robots, the path of a robot file or a URDF, or robot_description: the URDF on that topic.",
     ),
-    Parameter("calibration", "", "Calibration file; empty: the newest of this robot in data_directory; none: without."),
+    Parameter("calibration", "", "Calibration file; empty: the one last taken of this robot in data_directory; none: without."),
     Parameter("data_directory", "~/.ros/proprio_ros",
               "Where recordings, results and calibrations are kept; those of a namespace in a folder of its name."),
     Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
