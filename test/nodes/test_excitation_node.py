@@ -142,7 +142,7 @@ excitation:
   settle_s: 0.3
   min_clearance_m: 0.02
   runs:
-    - {{joint: joint4, current_A: 0.0, duration_s: {PUSH_S}, start: {{joint2: 0.0, joint3: 0.45, joint4: 0.58}}}}
+    - {{joint: joint4, current_A: 0.0, duration_s: 1.5, start: {{joint2: 0.0, joint3: 0.45, joint4: 0.58}}}}
 """
 
 
