@@ -35,8 +35,8 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HEARD = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """What is latched, and all that comes after it: a client that is not run for a while must not miss what stood meanwhile."""
 UP_S = 300.0
-"""A new machine compiles kernels first, and others may use it: nodes that say nothing for so long hang. One that has ended is noticed
-at once."""
+"""A new machine compiles kernels first, and others may use it: nodes that say nothing for so long hang. One that has ended is
+noticed at once."""
 SOON_S = 60.0
 """What happens within a second on an idle computer. It costs time only where a test fails."""
 
