@@ -157,9 +157,8 @@ def lift(client: Client) -> None:
 
     def comes() -> bool:
         nonlocal said_s
-        if (
-            not there() and time.monotonic() > said_s + 1.0
-        ):  # again: a driver that was just started may not have heard it
+        # again: a driver that was just started may not have heard it
+        if not there() and time.monotonic() > said_s + 1.0:
             said_s = time.monotonic()
             client.positions.publish(labelled(PARKED))
         return there() and at_rest(client)
