@@ -154,7 +154,7 @@ def test_a_bag_says_when_torque_is_off(
         # an effort of a unit that nobody stated beside it
         said = state(header(stamp=stamp, frame_id=""), ["pivot"], np.array([position]), np.zeros(1), np.array([7.0]))
         enabled = boolean(data=bool(stamp_s < 0.1))
-        heard_ns = time_ns + late_s * 10**9 * (stamp_s > 0.05)
+        heard_ns = time_ns + (late_s * 10**9 if stamp_s > 0.05 else 0)
         messages.append(
             RawMessage("/joint_states", JOINT_STATE, heard_ns, bytes(types.serialize_cdr(said, JOINT_STATE)))
         )
