@@ -74,7 +74,7 @@ def test_generated_pages_are_current(without_ros: bool) -> None:
         pytest.importorskip("rclpy")
     done = subprocess.run(
         [sys.executable, "-c", CURRENT.format(without_ros=without_ros)],
-        cwd=REPOSITORY, capture_output=True, text=True, timeout=120,
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, f"run python docs/generate.py: {done.stderr[-2000:]}"
 
