@@ -159,7 +159,8 @@ def blocks() -> None:
             row.add(estimate, "youngs_modulus", modulus, 100.0 / modulus)
             ratios.add(estimate, "poissons_ratio", ratio, 1.0)
             if level == "quantised_s00":
-                gap = Quantity(replays.truth_of(folder)["cube"]["gap"], 1e-5)
+                # the truth is each finger's; both together close by twice as much
+                gap = Quantity(2.0 * replays.truth_of(folder)["cube"]["gap"], 1e-5)
                 stated.add(squeezes.squeezed(robot, folder, gap=gap), "youngs_modulus", modulus, 100.0 / modulus)
         row.show(level, each=True)
         ratios.show("    Poisson's ratio", each=True)
