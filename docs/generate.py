@@ -70,6 +70,7 @@ ABOUT = {
     "/identifier/calibrate_robot": "empty hand: learn the robot; once, and when something has changed",
     "/identifier/record_container_baseline": "make the container's sequence with the empty container, and keep the recording",
     "/identifier/weigh": "what the hand held in the last `weigh_seconds` of whatever motion",
+    "/identifier/apply": "hand the accepted load on to the arm's own controller (`hand_on`)",
     "/identifier/cancel": "end the job; what was recorded is kept",
     "/virtual/status": "what the virtual hand holds",
     "/virtual/motors": "what is really going on: true positions [rad, m], and as effort the current in each motor [A]",

@@ -209,6 +209,8 @@ ROOMS: dict[str, set[str]] = {
         "report",
         "nodes",
     },
+    # what the arm's own controller is told
+    "handing_on": {"errors", "robot", "probes"},
     "bus": {"errors", "records", "robot", "realtime", "motors"},
     # an emulated servo is the same table of registers as a real one
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
@@ -236,6 +238,7 @@ ROOMS: dict[str, set[str]] = {
         "keeping",
         "at_work",
         "answers",
+        "handing_on",
         "settings",
         "realtime",
     },

@@ -28,6 +28,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.keeping import Keeping
 from proprio_ros.nodes.exciting import CALL_S, Excitation
+from proprio_ros.nodes.handing_on import HandingOn
 from proprio_ros.nodes.identifier_parameters import PARAMETERS, services
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.job import Job
@@ -95,6 +96,7 @@ class IdentifierNode(ManagedNode):
         for kind, service in self._service_of.items():
             LongService(self, f"~/{service}", partial(self._begin, kind))
         LongService(self, "~/cancel", self._cancel)
+        LongService(self, "~/apply", HandingOn(self, results).apply)
         self._action = WeighAction(self, self._begin_job, self._refused)
         results.hear = self._action.hear
         self.every(5.0, self._jobs.save_again)

@@ -193,8 +193,9 @@ class Jobs:
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
-        self._keeping.keep_calibration(output)
-        return True, f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+        stays = self._keeping.keep_calibration(output)
+        said = f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+        return True, f"{said}; {stays}" if stays else said
 
     # --- from a recording to an estimate ------------------------------------------------------------------------------
 

@@ -131,7 +131,7 @@ def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
 
 
 BLUE, AMBER = (0.1, 0.5, 0.9), (1.0, 0.65, 0.0)
-UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan), "")
+UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
 """What is published where a load was published before that stands no longer."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,7 +13,7 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
-from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics
+from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.at_work import RunningFeed, running_entries, running_words
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -24,7 +25,23 @@ from proprio_ros.nodes.numeric import StampedEstimates
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Probe
+from proprio_ros.robot import Robot
 from proprio_ros.session import Setting
+
+
+@dataclass(frozen=True)
+class StandingLoad:
+    """What an accepted answer says the hand holds, until something newer is known.
+
+    Attributes:
+        robot: In whose payload frame it is.
+        carried: The load.
+        words: Its mass with the interval.
+    """
+
+    robot: Robot
+    carried: Carried
+    words: str
 
 
 class Results:
@@ -39,6 +56,7 @@ class Results:
         entries: Keys and values of the last final estimate.
         link: That holds what is identified.
         hear: Called with each sentence, and its keys and values.
+        load: What stands of the hand.
     """
 
     def __init__(self, node: ManagedNode, keeping: Keeping) -> None:
@@ -47,6 +65,7 @@ class Results:
         self.entries: Mapping[str, Any] = {}
         self.hear: Callable[[str, Mapping[str, Any]], None] = lambda message, entries: None
         self._stamped = StampedEstimates(node)
+        self.load: StandingLoad | None = None
         self._standing: dict[str, Callable[[], None]] = {}  # what was published of the hand, and what withdraws it
         self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
@@ -143,6 +162,7 @@ class Results:
             self._publish_numbers(probe, values)
         if carried is not None:
             self._publish_load(now_ns, frame, carried)
+            self.load = StandingLoad(robot, carried, interval_of(estimate))
         shapes = probe.shapes(robot, facts, estimate)
         if shapes is not None:
             self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
@@ -165,6 +185,7 @@ class Results:
         self.publish_estimate(level, probe.name, words, entries)
         if load is None:
             return self.withdraw()
+        self.load = None  # the hand may hold something else since
         self._publish_numbers(probe, {probe.answer[0]: held})
         frame = self._node.values["frame_prefix"] + link
         return self._publish_load(self._now_ns(), frame, load)
@@ -185,6 +206,7 @@ class Results:
 
     def withdraw(self) -> None:
         """What was published of the hand says nothing about what is in it now; `~/estimate`, which has a stamp, stands."""
+        self.load = None
         while self._standing:
             _, withdraw = self._standing.popitem()
             withdraw()

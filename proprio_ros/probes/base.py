@@ -125,12 +125,14 @@ class Carried:
         com_m: centre of mass in the payload frame, shape (3,).
         inertia_kg_m2: about it, shape (3, 3).
         inertia_is: where that comes from: ``identified``, ``stated``, or ``assumed`` where nobody said it and no motion showed it.
+        com_guessed: whether nobody stated the centre and nothing showed it.
     """
 
     mass_kg: float
     com_m: Sequence[float]
     inertia_kg_m2: np.ndarray
-    inertia_is: str
+    com_guessed: bool = False
+    inertia_is: str = "stated"
 
 
 @dataclass(frozen=True)

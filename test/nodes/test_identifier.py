@@ -20,7 +20,7 @@ import rclpy
 from domains import free_domain
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray, String
 from visualization_msgs.msg import Marker
 
 from proprio_ros.at_work import current_A
@@ -321,6 +321,18 @@ def test_the_estimate_of_a_run_takes_the_current_command_where_no_effort_comes(n
         hear(serialize_message(messages.labelled({"joint2": 0.0, "joint3": current})))
         assert inputs.driven is (current != 0.0)
     assert [each["joint3"] for each in taken] == [0.2, 0.0]
+
+
+def test_a_joint_was_let_go_of_when_that_was_said_and_not_when_it_was_heard(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    kept: list[int] = []
+    node._inputs.session = SimpleNamespace(add=lambda topic, msgtype, time_ns, data: kept.append(time_ns))
+    now_ns = node.get_clock().now().nanoseconds
+    late_ns, foreign_ns = now_ns - 4 * 10**8, now_ns - 3600 * 10**9
+    for sent_ns in (late_ns, foreign_ns):  # a computer with another clock says nothing of ours
+        hear = {subscription.topic_name: subscription.callback for subscription in node.subscriptions}
+        hear["/torque_enabled"](serialize_message(Bool(data=False)), {"source_timestamp": sent_ns})
+    assert kept[0] == late_ns and kept[1] >= now_ns
 
 
 def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:

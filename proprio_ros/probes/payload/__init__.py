@@ -136,7 +136,8 @@ class Payload(Probe[PayloadJob]):
 
         payload = facts.payload
         source = "assumed" if payload.shape_std_relative > 0.0 else "stated"
-        return Carried(mass_kg, [float(axis) for axis in payload.com], inertia_tensor(payload, mass_kg), source)
+        centre_m = [float(axis) for axis in payload.com]
+        return Carried(mass_kg, centre_m, inertia_tensor(payload, mass_kg), payload.com_guessed, source)
 
     def carried(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Carried | None:
         import numpy as np
@@ -144,7 +145,8 @@ class Payload(Probe[PayloadJob]):
         mass = estimate.values[0].value
         if not isinstance(mass, float):
             return None
-        load = replace(self.load(facts, mass), com_m=self._centre(facts, estimate))
+        guessed = facts.payload.com_guessed and self._found_centre(estimate) is None
+        load = replace(self.load(facts, mass), com_m=self._centre(facts, estimate), com_guessed=guessed)
         found = next((value.value for value in estimate.values if value.name == "payload_inertia"), None)
         if not isinstance(found, list) or None in found:
             return load
@@ -164,8 +166,13 @@ class Payload(Probe[PayloadJob]):
         return Shapes(self._centre(facts, estimate), [Body("sphere", [size] * 3, np.eye(3), 0.7)])
 
     @staticmethod
-    def _centre(facts: PayloadJob, estimate: Estimate) -> list[float]:
-        """Centre of mass [m]: as identified, else as stated."""
+    def _found_centre(estimate: Estimate) -> list[float] | None:
+        """Centre of mass [m], where all three of its coordinates were identified."""
         found = next((value.value for value in estimate.values if value.name == "payload_com"), None)
         known = [axis for axis in found if axis is not None] if isinstance(found, list) else []
-        return known if len(known) == 3 else [float(axis) for axis in facts.payload.com]
+        return known if len(known) == 3 else None
+
+    @classmethod
+    def _centre(cls, facts: PayloadJob, estimate: Estimate) -> list[float]:
+        """Centre of mass [m]: as identified, else as stated."""
+        return cls._found_centre(estimate) or [float(axis) for axis in facts.payload.com]
