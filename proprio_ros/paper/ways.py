@@ -1,0 +1,137 @@
+"""The ways of identifying that are compared, each as one call from a run to numbers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.identification.problem import PreparedRun, prepare_run
+from proprio_ros.identification.solvers import adam_descent
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.container.problem import (
+    ContainerFacts,
+    ContainerProblem,
+    container_unknowns,
+    sphere_run,
+    start_prior,
+)
+from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.payload import PayloadFacts
+
+_Answer = TypeVar("_Answer")
+
+LIGHTEST_SPHERE_KG = 0.001
+SPHERE_RATE, SPHERE_ITERATIONS = 0.002, 200
+"""Of Adam for the sphere [kg per iteration]: the authors' 10 g would step over a sphere of 12 g."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one way said.
+
+    Attributes:
+        value: in SI units; None where it gives none.
+        low, high: of its 95 % interval; None where it has none.
+        seconds: to the answer, with everything loaded and compiled.
+        verdict: of ours; empty for a way that gives none.
+        why: first reason, where there is no value.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    seconds: float | None = None
+    verdict: str = ""
+    why: str = ""
+
+    def row(self, **labels: Any) -> dict[str, Any]:
+        """As plain values with what it belongs to."""
+        return {**labels, **self.__dict__}
+
+
+def timed(function: Callable[[], _Answer]) -> tuple[_Answer, float]:
+    """The outcome and the wall time of a second call [s]; the first one loads and compiles."""
+    function()
+    started = time.perf_counter()
+    return function(), time.perf_counter() - started
+
+
+def ours(identify: Callable[[], Estimate], name: str) -> Answer:
+    """The package's own answer."""
+    estimate, seconds = timed(identify)
+    return answered(estimate, estimate.value(name), seconds)
+
+
+def answered(estimate: Estimate, value: Value, seconds: float | None = None) -> Answer:
+    """An estimate's value as an answer."""
+    low, high = (None, None) if value.ci95 is None else value.ci95
+    why = "" if estimate.verdict.value == "accepted" or not estimate.reasons else str(estimate.reasons[0])
+    number = value.value if isinstance(value.value, float) else None
+    return Answer(number, low, high, seconds, estimate.verdict.value, why)
+
+
+def paper_mass(robot: Robot, run: Run, facts: PayloadFacts, options: PaperOptions | None = None) -> Answer:
+    """The paper's way with a schedule long enough to reach the least error, from five starts."""
+    options = options or PaperOptions()
+    starts = np.array(options.starts_kg)[:, None]
+
+    def solve() -> float:
+        loss = last_frame_loss(robot, run, facts, options)
+        found = adam_descent(loss, starts, options.learning_rate, options.extended_iterations, lower=1e-6)
+        return float(found.internal[found.best, 0])
+
+    mass, seconds = timed(solve)
+    return Answer(mass, seconds=seconds)
+
+
+class SphereLastFrame:
+    """The paper's loss for the sphere in a container: its contact law, semi-implicit Euler, last frame, one unknown.
+
+    Args:
+        robot: as stated or calibrated.
+        run: one.
+        facts: with the shell's mass stated.
+        all_samples: whether all of them are compared instead of the last frame.
+    """
+
+    def __init__(self, robot: Robot, run: Run, facts: ContainerFacts, all_samples: bool = False) -> None:
+        facts = replace(facts, law="paper")
+        prepared = prepare_run(robot, run, None, facts.shell)
+        kept = slice(0 if all_samples else prepared.used - 1, prepared.used)
+        self.samples = kept.stop - kept.start
+        compared = replace(prepared.run, times_s=run.times_s[kept], position=run.position[kept])
+        at_end: PreparedRun = replace(prepared, run=compared, used=self.samples, sigma=np.ones(self.samples))
+        nothing = JointRun(prepared.times_s, run.input_times_s, run.input_current_A)
+        prior = start_prior(sphere_run(robot, prepared, facts, nothing), facts, prepared.rest.value)
+        unknowns = [
+            u if u.kind == "sphere_mass" else replace(u, role=Role.FROZEN)
+            for u in container_unknowns(robot, [at_end], [True], facts, [prior], Role.FROZEN)
+        ]
+        self.problem = ContainerProblem(robot, [at_end], facts, [True], unknowns, "semi_implicit")
+
+    def __call__(self, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Loss (S,) [rad^2] and gradient (S, 1) at masses (S, 1)."""
+        internal = self.problem.coordinates.internal(mass)
+        cost, gradient, _ = self.problem.linearise(internal)
+        return 2.0 * cost, 2.0 * gradient / self.problem.coordinates.slope(internal)
+
+
+def paper_sphere(robot: Robot, run: Run, facts: ContainerFacts, starts_kg: Sequence[float]) -> Answer:
+    """The paper's way for the sphere's mass."""
+    starts = np.array(starts_kg)[:, None]
+
+    def solve() -> float:
+        loss = SphereLastFrame(robot, run, facts)
+        found = adam_descent(loss, starts, SPHERE_RATE, SPHERE_ITERATIONS, lower=LIGHTEST_SPHERE_KG)
+        return float(found.internal[found.best, 0])
+
+    mass, seconds = timed(solve)
+    return Answer(mass, seconds=seconds)
