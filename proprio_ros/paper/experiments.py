@@ -1,12 +1,13 @@
 """The experiments: pure functions from a seed to rows of plain values.
 
-A seed draws the hidden robot and its noise. Objects are the paper's as far as it states them; sizes are ours. Whatever is compared is
-identified from the same recordings. "Paper's way": one unknown, last frame, semi-implicit Euler, Adam, the robot's numbers taken
+A seed draws the hidden robot and its noise. Objects are the paper's as far as it states them; sizes are ours. Whatever is
+compared is identified from the same recordings. "Paper's way": one unknown, last frame, semi-implicit Euler, Adam, the robot's numbers taken
 as exact; the schedule is made long enough to reach the least error, so that the loss is judged and not where a schedule stops.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
+from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.fit import SearchOptions, solve_load
 from proprio_ros.identification.problem import KnownLoad, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.solvers import adam_descent
@@ -91,7 +93,7 @@ def objects(seed: int) -> Rows:
             rows.append(theirs.row(way="paper", runs=1, **labels))
             for used in (runs[:1], runs[:2]):
 
-                def identify(used: Sequence[Run] = used, robot: Robot = robot, facts: PayloadFacts = facts) -> Any:
+                def identify(used: Sequence[Run] = used, robot: Robot = robot, facts: PayloadFacts = facts) -> Estimate:
                     return weigh(robot, used, facts)
 
                 answer = ours(identify, "payload_mass")
@@ -206,13 +208,19 @@ def cubes(seed: int) -> Rows:
         held = SoftBlock(modulus, (EDGE_M,) * 3, BLOCK_DAMPING, GAP_M, ratio)
         runs = play("softness", seed, held).runs
         for calibrated, robot in known:
-            estimate, seconds = timed(lambda robot=robot, runs=runs: find_softness(robot, runs, facts))
+
+            def identify(robot: Robot = robot, runs: Sequence[Run] = runs) -> Estimate:
+                return find_softness(robot, runs, facts)
+
+            estimate, seconds = timed(identify)
             for quantity, truth in (("youngs_modulus", modulus), ("poissons_ratio", ratio)):
                 answer = answered(estimate, estimate.value(quantity), seconds)
                 rows.append(answer.row(way="ours", object=name, quantity=quantity, calibrated=calibrated, truth=truth))
             value = estimate.value("youngs_modulus").value
             if calibrated and isinstance(value, float):
-                trace[name] = _squeeze_trace(robot, runs[-1], facts, {"wrong": 4.0 * modulus, "identified": value}, ratio)
+                trace[name] = _squeeze_trace(
+                    robot, runs[-1], facts, {"wrong": 4.0 * modulus, "identified": value}, ratio
+                )
     return {"rows": rows, "trace": trace}
 
 
@@ -252,8 +260,6 @@ EVALUATIONS = 150
 
 def optimisers(seed: int) -> Rows:
     """Figure 6: cost over simulations and over time, the same problem and first guess for every search."""
-    import time
-
     held, facts = payload("heavy ball")
     run = play("payload_elbow", seed, held).runs[LIFT]
     robot = robots(seed, "empty_hand_elbow")[-1][1]
@@ -297,7 +303,9 @@ def optimisers(seed: int) -> Rows:
         tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], EVALUATIONS, rng)
 
     problem.linearise(start)
-    least = float(solvers.levenberg_marquardt(problem, problem.coordinates.internal(np.tile(first, (2, 1))), None).cost.min())
+    least = float(
+        solvers.levenberg_marquardt(problem, problem.coordinates.internal(np.tile(first, (2, 1))), None).cost.min()
+    )
     rows = []
     for name, search in (
         ("Levenberg-Marquardt (ours)", lm), ("Adam", adam), ("CMA-ES", cma), ("tree-structured Parzen", parzen),
@@ -365,7 +373,9 @@ def landscapes(seed: int) -> Rows:
     inside = np.tile(whole.coordinates.prior_mean, (len(masses), 1))
     inside[:, 0] = masses
     rows = [
-        _landscape("payload", masses, held.mass_kg, loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside))
+        _landscape(
+            "payload", masses, held.mass_kg, loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside)
+        )
     ]
     box_held, box_facts = box(True)
     rolling = play("container", seed, box_held).runs[LIFT]

@@ -76,7 +76,11 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False) -> 
     waiting = deque([Command(at_start)] * round(truth.latency_s / PERIOD_S))
     time_s = 10.0
     machine = ExcitationMachine(robot)
-    stamps, places, currents, seen_ns, seen = [], [], [], [], []
+    stamps: list[int] = []
+    places: list[list[float]] = []
+    currents: list[list[float]] = []
+    seen_ns: list[int] = []
+    seen: list[np.ndarray] = []
 
     def sample() -> JointSample:
         position = scale * COUNT_RAD * np.rint(arm.encoder_rad() / COUNT_RAD)

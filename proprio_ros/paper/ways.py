@@ -57,9 +57,9 @@ class Answer:
         return {**labels, **self.__dict__}
 
 
-def timed(function: Callable[[], _Answer]) -> tuple[_Answer, float]:
-    """The outcome and the wall time of a second call [s]; the first one loads and compiles."""
-    function()
+def timed(function: Callable[[], _Answer], warm_up: Callable[[], object] | None = None) -> tuple[_Answer, float]:
+    """The outcome of a function and its wall time [s], after a first call of it, or of another, that loads and compiles."""
+    (warm_up or function)()
     started = time.perf_counter()
     return function(), time.perf_counter() - started
 
@@ -83,12 +83,12 @@ def paper_mass(robot: Robot, run: Run, facts: PayloadFacts, options: PaperOption
     options = options or PaperOptions()
     starts = np.array(options.starts_kg)[:, None]
 
-    def solve() -> float:
+    def solve(iterations: int = options.extended_iterations) -> float:
         loss = last_frame_loss(robot, run, facts, options)
-        found = adam_descent(loss, starts, options.learning_rate, options.extended_iterations, lower=1e-6)
+        found = adam_descent(loss, starts, options.learning_rate, iterations, lower=1e-6)
         return float(found.internal[found.best, 0])
 
-    mass, seconds = timed(solve)
+    mass, seconds = timed(solve, lambda: solve(1))
     return Answer(mass, seconds=seconds)
 
 
@@ -104,7 +104,7 @@ class SphereLastFrame:
 
     def __init__(self, robot: Robot, run: Run, facts: ContainerFacts, all_samples: bool = False) -> None:
         facts = replace(facts, law="paper")
-        prepared = prepare_run(robot, run, None, facts.shell)
+        prepared = prepare_run(robot, replace(run, held_position={}), None, facts.shell)
         kept = slice(0 if all_samples else prepared.used - 1, prepared.used)
         self.samples = kept.stop - kept.start
         compared = replace(prepared.run, times_s=run.times_s[kept], position=run.position[kept])
@@ -128,10 +128,10 @@ def paper_sphere(robot: Robot, run: Run, facts: ContainerFacts, starts_kg: Seque
     """The paper's way for the sphere's mass."""
     starts = np.array(starts_kg)[:, None]
 
-    def solve() -> float:
+    def solve(iterations: int = SPHERE_ITERATIONS) -> float:
         loss = SphereLastFrame(robot, run, facts)
-        found = adam_descent(loss, starts, SPHERE_RATE, SPHERE_ITERATIONS, lower=LIGHTEST_SPHERE_KG)
+        found = adam_descent(loss, starts, SPHERE_RATE, iterations, lower=LIGHTEST_SPHERE_KG)
         return float(found.internal[found.best, 0])
 
-    mass, seconds = timed(solve)
+    mass, seconds = timed(solve, lambda: solve(1))
     return Answer(mass, seconds=seconds)
