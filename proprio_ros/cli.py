@@ -254,8 +254,8 @@ def _parser() -> argparse.ArgumentParser:
         "paper",
         help="run the paper's experiments again and write one page",
         description="Run the experiments of the paper that this package follows, in its way and in ours, on recordings of a "
-        "simulated arm (extra sim), and write DIR/paper.html with its tables and figures. Rows are kept in DIR/rows: a run that was stopped "
-        "goes on.",
+        "simulated arm (extra sim), and write DIR/paper.html with its tables and figures. Rows are kept in DIR/rows: a run that "
+        "was stopped goes on.",
         epilog="Exit code: 0 written, 2 bad input. Ctrl-C stops; the same command goes on.",
     )
     paper.add_argument("--out", required=True, metavar="DIR", help="for the page and its rows")

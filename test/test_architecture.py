@@ -193,6 +193,7 @@ ROOMS: dict[str, set[str]] = {
     },
     # the paper's experiments again: recordings of a virtual arm, the paper's way and ours, and one page
     "paper": {
+        "replay",
         "errors",
         "threads",
         "records",
