@@ -264,6 +264,11 @@ def _parser() -> argparse.ArgumentParser:
         "--only", nargs="+", action="extend", default=[], metavar="NAME", help="experiments (default all)"
     )
     paper.add_argument("--jobs", type=int, metavar="N", help="processes (default one per processor, 2 at most)")
+    paper.add_argument(
+        "--recording",
+        metavar="FOLDER",
+        help="the paper's public recording (trajectory.csv and setting.json), for a section of its own",
+    )
     paper.set_defaults(command=_paper)
 
     demo = commands.add_parser(
@@ -550,15 +555,17 @@ def _paper(options: argparse.Namespace, given: Sequence[str]) -> int:
     problem = path_problem(options.out)
     if problem:
         raise ConfigurationError(f"--out {one_line(options.out, 60)}: {problem}")
+    from proprio_ros.paper.experiments import published
     from proprio_ros.paper.page import write_paper_page
     from proprio_ros.paper.store import Store, processors, run, tasks_of
 
     folder = Path(options.out)
     tasks_of(options.only, options.seeds)  # a name that is none is refused before anything is made
+    recording = None if options.recording is None else published(Path(options.recording))
     found = run(Store(folder), options.only, options.seeds, options.jobs or processors(), _say)
     page = folder / "paper.html"
     command = shlex.join(["proprio", *given])
-    write_paper_page(found, page, command, options.seeds)
+    write_paper_page(found, page, command, options.seeds, recording)
     print(printable(str(page)))
     return EXIT_OK
 

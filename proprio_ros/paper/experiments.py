@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.records import Run
+from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.sphere import Enclosure
@@ -144,6 +146,18 @@ def starts(seed: int) -> Rows:
 
 def _from(way: str, calibrated: bool, start: float, end: float, truth: float) -> Rows:
     return {"way": way, "calibrated": calibrated, "start": start, "value": end, "truth": truth}
+
+
+def published(folder: Path) -> Rows:
+    """The paper's own recording, in its way with the schedule as its setting states it, and in ours.
+
+    Raises:
+        ProprioError: it is no such recording.
+    """
+    theirs = replay([folder], ReplayOptions(profile="paper"))
+    ways = [(path.start, path.scheduled, path.end) for path in theirs.solver.paths] if theirs.solver is not None else []
+    estimate = replay([folder], ReplayOptions())
+    return {"paths": ways, "ours": answered(estimate, estimate.value("payload_mass")).__dict__}
 
 
 # --- V-B and V-F: the sphere in the box ------------------------------------------------------------------------------

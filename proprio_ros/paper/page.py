@@ -22,7 +22,9 @@ COLORS = ("agreeing", "answer", "current", "measured", "apart")
 """Of series in one plot, classes of the style sheet."""
 
 
-def write_paper_page(found: Mapping[str, Sequence[Rows]], path: Path, command: str, seeds: int) -> None:
+def write_paper_page(
+    found: Mapping[str, Sequence[Rows]], path: Path, command: str, seeds: int, recording: Rows | None = None
+) -> None:
     """Write the page.
 
     Args:
@@ -30,26 +32,35 @@ def write_paper_page(found: Mapping[str, Sequence[Rows]], path: Path, command: s
         path: the HTML file.
         command: that makes it again.
         seeds: how many were asked for.
+        recording: what ``published`` made of the paper's own recording, where it was given.
 
     Raises:
         ConfigurationError: the file cannot be written.
     """
-    parts = _head(seeds)
+    parts = _head(seeds, recording is not None)
     for name, section in SECTIONS.items():
         if found.get(name):
             parts += section(found[name])
+        if name == "starts" and recording is not None:
+            parts += _published(recording)
     parts += provenance(command, [], {})
     write_in_one_step(path, document("The paper, reproduced", parts), "--out")
 
 
-def _head(seeds: int) -> list[str]:
+def _head(seeds: int, recording: bool) -> list[str]:
+    one = (
+        "One section is of the paper's own public recording."
+        if recording
+        else "The paper's own public recording is not in this package: name its folder with --recording."
+    )
     return [
         "<h1>The paper, reproduced</h1>",
         f"<p>The experiments of {escape(quoted.AUTHORS)}: <i>{escape(quoted.TITLE)}</i>, ICRA 2025, "
         f"{escape(quoted.ADDRESS)}, in the paper's way and in ours, on the same recordings.</p>",
         "<p><strong>There is no arm here.</strong> The recordings come from MuJoCo: an OpenMANIPULATOR-X whose torque constants, "
         "friction, armature, links, delays and encoder errors are drawn at random for each seed and hidden from every way of "
-        "identifying. No number on this page was measured on hardware, except where a row says that it is the paper's.</p>",
+        "identifying. No number on this page was measured on hardware, except where a row says that it is the paper's. "
+        f"{one}</p>",
         f"<p>{seeds} seed{'s' * (seeds != 1)}, each another robot. A &plusmn; b is mean and standard deviation over the seeds. "
         "<em>The paper's way</em>: one unknown, squared error of the last frame, semi-implicit Euler, Adam, every number of the "
         "robot taken as exact. <em>As stated</em>: the robot as its file describes it. <em>Calibrated</em>: after it learnt "
@@ -212,6 +223,23 @@ def _starts(found: Sequence[Rows]) -> list[str]:
         "schedule of 15 iterations move it by about 80 g and one of 400 by about 2 kg in all. A guess farther off cannot arrive, "
         "whatever the loss is, and the short schedule stops wherever it is. Where the searches agree on another mass than 50 g, "
         "the robot's numbers are wrong, and no search mends that: compare the rows of the calibrated robot.</p>",
+    ]
+
+
+def _published(recording: Rows) -> list[str]:
+    lines = [
+        [f"{1e3 * start:g}", "-" if scheduled is None else f"{1e3 * scheduled:.1f}", f"{1e3 * end:.1f}"]
+        for start, scheduled, end in recording["paths"]
+    ]
+    ours = recording["ours"]
+    said = "no value" if ours["value"] is None else f"{1e3 * ours['value']:.1f} g"
+    return [
+        '<h2 id="recording">The paper\'s own recording</h2>',
+        "<p>The heavy ball of 50 g, as the authors published it: positions of the elbow, with the setting of their example. The "
+        "schedule of its 15 iterations, and one that reaches the least error of the last frame.</p>",
+        table(["first guess (g)", "the schedule stops at (g)", "least error at (g)"], lines, (0, 1, 2)),
+        f"<p>The paper: {quoted.STARTS_END}. Ours: {said}, <strong>{escape(ours['verdict'].replace('_', ' '))}</strong>: "
+        f"{escape(ours['why'])}.</p>",
     ]
 
 

@@ -1,6 +1,6 @@
 """What was computed, one JSON file per experiment and seed, and the processes that compute it.
 
-A file belongs to the code that wrote it: after a change anywhere in the package it is computed again, so that a page never mixes
+A file belongs to the code that wrote it: after a change of whatever the rows follow from it is computed again, so that a page never mixes
 two versions. A run that was stopped goes on where it was.
 """
 
@@ -26,18 +26,20 @@ Task = tuple[str, int]
 """Experiment and seed."""
 
 
+NO_ROWS = ("cli.py", "nodes/", "launch/", "report/", "paper/page.py", "paper/quoted.py", "paper/store.py")
+"""Of the package's sources, those from which no row follows."""
+
+
 @cache
 def code() -> str:
-    """Of everything that the rows follow from: the package's sources and its configuration."""
+    """Of everything that the rows follow from: the package's sources, its configuration and its robot."""
     found = hashlib.sha256()
-    package = Path(__file__).resolve().parents[1]
-    for folder, pattern in (
-        (package, "*.py"),
-        (share_directory() / "config", "*.yaml"),
-        (share_directory() / "urdf", "*.urdf"),
-    ):
+    package, shared = Path(__file__).resolve().parents[1], share_directory()
+    for folder, pattern in ((package, "*.py"), (shared / "config", "*.yaml"), (shared / "urdf", "*.urdf")):
         for path in sorted(folder.rglob(pattern)):
-            found.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+            name = path.relative_to(folder).as_posix()
+            if folder != package or not name.startswith(NO_ROWS):
+                found.update(name.encode() + b"\0" + path.read_bytes())
     return found.hexdigest()[:16]
 
 
