@@ -29,6 +29,7 @@ from proprio_ros.paper.ways import (
     SphereLastFrame,
     answered,
     ours,
+    paper_cube,
     paper_mass,
     paper_sphere,
     timed,
@@ -42,6 +43,7 @@ from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, bloc
 from proprio_ros.records import Run
 from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import Robot
+from proprio_ros.sim.energies import lame
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.sphere import Enclosure
 from proprio_ros.virtual.objects import Container, Payload, SoftBlock
@@ -60,6 +62,7 @@ STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)
 """First guesses from nothing to the paper's greatest."""
 CUBES: Mapping[str, tuple[float, float]] = {"light cube": (1694.6, 0.130), "heavy cube": (12824.6, 0.258)}
 """Young's modulus [Pa] and Poisson's ratio of the Lame parameters that the paper found."""
+CUBE_KG = {"light cube": 0.010, "heavy cube": 0.023}
 EDGE_M, GAP_M, BLOCK_DAMPING = 0.03, 0.0005, 0.5
 SPHERE_STARTS_KG = (0.002, 0.006, 0.015, 0.04, 0.1)
 LIFT, LOWER = 0, 1
@@ -215,7 +218,7 @@ def tracking(seed: int) -> Rows:
 
 
 def cubes(seed: int) -> Rows:
-    """V-C: Young's modulus and Poisson's ratio of two cubes from three squeezes."""
+    """V-C: Young's modulus and Poisson's ratio of two cubes from three squeezes; the paper's way from the last of them."""
     rows, trace = [], {}
     facts = BlockFacts(np.full(3, EDGE_M))
     known = robots(seed, "empty_hand_gripper")
@@ -223,6 +226,10 @@ def cubes(seed: int) -> Rows:
         held = SoftBlock(modulus, (EDGE_M,) * 3, BLOCK_DAMPING, GAP_M, ratio)
         runs = play("softness", seed, held).runs
         for calibrated, robot in known:
+            first = lame(2.0 * modulus, 0.3)
+            theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, CUBE_KG[name], first)
+            labels = {"object": name, "calibrated": calibrated}
+            rows.append(theirs.row(way="paper", quantity="youngs_modulus", truth=modulus, **labels))
 
             def identify(robot: Robot = robot, runs: Sequence[Run] = runs) -> Estimate:
                 return find_softness(robot, runs, facts)
@@ -230,7 +237,7 @@ def cubes(seed: int) -> Rows:
             estimate, seconds = timed(identify)
             for quantity, truth in (("youngs_modulus", modulus), ("poissons_ratio", ratio)):
                 answer = answered(estimate, estimate.value(quantity), seconds)
-                rows.append(answer.row(way="ours", object=name, quantity=quantity, calibrated=calibrated, truth=truth))
+                rows.append(answer.row(way="ours", quantity=quantity, truth=truth, **labels))
             value = estimate.value("youngs_modulus").value
             if calibrated and isinstance(value, float):
                 trace[name] = _squeeze_trace(

@@ -1,7 +1,7 @@
 """What was computed, one JSON file per experiment and seed, and the processes that compute it.
 
-A file belongs to the code that wrote it: after a change of whatever the rows follow from it is computed again, so that a page never mixes
-two versions. A run that was stopped goes on where it was.
+A file belongs to the code that wrote it: when that changes it is computed again, so that a page never mixes two
+versions. A run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
