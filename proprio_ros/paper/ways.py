@@ -27,7 +27,8 @@ from proprio_ros.sim.energies import young
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.payload import PayloadFacts
-from proprio_ros.sim.softbody import SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRun
+from proprio_ros.sim.softbody import SOFT_INDEX, SoftBody, SoftRun
+from proprio_ros.sim.softbody_kernels import SOFT_PARAMETERS
 
 _Answer = TypeVar("_Answer")
 
