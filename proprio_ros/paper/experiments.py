@@ -300,13 +300,13 @@ def optimisers(seed: int) -> Rows:
             self.coordinates = coordinates
             self.cost: list[float] = []
             self.seconds: list[float] = []
-            self.began = time.perf_counter()
+            self.began = time.process_time()
 
         def linearise(self, internal: np.ndarray, counts: Any = None) -> Any:
             found = problem.linearise(internal, counts)
             for cost in found[0].tolist():
                 self.cost.append(cost)
-                self.seconds.append(time.perf_counter() - self.began)
+                self.seconds.append(time.process_time() - self.began)
             return found
 
     def lm(watched: Any) -> None:

@@ -152,12 +152,13 @@ def _objects(found: Sequence[Rows]) -> list[str]:
     order = {name: place for place, name in enumerate(OBJECTS)}
     lines.sort(key=lambda line: order[line[0]])
     paper = [
-        ["rms error in the paper", quoted.MASS_ERRORS], ["its time", quoted.TIME], ["identified, by object", quoted.MISSING],
+        ["errors of the four masses", quoted.MASS_ERRORS], ["its time", quoted.TIME], ["identified, by object", quoted.MISSING],
     ]  # fmt: skip
     parts = [
         '<h2 id="table-1">Table I: four objects in the hand</h2>',
         "<p>One lift of the elbow, as in the paper, with as much current as it takes; shape and size of the object are stated. The "
-        "paper's way may run until it has reached its least error (five starts, 400 iterations), which is what its time is of.</p>",
+        "paper's way may run until it has reached its least error (five starts, 400 iterations), which is what its time is of. "
+        "Times are those of a processor, without what else the machine does.</p>",
         table(header, lines, (1, 4, 5, 6, 9)),
         table(["the paper says", ""], paper, ()),
         "<h3>With and without calibration, one run against lift and lower</h3>",
@@ -168,7 +169,7 @@ def _objects(found: Sequence[Rows]) -> list[str]:
     for color, (words, rows) in zip((*COLORS, "simulated"), totals, strict=False):
         true = np.array([1e3 * row["truth"] for row in rows])
         off = np.array([1e3 * (row["value"] - row["truth"]) for row in rows])
-        series.append(Series(words, true, off, color, "dots"))
+        series.append(Series(words, true, off, color, "dots", listed=False))
     panels = [Panel(f"{one.name}: error (g)", "g", [one], 80.0, rules=[0.0]) for one in series]
     parts.append(
         framed(chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way"), "A dot is one robot and object.")
@@ -383,7 +384,7 @@ def _optimisers(found: Sequence[Rows]) -> list[str]:
         '<h2 id="figure-6">Figure 6: gradients against none</h2>',
         "<p>The same lift of the heavy ball and the same first guess, between 2 and 500 g, for every search; unknown are the mass, "
         f"and where and how fast the joint began. Each may simulate {EVALUATIONS} times. Cost is that of all samples, over "
-        "the least.</p>",
+        "the least; time is that of a processor.</p>",
         framed(chart(by_step, Axis("simulations", "", log=True), "Cost over simulations"), caption),
         framed(chart(by_time, Axis("time (s)", "s", log=True), "Cost over time"), caption),
         table(
@@ -508,7 +509,7 @@ def _speed(found: Sequence[Rows]) -> list[str]:
         "<p>One recording that comes with the package, a robot without friction in MuJoCo, 50 g at the elbow; five first guesses, "
         "one process, everything loaded and compiled. Unknown are the mass and how the joint began; in the paper's way the mass "
         "only.</p>",
-        table(["way", "time to the answer (ms)", "error (g)", "interval (g)"], lines, (1, 2, 3)),
+        table(["way", "time of a processor (ms)", "error (g)", "interval (g)"], lines, (1, 2, 3)),
         f"<p>The paper: {quoted.TIME}.</p>",
     ]
 

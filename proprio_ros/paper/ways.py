@@ -47,7 +47,7 @@ class Answer:
     Attributes:
         value: in SI units; None where it gives none.
         low, high: of its 95 % interval; None where it has none.
-        seconds: to the answer, with everything loaded and compiled.
+        seconds: of a processor to the answer, with everything loaded and compiled.
         verdict: of ours; empty for a way that gives none.
         why: first reason, where there is no value.
     """
@@ -65,10 +65,10 @@ class Answer:
 
 
 def timed(function: Callable[[], _Answer], warm_up: Callable[[], object] | None = None) -> tuple[_Answer, float]:
-    """The outcome of a function and its wall time [s], after a first call of it, or of another, that loads and compiles."""
+    """The outcome of a function and its time on a processor [s]; a first call of it, or of ``warm_up``, loads and compiles."""
     (warm_up or function)()
-    started = time.perf_counter()
-    return function(), time.perf_counter() - started
+    started = time.process_time()
+    return function(), time.process_time() - started
 
 
 def ours(identify: Callable[[], Estimate], name: str) -> Answer:
@@ -189,9 +189,9 @@ def paper_cube(
     robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float, start_Pa: tuple[float, float]
 ) -> Answer:
     """The paper's way for a soft cube, from one first guess of its Lame parameters; the answer is Young's modulus [Pa]."""
-    started = time.perf_counter()
+    started = time.process_time()
     loss = SqueezeLastFrame(robot, run, edge_m, gap_m, mass)
     first = np.log(np.array([start_Pa]))
     found = adam_descent(loss, first, CUBE_RATE, CUBE_ITERATIONS, first - np.log(10.0), first + np.log(10.0))
     modulus, _ = young(*np.exp(found.internal[0]).tolist())
-    return Answer(modulus, seconds=time.perf_counter() - started)
+    return Answer(modulus, seconds=time.process_time() - started)
