@@ -192,8 +192,8 @@ def _figure_4(found: Sequence[Rows]) -> list[str]:
         ]
         series.append(Series("measured", times, np.array(trace["measured"]), "measured", "dots"))
         caption = (
-            f"The robot {words}. Simulated from rest at the first sample, as the paper does, with the first guess and with what "
-            "was identified; heavy ball, 50 g, the first seed."
+            f"The robot {words}; heavy ball, 50 g, the first seed. With the first guess and in the paper's way simulated from "
+            "rest and with the robot's numbers as they are; ours with what it found beside the mass."
         )
         picture = chart(
             [Panel("elbow (rad)", "rad", series, 190.0)],
@@ -223,7 +223,9 @@ def _starts(found: Sequence[Rows]) -> list[str]:
         "<p>Why some fail: one iteration of Adam moves the mass by about its learning rate of 10 g, and cosine annealing lets a "
         "schedule of 15 iterations move it by about 80 g and one of 400 by about 2 kg in all. A guess farther off cannot arrive, "
         "whatever the loss is, and the short schedule stops wherever it is. Where the searches agree on another mass than 50 g, "
-        "the robot's numbers are wrong, and no search mends that: compare the rows of the calibrated robot.</p>",
+        "the robot's numbers are wrong, and no search mends that: compare the rows of the calibrated robot. Ours then moves "
+        "friction, torque and the rest too; where its ends differ, the lift alone does not tell them from the mass, and its verdict is &ldquo;too "
+        "wide&rdquo;.</p>",
     ]
 
 
@@ -379,7 +381,7 @@ def _optimisers(found: Sequence[Rows]) -> list[str]:
                 _over([row["seconds"][-1] for row in rows], 1e3, 0),
             ]
         )
-    caption = "Median over the seeds, and from the least to the greatest; 1 is the least cost that there is."
+    caption = "Median over the seeds, and from the least to the greatest; 1 is the least that any search found."
     return [
         '<h2 id="figure-6">Figure 6: gradients against none</h2>',
         "<p>The same lift of the heavy ball and the same first guess, between 2 and 500 g, for every search; unknown are the mass, "
