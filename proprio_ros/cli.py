@@ -259,7 +259,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit code: 0 written, 2 bad input. Ctrl-C stops; the same command goes on.",
     )
     paper.add_argument("--out", required=True, metavar="DIR", help="for the page and its rows")
-    paper.add_argument("--seeds", type=int, default=6, metavar="N", help="robots that are drawn (default 6)")
+    paper.add_argument("--seeds", type=int, default=5, metavar="N", help="robots that are drawn (default 5)")
     paper.add_argument(
         "--only", nargs="+", action="extend", default=[], metavar="NAME", help="experiments (default all)"
     )

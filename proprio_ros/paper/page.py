@@ -224,8 +224,8 @@ def _starts(found: Sequence[Rows]) -> list[str]:
         "schedule of 15 iterations move it by about 80 g and one of 400 by about 2 kg in all. A guess farther off cannot arrive, "
         "whatever the loss is, and the short schedule stops wherever it is. Where the searches agree on another mass than 50 g, "
         "the robot's numbers are wrong, and no search mends that: compare the rows of the calibrated robot. Ours then moves "
-        "friction, torque and the rest too; where its ends differ, the lift alone does not tell them from the mass, and its verdict is &ldquo;too "
-        "wide&rdquo;.</p>",
+        "friction, torque and the rest, too; where its ends differ, one lift does not tell them from the mass, and its verdict is "
+        "&ldquo;too wide&rdquo;.</p>",
     ]
 
 
