@@ -322,8 +322,8 @@ def _cubes(found: Sequence[Rows]) -> list[str]:
         '<h2 id="cubes">V-C: two soft cubes</h2>',
         "<p>Three squeezes each. The cubes have the moduli that the paper found; their edge, 30 mm, is ours. A virtual block "
         "answers by a law in closed form, and loses a little by damping. The paper's way is explicit elastodynamics of tetrahedra "
-        "and the last frame of the last squeeze, from twice the modulus; ours takes all three. A dash: one that ours does not "
-        "state, because the squeezes say hardly more of it than its prior.</p>",
+        "and the last frame of the last squeeze, from twice the modulus, between a tenth and ten times of that; ours takes all "
+        "three. A dash: one that ours does not state, because the squeezes say hardly more of it than its prior.</p>",
         table(header, lines, (2, 5, 6, 7)),
         table(["the paper found", "mu (Pa)", "lambda (Pa)"], said, (1, 2)),
         *_figure_5(found),
