@@ -140,7 +140,7 @@ def _sysid(case: _Case, sysid: Any) -> Callable[[], float]:
     """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, RK4 with our step."""
     coordinates, prepared = case.problem.coordinates, case.prepared
     step_s = float(case.problem.simulator.runs[0].step_s)
-    spec = _welded(case, step_s)
+    spec = welded(case, step_s)
     times = step_s * np.arange(int(np.ceil(prepared.times_s[-1] / step_s - 1e-9)) + 1)
     model = spec.compile()
     control = sysid.TimeSeries(times, np.full((len(times), 1), case.run.input_current_A[0]))
@@ -170,7 +170,7 @@ def _sysid(case: _Case, sysid: Any) -> Callable[[], float]:
     )
 
     def heavier(spec: Any, parameter: Any) -> None:
-        _set_mass(spec.body("payload"), float(parameter.value[0]), case)
+        set_mass(spec.body("payload"), float(parameter.value[0]), case)
 
     def solve() -> float:
         best = (math.inf, math.nan)
@@ -188,8 +188,8 @@ def _sysid(case: _Case, sysid: Any) -> Callable[[], float]:
     return solve
 
 
-def _welded(case: _Case, step_s: float) -> Any:
-    """``MjSpec`` of the arm with one hinge, and a payload body at the payload frame."""
+def welded(case: _Case, step_s: float) -> Any:
+    """``MjSpec`` of the arm with one hinge, and a payload body at the payload frame; RK4 with that step, no constraints."""
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "open_manipulator_x.urdf"))
@@ -218,7 +218,7 @@ def _welded(case: _Case, step_s: float) -> Any:
         spec.delete(joint)
     payload = spec.body(case.robot.payload_frame).add_body(name="payload", pos=case.facts.com)
     payload.explicitinertial = True
-    _set_mass(payload, STARTS_KG[0], case)
+    set_mass(payload, STARTS_KG[0], case)
     motor = spec.add_actuator(name="motor", target=case.run.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.gainprm[0] = case.prepared.drive.torque_constant.value
     sensor, seen = mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtObj.mjOBJ_JOINT
@@ -230,7 +230,8 @@ def _welded(case: _Case, step_s: float) -> Any:
     return spec
 
 
-def _set_mass(body: Any, mass: float, case: _Case) -> None:
+def set_mass(body: Any, mass: float, case: _Case) -> None:
+    """Give the payload body a mass [kg], and the inertia that goes with it."""
     spread = case.facts.shape.second_moment_per_mass
     body.mass = mass
     body.inertia = mass * np.diag(np.trace(spread) * np.eye(3) - spread)

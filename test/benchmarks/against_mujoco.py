@@ -10,66 +10,18 @@ import io
 from typing import Any
 
 import numpy as np
-from case import REPOSITORY, STARTS_KG, Case, Row, compare
+from case import STARTS_KG, Case, Row, compare
+
+from proprio_ros.paper.speed import set_mass, welded
 
 GOAL = 30.0
-
-
-def model_spec(case: Case) -> Any:
-    """``MjSpec`` of the arm with one hinge, and a payload body at the payload frame."""
-    import mujoco
-
-    spec = mujoco.MjSpec.from_file(str(REPOSITORY / "urdf" / "open_manipulator_x.urdf"))
-    spec.compiler.fusestatic = False  # the payload must stay a body of its own
-    for equality in list(spec.equalities):
-        spec.delete(equality)
-    positions = dict(case.run.held)
-    for joint in case.robot.model.joints:
-        if joint.mimic is not None:
-            source, multiplier, offset = joint.mimic
-            positions[joint.name] = multiplier * positions[source] + offset
-    for joint in list(spec.joints):
-        if joint.name == case.run.joint:
-            joint.armature = case.prepared.drive.armature.value
-            continue
-        body, axis, q = joint.parent, np.array(joint.axis), positions[joint.name]
-        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-            moved = np.zeros(3)
-            mujoco.mju_rotVecQuat(moved, axis * q, np.array(body.quat))
-            body.pos = np.array(body.pos) + moved
-        else:
-            turn, turned = np.zeros(4), np.zeros(4)
-            mujoco.mju_axisAngle2Quat(turn, axis, q)
-            mujoco.mju_mulQuat(turned, np.array(body.quat), turn)
-            body.quat = turned
-        spec.delete(joint)
-    payload = spec.body(case.robot.payload_frame).add_body(name="payload", pos=case.facts.com)
-    payload.explicitinertial = True
-    _set_mass(payload, STARTS_KG[0], case)
-    motor = spec.add_actuator(name="motor", target=case.run.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.gainprm[0] = case.prepared.drive.torque_constant.value
-    spec.add_sensor(
-        name="encoder", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=case.run.joint
-    )
-    spec.option.gravity = case.robot.gravity
-    spec.option.timestep = case.step_s
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    disable = mujoco.mjtDisableBit
-    spec.option.disableflags = int(disable.mjDSBL_CONSTRAINT | disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT)
-    return spec
-
-
-def _set_mass(body: Any, mass: float, case: Case) -> None:
-    spread = case.facts.shape.second_moment_per_mass
-    body.mass = mass
-    body.inertia = mass * np.diag(np.trace(spread) * np.eye(3) - spread)
 
 
 def identify(case: Case) -> Any:
     """A function that identifies from five starts and returns where they end and the best [kg]."""
     from mujoco import sysid
 
-    spec = model_spec(case)
+    spec = welded(case, case.step_s)
     prepared, coordinates = case.prepared, case.problem.coordinates
     steps = int(np.ceil(prepared.times_s[-1] / case.step_s - 1e-9))
     times = case.step_s * np.arange(steps + 1)
@@ -110,7 +62,7 @@ def identify(case: Case) -> Any:
         params = sysid.ParameterDict()
         params.add(
             sysid.Parameter(
-                "mass", mass, 1e-4, 2.0, modifier=lambda s, p: _set_mass(s.body("payload"), float(p.value[0]), case)
+                "mass", mass, 1e-4, 2.0, modifier=lambda s, p: set_mass(s.body("payload"), float(p.value[0]), case)
             )
         )
         rest, still = prepared.rest, coordinates.prior_mean[2]
