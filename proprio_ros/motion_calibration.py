@@ -47,10 +47,19 @@ BODY_TERMS: Mapping[str, str] = {
     **{f"body_inertia_{axes}": "kg m^2" for axes in ("xx", "xy", "xz", "yy", "yz", "zz")},
 }
 """Parameters of the body behind a joint, about the joint's frame, and their units; everything up to the next joint is one body."""
-DRIVE_TERMS: Mapping[str, str] = {"armature": "kg m^2", "load_friction": "1"}
-"""Of rotor and gears, the same in every run."""
+DRIVE_TERMS: Mapping[str, str] = {
+    "armature": "kg m^2",
+    "load_friction": "1",
+    "torque_share": "1",
+    **{f"coulomb_{wave}": "N m" for wave in ("sine", "cosine", "sine_twice", "cosine_twice")},
+}
+"""Of rotor and gears, the same in every run: also by how much more than its constant says a motor's torque is, and Coulomb friction
+that goes with sine and cosine of the joint's angle, and of twice the angle."""
 FRICTION_TERMS: Mapping[str, str] = {"viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
 """What differs from run to run."""
+ARM_TERMS = len(BODY_TERMS) + len(DRIVE_TERMS)
+"""Per joint, that do not differ from run to run."""
+TERMS = ARM_TERMS + len(FRICTION_TERMS)
 UNITS: Mapping[str, str] = {**BODY_TERMS, **DRIVE_TERMS, **FRICTION_TERMS}
 Key = tuple[str, str]
 """Kind of a term, and its joint."""
@@ -83,7 +92,7 @@ def term_keys(joints: tuple[str, ...]) -> tuple[Key, ...]:
 class MotionCalibration:
     """An arm as motions with an empty hand show it, in torques as the robot file's torque constants make them of currents.
 
-    n joints have P = 15 n terms, see `term_keys`.
+    n joints have P = 20 n terms, see `term_keys`.
 
     Attributes:
         joints: Parents before children, length n.
@@ -135,7 +144,7 @@ class MotionCalibration:
     @property
     def friction(self) -> slice:
         """Where viscous friction, Coulomb friction and offset stand."""
-        return slice(12 * len(self.joints), 15 * len(self.joints))
+        return slice(ARM_TERMS * len(self.joints), TERMS * len(self.joints))
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers for the file, whose ``model_fingerprint`` is that of the URDF."""

@@ -93,6 +93,7 @@ class Equations:
         right: Mean motor torque [N m], shape (E,).
         joint: Number of the joint, shape (E,).
         block: Number of the stretch, shape (E,).
+        waves: Per unit of Coulomb friction that goes with sine and cosine of the angle, and of twice the angle, shape (E, 4 n).
     """
 
     arm: FloatArray
@@ -103,6 +104,7 @@ class Equations:
     right: FloatArray
     joint: NDArray[np.int64]
     block: NDArray[np.int64]
+    waves: FloatArray
 
     def with_centre(self, centre: FloatArray) -> Equations:
         """The same where the payload's mass sits at ``centre`` [m]: its other parameters are how it differs from a point there."""
@@ -158,6 +160,13 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str]) -> Equations:
         right=mean["torque"][rows, joint],
         joint=joint,
         block=(middle_s / BLOCK_S).astype(np.int64),
+        waves=np.hstack(
+            [
+                own * windows.mean(direction * wave(times * position))[rows, joint, None]
+                for times in (1.0, 2.0)
+                for wave in (np.sin, np.cos)
+            ]
+        ),
     )  # fmt: skip
 
 
