@@ -388,9 +388,11 @@ def test_runs_and_motions_are_calibrated_apart(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (lambda c: c.pop("version"), "version 1 is of another release, this one reads 2: calibrate again"),
+        (lambda c: c.update(version="new"), "version 'new' is of another release"),
         (lambda c: c.pop("correlation"), "correlation is missing"),
-        (lambda c: c.update(correlation="1\n"), "lower triangle of 60"),
-        (lambda c: c.update(deviations="1 2\n"), "rows of 60"),
+        (lambda c: c.update(correlation="1\n"), "lower triangle of 80"),
+        (lambda c: c.update(deviations="1 2\n"), "rows of 80"),
         (lambda c: c["unknowns"].pop("coulomb[joint3]"), "coulomb"),
         (lambda c: c["unknowns"]["coulomb[joint3]"].update(std=-1.0), "must be positive"),
         (lambda c: c["unknowns"]["coulomb[joint3]"].update(unit="N"), "unit must be"),
