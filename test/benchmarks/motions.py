@@ -1,6 +1,6 @@
 """How well arms drawn at random weigh what they carry while several joints move: coverage, error and width, in MuJoCo.
 
-    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated] [--empty]
+    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated] [--empty] [--teeth]
     python test/benchmarks/motions.py --calibrated --first 5000 --arms 100 --loaded-seconds 15    # the table of the docs; 10 min
 
 Each arm of six joints (``--joints 4``: a small one in slow motion) runs random sines under a computed-torque controller, once empty
@@ -57,6 +57,7 @@ def main() -> None:
     parser.add_argument(
         "--calibrated", action="store_true", help="with what `proprio calibrate` makes of the empty one"
     )
+    parser.add_argument("--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`")
     parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
     options = parser.parse_args()
     build = SIX if options.joints == 6 else FOUR
@@ -65,7 +66,7 @@ def main() -> None:
     loaded_s = options.loaded_seconds or options.seconds
     rows, seconds = [], []
     for seed in range(options.first, options.first + options.arms):
-        arm = Twin(seed, build)
+        arm = Twin(seed, build, teeth=options.teeth)
         mass, centre = held = arm.payload(np.random.default_rng(10_000 + seed))
         empty, loaded = arm.record("empty", options.seconds), arm.record("loaded", loaded_s, held)
         if options.empty:
