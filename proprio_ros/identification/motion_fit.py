@@ -172,9 +172,7 @@ def waves(windows: Windows, direction: FloatArray, position: FloatArray) -> tupl
         direction: Of motion, -1 to 1, shape (T, n).
         position: [rad or m], shape (T, n).
     """
-    return tuple(
-        windows.mean(direction * wave(times * position)) for times in (1.0, 2.0) for wave in (np.sin, np.cos)
-    )
+    return tuple(windows.mean(direction * wave(times * position)) for times in (1.0, 2.0) for wave in (np.sin, np.cos))
 
 
 def _evenly(motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -88,7 +88,9 @@ def file_prior(robot: Robot, model: ReducedModel) -> Prior:
     stds += [max(d.armature.std, 0.5 * abs(d.armature.value), 1e-3 * total * reach**2) for d in drives]
     stds += [max(d.load_friction.std, LEAST_LOAD_FRICTION_STD) for d in drives]
     stds += [LEAST_TORQUE_STD] * len(drives)
-    stds += [d.coulomb.std or 0.1 * total * reach for d in drives] * WAVES  # until the fit knows Coulomb friction itself
+    stds += [
+        d.coulomb.std or 0.1 * total * reach for d in drives
+    ] * WAVES  # until the fit knows Coulomb friction itself
     stds += [total * 9.81 * reach] * (len(FRICTION_TERMS) * len(drives))
     values = np.concatenate(
         [

@@ -437,7 +437,7 @@ class _Rows:
         return _Solution(float(mass), float(std), design, self.right - design @ values, inverse)
 
     def apart(self, solution: _Solution) -> tuple[float, float]:
-        """What torque constants that err each on its own put on the mass [kg]: as the solution counts them, and as they are known."""
+        """What torque constants that err each on its own put on the mass [kg]: as the solution has it, and as they are known."""
         by_share = self._arm._widest_kg * (solution.inverse[0] @ (solution.design.T @ self.share_design))
         counted = float(np.linalg.norm(by_share))
         return counted, float(np.linalg.norm(by_share * self._arm._apart_std / LEAST_TORQUE_STD))

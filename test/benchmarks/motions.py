@@ -57,7 +57,9 @@ def main() -> None:
     parser.add_argument(
         "--calibrated", action="store_true", help="with what `proprio calibrate` makes of the empty one"
     )
-    parser.add_argument("--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`")
+    parser.add_argument(
+        "--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`"
+    )
     parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
     options = parser.parse_args()
     build = SIX if options.joints == 6 else FOUR
