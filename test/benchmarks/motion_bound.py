@@ -280,8 +280,17 @@ class Model:
         return covariance, precision
 
 
-def bound(arm: Twin, without: Truth, loaded: Truth, mass: float, centre: np.ndarray, positions: bool = False) -> float:
-    """Smallest standard deviation of the mass [kg] that two motions of an arm allow, one with a ball in the hand."""
+def bound(
+    arm: Twin,
+    without: Truth,
+    loaded: Truth,
+    mass: float,
+    centre: np.ndarray,
+    positions: bool = False,
+    more: Sequence[Truth] = (),
+) -> float:
+    """Smallest standard deviation of the mass [kg] that motions of an arm allow, one with a ball in the hand, the others empty."""
     ball = parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2))
-    covariance, _ = Model(arm, [(without, False), (loaded, True)], ball).covariance(positions)
+    motions = [(loaded, True), *((motion, False) for motion in (without, *more))]
+    covariance, _ = Model(arm, motions, ball).covariance(positions)
     return float(np.sqrt(covariance[0, 0]))
