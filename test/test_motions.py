@@ -334,9 +334,9 @@ def test_ten_slow_seconds_weigh_what_ten_others_held(slow: Motion, late: bool) -
     mass = answer.values[0]
     assert isinstance(mass.value, float) and mass.value < 0.005
     assert mass.ci95[0] == 0.0 and mass.ci95[1] < 0.015
-    # the arm fits its URDF only with torque constants that are off by a sixth
+    # the arm fits its URDF only with torque constants that are off by a seventh
     known_to = re.search(r"torque constants .* to ([0-9.]+) %", " ".join(answer.assumptions))
-    assert known_to is not None and float(known_to[1]) > 15.0
+    assert known_to is not None and float(known_to[1]) > 14.0
 
 
 def test_what_a_slow_motion_calibrates_says_that_the_scale_is_open(
