@@ -134,11 +134,6 @@ class _Solution:
     scaled: FloatArray
     weight: FloatArray
 
-    def follows(self, rows: NDArray[np.bool_], torque: FloatArray) -> FloatArray:
-        """How the payload's parameters follow a torque [N m] that is added to some equations, shape (10,)."""
-        result: FloatArray = self.covariance[:PARAMETERS] @ (self.scaled[rows].T @ (self.weight * torque)[rows])
-        return result
-
     def mass_and_std(self) -> tuple[float, float]:
         """What the larger of the fit's own word and that of its stretches leaves of the mass [kg]."""
         return float(self.values[0]), float(np.sqrt(max(self.noise()[0, 0], self.covariance[0, 0])))
