@@ -645,9 +645,11 @@ class IdentifierNode(ManagedNode):
         return self._job is None and (self._kept is None or role != "joint_states")
 
     def _measured_unit(self) -> str:
-        """What the effort of the joint states is: as stated, or N m where a driver publishes as ours does; empty: nobody says."""
+        """What the effort of the joint states is: as stated, or N m where our driver publishes it; empty: nobody says."""
         stated = str(self.values["effort_unit"])
-        return stated or ("N.m" if time.monotonic() - self._effort_at_s <= STALE_S else "")
+        # an effort that the excitation node gives an effort controller of somebody else's says nothing of what that driver measures
+        ours = self.count_publishers(self.resolve_topic_name("applied_current")) > 0
+        return stated or ("N.m" if ours and time.monotonic() - self._effort_at_s <= STALE_S else "")
 
     def _weigh(self, job: Job) -> tuple[bool, str]:
         """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""
