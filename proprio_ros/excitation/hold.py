@@ -28,7 +28,7 @@ SLACK_RAD = 0.004
 """The sum rests so near to the goal: friction would have it hunt."""
 STEP_RAD = 0.05
 """A goal that changes by more at once is another goal, not one that moves."""
-MOVED_RAD = 0.002
+MOVED_RAD = 0.005
 """Gravity and inertia are computed anew when a joint has moved by so much."""
 GAP_S = 0.1
 """After a longer pause the last velocity says nothing."""

@@ -31,8 +31,8 @@ _G, _H = Guards(), HoldGains()
 STATUS_PERIOD_S = 0.1
 LEASE_S = 1.5
 """Whoever says on ~/lease that it wants the sequence says so ten times a second; without a word for so long it is gone."""
-STATES = QoSProfile(depth=4, reliability=ReliabilityPolicy.RELIABLE)
-"""Of several publishers on one topic none takes another's place."""
+STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
+"""Of several publishers on one topic none takes another's place, and 500 a second wait while the node rests."""
 UNPUSHED_S = 0.1
 """From a current command to the driver's word that it flows: two cycles, and a late one."""
 
@@ -78,7 +78,13 @@ class ExcitationNode(ManagedNode):
 
     @property
     def pause_s(self) -> float:
-        return 0.0 if self._machine is not None and self._machine.busy else IDLE_PAUSE_S
+        return 0.0 if self._at_work else IDLE_PAUSE_S
+
+    @property
+    def _at_work(self) -> bool:
+        """Whether a sequence is under way, or efforts of this node hold the arm."""
+        busy = self._machine is not None and self._machine.busy
+        return busy or (self._output is not None and self._output.holding)
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("excitation", **kwargs)
@@ -116,7 +122,7 @@ class ExcitationNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self._output = self._effort_output() if by_effort else DriverOutput(self)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, STATES)
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not self._at_work)
         if not by_effort:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)

@@ -30,6 +30,10 @@ LET_GO_S = 0.3
 class Output(Protocol):
     """Takes what the state machine commands."""
 
+    @property
+    def holding(self) -> bool:
+        """Whether this node must go on commanding, or nobody holds the arm."""
+
     def check(self, sequence: ProbeSequence) -> None:
         """Raises: ExcitationError: It cannot be made now."""
 
@@ -54,6 +58,8 @@ class Output(Protocol):
 
 class DriverOutput:
     """Currents and positions to this package's driver."""
+
+    holding = False
 
     def __init__(self, node: ManagedNode) -> None:
         self._currents = node.create_publisher(Float64MultiArray, "current_command", COMMANDS)
@@ -106,6 +112,10 @@ class EffortOutput:
         self._clock_ns = 0  # from the node's steady time to the clock of the joint states' stamps
         self._recorded: dict[str, float] = {}
         self._recorded_at_s = self._lost_at_s = -1e9
+
+    @property
+    def holding(self) -> bool:
+        return self._controller.holding
 
     def check(self, sequence: ProbeSequence) -> None:
         """Raises: ExcitationError: Nobody listens, somebody else commands, or the controller cannot make it."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from proprio_ros.records import FloatArray
+from proprio_ros.robot.geometry import motion
 from proprio_ros.robot.robot_file import Robot
 
 
@@ -23,14 +24,31 @@ class Loads:
 
     def __init__(self, robot: Robot) -> None:
         model = robot.model
-        index = {model.root: -1} | {joint.child: row for row, joint in enumerate(model.joints)}
-        self._joints = model.joints
-        self._parents = [index[joint.parent] for joint in model.joints]
-        self._driving = [None if joint.kind == "fixed" else model.driving(joint) for joint in model.joints]
-        inertias = {link.name: link.pseudo_inertia for link in model.links}
-        self._pseudo = [robot.arm_scale.value * inertias[joint.child] for joint in model.joints]
-        self._gravity = robot.gravity
+        inertias = {link.name: robot.arm_scale.value * link.pseudo_inertia for link in model.links}
         self.joints = model.independent_joints
+        self._gravity = robot.gravity.tolist()
+        # one body for each joint that moves, with all that is fixed to it
+        self._kinds: list[str] = []
+        self._axes: list[FloatArray] = []
+        self._driving: list[tuple[str, float, float]] = []
+        self._parents: list[int] = []
+        self._placement: list[FloatArray] = []
+        self._pseudo: list[FloatArray] = []
+        frames = {model.root: (-1, np.eye(4))}
+        for joint in model.joints:
+            body, place = frames[joint.parent]
+            place = place @ joint.origin
+            if joint.kind != "fixed":
+                self._parents.append(body)
+                self._placement.append(place)
+                self._kinds.append(joint.kind)
+                self._axes.append(joint.axis)
+                self._driving.append(model.driving(joint))
+                self._pseudo.append(np.zeros((4, 4)))
+                body, place = len(self._pseudo) - 1, np.eye(4)
+            frames[joint.child] = body, place
+            if body >= 0:
+                self._pseudo[body] = self._pseudo[body] + place @ inertias[joint.child] @ place.T
 
     def at(self, pose: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
         """Effort that holds each joint against gravity [N m or N], and the inertia that it moves [kg m^2 or kg].
@@ -40,37 +58,42 @@ class Loads:
         Args:
             pose: Positions of all independent joints [rad or m].
         """
+        frames: list[FloatArray] = []  # of each joint before it moves
         places: list[FloatArray] = []
-        frames: list[FloatArray] = []  # of the joint before it moves
-        composite: list[FloatArray] = []
-        positions: list[float] = []
-        for row, joint in enumerate(self._joints):
-            driving = self._driving[row]
-            position = 0.0 if driving is None else driving[1] * pose[driving[0]] + driving[2]
-            above = places[self._parents[row]] if self._parents[row] >= 0 else np.eye(4)
-            place = above @ joint.transform(position)
+        beyond: list[FloatArray] = []
+        for row, (name, multiplier, offset) in enumerate(self._driving):
+            parent = self._parents[row]
+            frame = places[parent] @ self._placement[row] if parent >= 0 else self._placement[row]
+            place = frame @ motion(self._kinds[row], self._axes[row], multiplier * pose[name] + offset)
+            frames.append(frame)
             places.append(place)
-            frames.append(above @ joint.origin)
-            composite.append(place @ self._pseudo[row] @ place.T)
-            positions.append(position)
-        for row in reversed(range(len(self._joints))):
+            beyond.append(place @ self._pseudo[row] @ place.T)
+        for row in range(len(frames) - 1, 0, -1):
             if self._parents[row] >= 0:
-                composite[self._parents[row]] = composite[self._parents[row]] + composite[row]
+                beyond[self._parents[row]] = beyond[self._parents[row]] + beyond[row]
         effort = dict.fromkeys(self.joints, 0.0)
         inertia = dict.fromkeys(self.joints, 0.0)
-        for row, joint in enumerate(self._joints):
-            driving = self._driving[row]
-            if driving is None:
-                continue
-            name, multiplier, _ = driving
-            axis, point = frames[row][:3, :3] @ joint.axis, frames[row][:3, 3]
-            mass, moment, second = composite[row][3, 3], composite[row][:3, 3], composite[row][:3, :3]
-            if joint.kind == "prismatic":
-                needed, moved = -mass * (axis @ self._gravity), mass
+        gx, gy, gz = self._gravity
+        for row, (name, multiplier, _) in enumerate(self._driving):
+            axis = frames[row][:3, :3] @ self._axes[row]
+            ax, ay, az = axis.tolist()
+            px, py, pz = frames[row][:3, 3].tolist()
+            mx, my, mz, mass = beyond[row][:, 3].tolist()
+            if self._kinds[row] == "prismatic":
+                needed, moved = -mass * (ax * gx + ay * gy + az * gz), mass
             else:
-                needed = -axis @ np.cross(moment - mass * point, self._gravity)
-                about = second - np.outer(moment, point) - np.outer(point, moment) + mass * np.outer(point, point)
-                moved = np.trace(about) - axis @ about @ axis
-            effort[name] += multiplier * float(needed)
-            inertia[name] += multiplier**2 * float(moved)
+                # moment about the joint, times gravity x axis: the triple product
+                needed = -(
+                    (mx - mass * px) * (gy * az - gz * ay)
+                    + (my - mass * py) * (gz * ax - gx * az)
+                    + (mz - mass * pz) * (gx * ay - gy * ax)
+                )
+                second = beyond[row][:3, :3]
+                along_p, along_m = ax * px + ay * py + az * pz, ax * mx + ay * my + az * mz
+                about_point = (
+                    float(np.trace(second)) - 2.0 * (px * mx + py * my + pz * mz) + mass * (px * px + py * py + pz * pz)
+                )
+                moved = about_point - (float(axis @ second @ axis) - 2.0 * along_p * along_m + mass * along_p**2)
+            effort[name] += multiplier * needed
+            inertia[name] += multiplier**2 * moved
         return effort, inertia

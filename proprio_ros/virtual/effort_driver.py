@@ -67,11 +67,25 @@ class EffortDriver:
         start = {name: value for name, value in PARKED.items() if name in known} if position is None else position
         self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=PERIOD_S)
         self.lock = threading.Lock()
-        self._drives = [robot.drive_trains[name] for name in self.arm.joints]
+        drives = [robot.drive_trains[name] for name in self.arm.joints]
         self._limits = np.array([robot.motors[name].current_limit_A for name in self.arm.joints])
-        self._transmission = np.array([drive.transmission for drive in self._drives])
-        self._count_rad = np.array([drive.encoder_resolution for drive in self._drives])
-        per_current = np.array([drive.nominal_effort_per_current for drive in self._drives])
+        self._transmission = np.array([drive.transmission for drive in drives])
+        self._count_rad = np.array([drive.encoder_resolution for drive in drives])
+        per_current = np.array([drive.nominal_effort_per_current for drive in drives])
+        # without a supply or a resistance stated nothing limits the current at speed
+        limited = [drive.supply_voltage_V > 0.0 and drive.resistance_ohm > 0.0 for drive in drives]
+        self._supply_A = np.array(
+            [
+                d.supply_voltage_V / d.resistance_ohm if bound else math.inf
+                for d, bound in zip(drives, limited, strict=True)
+            ]
+        )
+        self._per_speed_A = np.array(
+            [
+                d.back_emf_V_s_per_rad / d.resistance_ohm if bound else 0.0
+                for d, bound in zip(drives, limited, strict=True)
+            ]
+        )
         self._effort_per_A = np.ones(len(per_current)) if unit == "A" else per_current
         self._columns = [self.arm.joints.index(name) for name in self.joints]
         self._latency_s = truth.latency_s
@@ -110,15 +124,9 @@ class EffortDriver:
 
     def _bounded(self, wanted_A: FloatArray) -> FloatArray:
         """Within the motors' limits, and what the supply can drive at this speed."""
-        current = np.clip(wanted_A, -self._limits, self._limits)
-        for row, (drive, speed) in enumerate(zip(self._drives, self.arm.velocity_rad_s().tolist(), strict=True)):
-            if drive.supply_voltage_V > 0.0 and drive.resistance_ohm > 0.0:
-                back_V = drive.back_emf_V_s_per_rad * speed
-                low, high = (
-                    (volt - back_V) / drive.resistance_ohm for volt in (-drive.supply_voltage_V, drive.supply_voltage_V)
-                )
-                current[row] = min(max(current[row], low), high)
-        return current
+        slowed_A = self._per_speed_A * self.arm.velocity_rad_s()
+        current: FloatArray = np.clip(wanted_A, -self._limits, self._limits)
+        return np.clip(current, -self._supply_A - slowed_A, self._supply_A - slowed_A)
 
     def states(self) -> tuple[list[str], list[float], list[float], list[float]]:
         """Names, positions [rad or m], velocities (none is stated) and efforts in the drive's unit, as they are broadcast."""
