@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.hold import SLOWEST_HZ, Hold, HoldGains
+from proprio_ros.excitation.hold import LONGEST_STEP_S, SLOWEST_HZ, Hold, HoldGains
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.robot import Robot
@@ -87,6 +87,12 @@ class EffortController:
                 "raise the update rate of controller_manager and of its joint_state_broadcaster"
             )
 
+        if self._hold.longest_s > LONGEST_STEP_S:
+            raise ExcitationError(
+                f"joint states pause for {1e3 * self._hold.longest_s:.0f} ms, which efforts that hold an arm do not forgive "
+                f"({1e3 * LONGEST_STEP_S:.0f} ms at most): keep this computer free, or run this node beside controller_manager"
+            )
+
     def begin(self) -> None:
         """A sequence begins: hold all joints where they are, if they are not held yet."""
         if not self.holding or self.lost:
@@ -105,9 +111,9 @@ class EffortController:
         self.pushed_A = {}
         self._hold.here()
 
-    def observe(self, time_s: float, position: Mapping[str, float]) -> None:
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> None:
         """Take a reading, as `Hold.observe` does."""
-        self._hold.observe(time_s, position)
+        self._hold.observe(time_s, position, heard_s)
 
     def efforts(self) -> list[float]:
         """One for each joint, in the controller's order and unit; zeros once the joints are lost."""

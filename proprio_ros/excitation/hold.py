@@ -32,6 +32,10 @@ MOVED_RAD = 0.005
 """Gravity and inertia are computed anew when a joint has moved by so much."""
 GAP_S = 0.1
 """After a longer pause the last velocity says nothing."""
+REMEMBERED_S = 1.0
+"""Pauses between joint states make the hold softer for so long: an effort stays until the next, and a stiff one would overshoot."""
+LONGEST_STEP_S = 0.04
+"""No sequence begins while pauses are longer than this: the hold would be too soft."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,8 @@ class Hold:
             for name in robot.model.independent_joints
         }
         self._time_s: dict[str, float] = {}
-        self._period_s = 0.0
+        self._period_s = self._longest_s = 0.0
+        self._heard_s: float | None = None
         self._position: dict[str, float] = {}
         self._velocity = dict.fromkeys(self.joints, 0.0)
         self._goal: dict[str, float] = {}
@@ -101,17 +106,27 @@ class Hold:
         return 1.0 / self._period_s if self._period_s > 0.0 else 0.0
 
     @property
+    def longest_s(self) -> float:
+        """About the longest pause of late between joint states, as they were heard [s]."""
+        return self._longest_s
+
+    @property
     def knows(self) -> bool:
         """Whether every joint was seen."""
         return all(name in self._position for name in self.joints)
 
-    def observe(self, time_s: float, position: Mapping[str, float]) -> None:
+    def observe(self, time_s: float, position: Mapping[str, float], heard_s: float | None = None) -> None:
         """Take a reading.
 
         Args:
             time_s: When it was taken, on a clock of its own: readings may come late, but are to be stamped evenly [s].
             position: By joint [rad or m]; what is no number is passed over.
+            heard_s: When it came [s]; None: when it was taken.
         """
+        now_s = time_s if heard_s is None else heard_s
+        pause_s = 0.0 if self._heard_s is None else max(now_s - self._heard_s, 0.0)
+        self._heard_s = now_s
+        self._longest_s = max(pause_s, self._longest_s * math.exp(-pause_s / REMEMBERED_S))
         for name, value in position.items():
             if not math.isfinite(value) or name not in self._pose:
                 continue
@@ -175,9 +190,8 @@ class Hold:
         if self.lost:
             return dict.fromkeys(self.joints, 0.0)
         self._update_loads()
-        frequency = self.gains.frequency_rad_s
-        if self._period_s > 0.0:
-            frequency = min(frequency, PERIODS_PER_RAD / self._period_s)
+        slowest_s = max(self._period_s, self._longest_s)
+        frequency = min(self.gains.frequency_rad_s, PERIODS_PER_RAD / slowest_s) if slowest_s > 0.0 else 0.0
         efforts = {}
         for name in self.joints:
             if name in pushed:

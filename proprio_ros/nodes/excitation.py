@@ -38,6 +38,8 @@ UNPUSHED_S = 0.1
 
 DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
+HOLD_PAUSE_S = 0.002
+"""Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
 INTERFACES = ("driver", "effort")
 """What takes the commands: this package's driver, or an effort controller."""
 ENDS = ("hold", "zero")
@@ -78,13 +80,9 @@ class ExcitationNode(ManagedNode):
 
     @property
     def pause_s(self) -> float:
-        return 0.0 if self._at_work else IDLE_PAUSE_S
-
-    @property
-    def _at_work(self) -> bool:
-        """Whether a sequence is under way, or efforts of this node hold the arm."""
-        busy = self._machine is not None and self._machine.busy
-        return busy or (self._output is not None and self._output.holding)
+        if self._output is not None and self._output.holding:
+            return HOLD_PAUSE_S
+        return 0.0 if self._machine is not None and self._machine.busy else IDLE_PAUSE_S
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("excitation", **kwargs)
@@ -122,7 +120,7 @@ class ExcitationNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self._output = self._effort_output() if by_effort else DriverOutput(self)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not self._at_work)
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: by_effort)
         if not by_effort:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)

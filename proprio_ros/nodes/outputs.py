@@ -7,6 +7,7 @@ the joints itself, at every joint state, and says what it can before it ends.
 from __future__ import annotations
 
 import time
+from array import array
 from typing import Protocol
 
 from rclpy.duration import Duration
@@ -142,7 +143,7 @@ class EffortOutput:
         stamp_ns = messages.time_ns(message.header.stamp)
         self._clock_ns = (stamp_ns or self._node.get_clock().now().nanoseconds) - time.monotonic_ns()
         controller, lost = self._controller, self._controller.lost
-        controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)))
+        controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
         if controller.holding:
             self._say(controller.efforts())
             if controller.lost and not lost:
@@ -180,7 +181,7 @@ class EffortOutput:
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
 
     def _say(self, efforts: list[float]) -> None:
-        self._commands.publish(Float64MultiArray(data=[float(effort) for effort in efforts]))
+        self._commands.publish(Float64MultiArray(data=array("d", efforts)))
 
     def _record(self) -> None:
         """What drives the joints, for whoever records, on the clock of the joint states."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import tempfile
+import threading
 import time
+from array import array
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import CallbackGroup
 from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -17,6 +20,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, ManagedNode, run_node
+from proprio_ros.realtime import Pacer
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.effort_driver import UNITS, EffortDriver
@@ -28,6 +32,19 @@ STATE_PERIOD_S = 0.002
 """Of the joint states that an effort controller's driver broadcasts: 500 Hz."""
 INTERFACES = ("bus", "effort_controller")
 DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
+
+
+class _Polled(CallbackGroup):
+    """Of a subscription that no executor waits for: whoever has it looks into it."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
 
 
 class VirtualNode(ManagedNode):
@@ -83,8 +100,9 @@ class VirtualNode(ManagedNode):
         self.every(0.02, self._publish_motors)
         if self.values["interface"] == "effort_controller":
             self._states = self.create_publisher(JointState, "joint_states", 10)
-            self.create_subscription(Float64MultiArray, self.values["effort_topic"], self._on_efforts, FROM_MANY)
-            self.every(STATE_PERIOD_S, self._publish_states)
+            self._efforts = self.create_subscription(
+                Float64MultiArray, self.values["effort_topic"], lambda _: None, FROM_MANY, callback_group=_Polled()
+            )
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
         self.create_subscription(DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED)
 
@@ -97,6 +115,8 @@ class VirtualNode(ManagedNode):
             joints, unit = self.values["controller_joints"], self.values["effort_unit"]
             self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
             where = f"{self.values['effort_topic']} for {', '.join(self._robot.joints)}"
+            # a thread: an executor's wake-ups at every period and command would take a core
+            threading.Thread(target=self._broadcast, args=(self._robot,), name="joint states", daemon=True).start()
         self._fill_hand()
         self.say("info", f"a virtual {self.values['robot']} at {where}")
 
@@ -132,17 +152,22 @@ class VirtualNode(ManagedNode):
             true = [position[name] for name in names]
             self._motors.publish(messages.joint_state(now, names, true, effort=[current[name] for name in names]))
 
-    def _on_efforts(self, message: Float64MultiArray) -> None:
-        if isinstance(self._robot, EffortDriver) and not self._robot.command(time.monotonic(), message.data):
-            self.get_logger().warning(
-                f"a command of {len(message.data)} efforts was ignored", throttle_duration_sec=1.0
-            )
-
-    def _publish_states(self) -> None:
-        if isinstance(self._robot, EffortDriver):
-            self._robot.advance(time.monotonic())
-            now = self.get_clock().now().nanoseconds
-            self._states.publish(messages.joint_state(now, *self._robot.states()))
+    def _broadcast(self, driver: EffortDriver) -> None:
+        """As a controller manager: read, take what was commanded since, write, again and again while the node is active."""
+        pacer = Pacer(STATE_PERIOD_S)
+        message = JointState(name=list(driver.broadcast))
+        while self._robot is driver:
+            pacer.wait()
+            now_s = time.monotonic()
+            driver.advance(now_s)
+            with self._efforts.handle:
+                while (told := self._efforts.handle.take_message(Float64MultiArray, False)) is not None:
+                    if not driver.command(now_s, told[0].data):
+                        self.say("warning", f"a command of {len(told[0].data)} efforts was ignored")
+            message.header.stamp = messages.time_message(self.get_clock().now().nanoseconds)
+            # arrays are taken as they are; lists are looked through, number by number
+            message.position, message.velocity, message.effort = (array("d", each) for each in driver.states())
+            self._states.publish(message)
 
     def _fill_hand(self) -> None:
         if self._robot is None:

@@ -93,7 +93,7 @@ class EffortDriver:
         self._wanted_A: FloatArray | None = None
         self._current_A = np.zeros(len(self.arm.joints))
         self._time_s: float | None = None
-        self._broadcast = sorted([*self.arm.joints, *FOREIGN_JOINTS])
+        self.broadcast = tuple(sorted([*self.arm.joints, *FOREIGN_JOINTS]))
 
     def command(self, now_s: float, efforts: Sequence[float]) -> bool:
         """Take a command; whether it has one finite effort for each of the controller's joints."""
@@ -128,15 +128,15 @@ class EffortDriver:
         current: FloatArray = np.clip(wanted_A, -self._limits, self._limits)
         return np.clip(current, -self._supply_A - slowed_A, self._supply_A - slowed_A)
 
-    def states(self) -> tuple[list[str], list[float], list[float], list[float]]:
-        """Names, positions [rad or m], velocities (none is stated) and efforts in the drive's unit, as they are broadcast."""
+    def states(self) -> tuple[list[float], list[float], list[float]]:
+        """Positions [rad or m], velocities (none is stated) and efforts in the drive's unit, in the order of `broadcast`."""
         with self.lock:
             counts = np.rint(self.arm.encoder_rad() / self._count_rad)
             position = dict(zip(self.arm.joints, (counts * self._count_rad * self._transmission).tolist(), strict=True))
             effort = dict(zip(self.arm.joints, (self._current_A * self._effort_per_A).tolist(), strict=True))
-        names = self._broadcast
+        names = self.broadcast
         positions = [position.get(name, 0.25) for name in names]
-        return list(names), positions, [math.nan] * len(names), [effort.get(name, math.nan) for name in names]
+        return positions, [math.nan] * len(names), [effort.get(name, math.nan) for name in names]
 
     def truth(self) -> tuple[dict[str, float], dict[str, float]]:
         """True joint positions [rad or m] and the currents that flow in the motors [A], by joint."""

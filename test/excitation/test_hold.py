@@ -38,8 +38,8 @@ class HeldArm:
         self.efforts: list[list[float]] = []
 
     def reading(self) -> dict[str, float]:
-        names, position, _, _ = self.driver.states()
-        return dict(zip(names, position, strict=True))
+        position, _, _ = self.driver.states()
+        return dict(zip(self.driver.broadcast, position, strict=True))
 
     def run(self, seconds: float, velocity: dict[str, float] | None = None) -> FloatArray:
         """Departures from the goals, all of them as angles of the motors [rad], shape (T, J)."""
@@ -157,3 +157,14 @@ def test_blind_efforts_are_gravity_and_what_was_summed_up() -> None:
     for _ in range(50):
         hold.efforts({"joint1": 0.1})
     assert hold.steady() == summed, "nothing is summed up during a push"
+
+
+def test_pauses_make_it_softer_and_it_stays_stable() -> None:
+    """Efforts stay until the next command: with every 35th joint state only, what is stiff at 500 Hz would throw the arm."""
+    arm = HeldArm(500.0)
+    arm.run(0.3)
+    arm.rate_hz = 14.0
+    paused = arm.run(3.0)
+    assert not arm.hold.lost
+    assert np.abs(paused).max() < 0.2
+    assert np.ptp(paused[-14:], axis=0).max() < 0.1
