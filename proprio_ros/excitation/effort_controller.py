@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.hold import LONGEST_STEP_S, SLOWEST_HZ, Hold, HoldGains
+from proprio_ros.excitation.hold import LONGEST_WAIT_S, SLOWEST_HZ, Hold, HoldGains
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.robot import Robot
@@ -87,10 +87,10 @@ class EffortController:
                 "raise the update rate of controller_manager and of its joint_state_broadcaster"
             )
 
-        if self._hold.longest_s > LONGEST_STEP_S:
+        if self._hold.wait_s > LONGEST_WAIT_S:
             raise ExcitationError(
-                f"joint states pause for {1e3 * self._hold.longest_s:.0f} ms, which efforts that hold an arm do not forgive "
-                f"({1e3 * LONGEST_STEP_S:.0f} ms at most): keep this computer free, or run this node beside controller_manager"
+                f"joint states come in bursts ({1e3 * self._hold.wait_s:.0f} ms apart as an instant sees it; efforts hold an arm "
+                f"with {1e3 * LONGEST_WAIT_S:.0f} ms at most): keep this computer free, or run this node beside controller_manager"
             )
 
     def begin(self) -> None:

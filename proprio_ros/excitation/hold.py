@@ -34,8 +34,8 @@ GAP_S = 0.1
 """After a longer pause the last velocity says nothing."""
 REMEMBERED_S = 1.0
 """Pauses between joint states make the hold softer for so long: an effort stays until the next, and a stiff one would overshoot."""
-LONGEST_STEP_S = 0.04
-"""No sequence begins while pauses are longer than this: the hold would be too soft."""
+LONGEST_WAIT_S = 0.02
+"""No sequence begins while joint states are further apart, as `Hold.wait_s` counts: the hold would be too soft."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ class Hold:
             for name in robot.model.independent_joints
         }
         self._time_s: dict[str, float] = {}
-        self._period_s = self._longest_s = 0.0
+        self._period_s = 0.0
+        self._pauses_s = self._squares_s2 = 0.0
         self._heard_s: float | None = None
         self._position: dict[str, float] = {}
         self._velocity = dict.fromkeys(self.joints, 0.0)
@@ -106,9 +107,9 @@ class Hold:
         return 1.0 / self._period_s if self._period_s > 0.0 else 0.0
 
     @property
-    def longest_s(self) -> float:
-        """About the longest pause of late between joint states, as they were heard [s]."""
-        return self._longest_s
+    def wait_s(self) -> float:
+        """Between joint states of late as they were heard, as an instant sees it: long pauses count as much as they last [s]."""
+        return self._squares_s2 / self._pauses_s if self._pauses_s > 0.0 else 0.0
 
     @property
     def knows(self) -> bool:
@@ -126,7 +127,9 @@ class Hold:
         now_s = time_s if heard_s is None else heard_s
         pause_s = 0.0 if self._heard_s is None else max(now_s - self._heard_s, 0.0)
         self._heard_s = now_s
-        self._longest_s = max(pause_s, self._longest_s * math.exp(-pause_s / REMEMBERED_S))
+        kept = math.exp(-pause_s / REMEMBERED_S)
+        self._pauses_s = kept * self._pauses_s + pause_s
+        self._squares_s2 = kept * self._squares_s2 + pause_s**2
         for name, value in position.items():
             if not math.isfinite(value) or name not in self._pose:
                 continue
@@ -190,8 +193,8 @@ class Hold:
         if self.lost:
             return dict.fromkeys(self.joints, 0.0)
         self._update_loads()
-        slowest_s = max(self._period_s, self._longest_s)
-        frequency = min(self.gains.frequency_rad_s, PERIODS_PER_RAD / slowest_s) if slowest_s > 0.0 else 0.0
+        slow_s = max(self._period_s, self.wait_s)
+        frequency = min(self.gains.frequency_rad_s, PERIODS_PER_RAD / slow_s) if slow_s > 0.0 else 0.0
         efforts = {}
         for name in self.joints:
             if name in pushed:

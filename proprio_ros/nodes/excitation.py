@@ -80,7 +80,7 @@ class ExcitationNode(ManagedNode):
 
     @property
     def pause_s(self) -> float:
-        if self._output is not None and self._output.holding:
+        if self._output is not None and self._output.holds:
             return HOLD_PAUSE_S
         return 0.0 if self._machine is not None and self._machine.busy else IDLE_PAUSE_S
 

@@ -31,9 +31,8 @@ LET_GO_S = 0.3
 class Output(Protocol):
     """Takes what the state machine commands."""
 
-    @property
-    def holding(self) -> bool:
-        """Whether this node must go on commanding, or nobody holds the arm."""
+    holds: bool
+    """Whether this node, and nobody else, holds the arm through it."""
 
     def check(self, sequence: ProbeSequence) -> None:
         """Raises: ExcitationError: It cannot be made now."""
@@ -60,7 +59,7 @@ class Output(Protocol):
 class DriverOutput:
     """Currents and positions to this package's driver."""
 
-    holding = False
+    holds = False
 
     def __init__(self, node: ManagedNode) -> None:
         self._currents = node.create_publisher(Float64MultiArray, "current_command", COMMANDS)
@@ -105,6 +104,8 @@ class EffortOutput:
         let_go_at_end: Whether the last word is zero, and not what holds the arm.
     """
 
+    holds = True
+
     def __init__(self, node: ManagedNode, controller: EffortController, topic: str, let_go_at_end: bool) -> None:
         self._node, self._controller, self._let_go_at_end = node, controller, let_go_at_end
         self._commands = node.create_publisher(Float64MultiArray, topic, COMMANDS)
@@ -113,10 +114,6 @@ class EffortOutput:
         self._clock_ns = 0  # from the node's steady time to the clock of the joint states' stamps
         self._recorded: dict[str, float] = {}
         self._recorded_at_s = self._lost_at_s = -1e9
-
-    @property
-    def holding(self) -> bool:
-        return self._controller.holding
 
     def check(self, sequence: ProbeSequence) -> None:
         """Raises: ExcitationError: Nobody listens, somebody else commands, or the controller cannot make it."""

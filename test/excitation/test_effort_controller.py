@@ -119,3 +119,17 @@ def test_what_cannot_be_made_is_refused() -> None:
 def test_what_is_stated_wrong_is_named(joints: tuple[str, ...], unit: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         EffortController(ROBOT, joints, unit)
+
+
+def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
+    lift = ProbeSequence("lift", "any", (ProbeRun("joint3", 0.1, 0.5),))
+    controller = held()
+    controller.observe(1.45, POSE)
+    for step in range(20):
+        controller.observe(1.45 + 0.002 * step, POSE)
+    controller.check(lift)
+    for step in range(500):
+        stamp_s = 2.0 + 0.002 * step
+        controller.observe(stamp_s, POSE, heard_s=2.0 + 0.04 * (1 + step // 20))
+    with pytest.raises(ExcitationError, match="joint states come in bursts"):
+        controller.check(lift)
