@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from proprio_ros.errors import ConfigurationError, ProprioError
@@ -24,7 +24,7 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.outputs import LAST_WORDS_S, DriverOutput, EffortOutput, Output
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, ManagedNode, run_node
+from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.robot import load_robot
 
 _G, _H = Guards(), HoldGains()
@@ -118,7 +118,16 @@ class ExcitationNode(ManagedNode):
         self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])
         load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._output = self._effort_output() if by_effort else DriverOutput(self)
+        if by_effort:
+            commands = self.create_publisher(Float64MultiArray, self.values["effort_topic"], COMMANDS)
+            applied = self.create_publisher(JointState, "applied_effort", STREAM)
+            self._output = EffortOutput(
+                self, self._effort_controller(), commands, applied, self.values["on_end"] == "zero"
+            )
+        else:
+            currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
+            positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
+            self._output = DriverOutput(currents, positions)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: by_effort)
         if not by_effort:  # else this node says itself what it commands
@@ -144,7 +153,7 @@ class ExcitationNode(ManagedNode):
     def cleanup(self) -> None:
         self.remove_on_set_parameters_callback(self._on_parameters)
 
-    def _effort_output(self) -> EffortOutput:
+    def _effort_controller(self) -> EffortController:
         gains = HoldGains(
             frequency_rad_s=self.values["hold_frequency"],
             damping=self.values["hold_damping"],
@@ -158,7 +167,7 @@ class ExcitationNode(ManagedNode):
             f"efforts go to {self.values['effort_topic']}; this node alone holds the arm then, and the controller keeps the last "
             "command if it is killed: keep a hand near the emergency stop (docs: hardware and safety)",
         )
-        return EffortOutput(self, controller, self.values["effort_topic"], self.values["on_end"] == "zero")
+        return controller
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """A probe that cannot be made is refused when it is named, with the reason."""

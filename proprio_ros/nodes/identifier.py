@@ -254,7 +254,9 @@ class IdentifierNode(ManagedNode):
         ):  # fmt: skip
             listener = self._listener(self.resolve_topic_name(topic), role, kind)
             skip = partial(self._may_skip, role)
-            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=lambda: self._job is None)
+            # joint states at 500 Hz would have a wake-up each, and a node on a busy computer would hear them seconds late
+            together = partial(self._takes_all, role)
+            self.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=together)
         self._motors_topic = self.resolve_topic_name("motors")
         self.create_subscription(DiagnosticStatus, "motors", self._on_motors, LATCHED, raw=True)
         self._joints = [name.encode() for name in robot_of(self.values["robot"], None).drive_trains]
@@ -643,6 +645,10 @@ class IdentifierNode(ManagedNode):
     def _may_skip(self, role: str) -> bool:
         """Whether only the newest message of a topic matters now."""
         return self._job is None and (self._kept is None or role != "joint_states")
+
+    def _takes_all(self, role: str) -> bool:
+        """Whether all that waits of a topic is taken at one wake-up; not where the time of hearing it counts."""
+        return self._job is None or role == "joint_states"
 
     def _measured_unit(self) -> str:
         """What the effort of the joint states is: as stated, or N m where our driver publishes it; empty: nobody says."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from array import array
-from typing import Protocol
+from typing import Any, Protocol
 
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
@@ -19,7 +19,7 @@ from proprio_ros.excitation.effort_controller import EffortController
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.runtime import COMMANDS, ManagedNode
+from proprio_ros.nodes.runtime import ManagedNode
 
 LAST_WORDS_S = 0.3
 RECORD_PERIOD_S = 0.01
@@ -57,13 +57,16 @@ class Output(Protocol):
 
 
 class DriverOutput:
-    """Currents and positions to this package's driver."""
+    """Currents and positions to this package's driver.
+
+    Args:
+        currents, positions: Publishers of labelled numbers.
+    """
 
     holds = False
 
-    def __init__(self, node: ManagedNode) -> None:
-        self._currents = node.create_publisher(Float64MultiArray, "current_command", COMMANDS)
-        self._positions = node.create_publisher(Float64MultiArray, "position_command", COMMANDS)
+    def __init__(self, currents: Any, positions: Any) -> None:
+        self._currents, self._positions = currents, positions
         self._driving = False
 
     def check(self, sequence: ProbeSequence) -> None:
@@ -100,16 +103,18 @@ class EffortOutput:
     Args:
         node: That publishes.
         controller: Whose commands they are.
-        topic: Where it listens.
+        commands: Publisher to it.
+        applied: Publisher of what pushes, for whoever records.
         let_go_at_end: Whether the last word is zero, and not what holds the arm.
     """
 
     holds = True
 
-    def __init__(self, node: ManagedNode, controller: EffortController, topic: str, let_go_at_end: bool) -> None:
+    def __init__(
+        self, node: ManagedNode, controller: EffortController, commands: Any, applied: Any, let_go_at_end: bool
+    ) -> None:
         self._node, self._controller, self._let_go_at_end = node, controller, let_go_at_end
-        self._commands = node.create_publisher(Float64MultiArray, topic, COMMANDS)
-        self._applied = node.create_publisher(JointState, "applied_effort", 10)
+        self._commands, self._applied = commands, applied
         self._topic = self._commands.topic_name
         self._clock_ns = 0  # from the node's steady time to the clock of the joint states' stamps
         self._recorded: dict[str, float] = {}

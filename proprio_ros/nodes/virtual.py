@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
-from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, ManagedNode, run_node
+from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.realtime import Pacer
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.arm import import_mujoco
@@ -99,7 +99,7 @@ class VirtualNode(ManagedNode):
         self._motors = self.create_publisher(JointState, "~/motors", 10)
         self.every(0.02, self._publish_motors)
         if self.values["interface"] == "effort_controller":
-            self._states = self.create_publisher(JointState, "joint_states", 10)
+            self._states = self.create_publisher(JointState, "joint_states", STREAM)
             self._efforts = self.create_subscription(
                 Float64MultiArray, self.values["effort_topic"], lambda _: None, FROM_MANY, callback_group=_Polled()
             )

@@ -46,7 +46,11 @@ NODES = ("virtual", "excitation", "identifier")
 def test_robot_calibrated_and_masses_weighed_by_services_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     warm_up("payload")
-    facts = {"settings": ["payload.com=[0,0,0]", "payload.shape=point"]}
+    facts = {
+        "settings": ["payload.com=[0,0,0]", "payload.shape=point"],
+        "robot_sequence": "empty_hand_elbow",
+        "payload_sequence": "payload_elbow",
+    }
     with running(tmp_path, *NODES, virtual=DRIVER, excitation=OUTPUT, identifier=facts) as (graph, client):
         state = client.states[-1]
         assert list(state.name) == sorted(state.name) and {*FOREIGN_JOINTS} < {*state.name}
