@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.errors import ExcitationError
-from proprio_ros.excitation.effort_controller import EffortController
+from proprio_ros.excitation.effort_controller import EffortController, StampClock
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.nodes import messages
@@ -116,7 +116,7 @@ class EffortOutput:
         self._node, self._controller, self._let_go_at_end = node, controller, let_go_at_end
         self._commands, self._applied = commands, applied
         self._topic = self._commands.topic_name
-        self._clock_ns = 0  # from the node's steady time to the clock of the joint states' stamps
+        self._clock = StampClock()  # of the joint states
         self._recorded: dict[str, float] = {}
         self._recorded_at_s = self._lost_at_s = -1e9
 
@@ -143,7 +143,7 @@ class EffortOutput:
 
     def hear(self, message: JointState, now_s: float) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
-        self._clock_ns = (stamp_ns or self._node.get_clock().now().nanoseconds) - time.monotonic_ns()
+        self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, time.monotonic_ns())
         controller, lost = self._controller, self._controller.lost
         controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
         if controller.holding:
@@ -190,5 +190,5 @@ class EffortOutput:
         record, now_s = self._controller.record, time.monotonic()
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
-            stamp_ns = time.monotonic_ns() + self._clock_ns
+            stamp_ns = self._clock.at(time.monotonic_ns())
             self._applied.publish(messages.joint_state(stamp_ns, list(record), effort=list(record.values())))

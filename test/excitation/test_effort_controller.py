@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.effort_controller import EffortController
+from proprio_ros.excitation.effort_controller import EffortController, StampClock
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
 from proprio_ros.robot import load_robot
@@ -133,3 +133,15 @@ def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
         controller.observe(stamp_s, POSE, heard_s=2.0 + 0.04 * (1 + step // 20))
     with pytest.raises(ExcitationError, match="joint states come in bursts"):
         controller.check(lift)
+
+
+def test_commands_are_stamped_on_the_clock_of_the_joint_states_however_late_these_come() -> None:
+    clock = StampClock()
+    assert clock.at(5) == 5
+    late_ms = [7, 3, 9, 1, 12, 4, 8, 15]
+    for step, late in enumerate(late_ms):
+        clock.hear(10**12 + 2_000_000 * step, 2_000_000 * step + 1_000_000 * late)
+    now_ns = 2_000_000 * 10
+    assert clock.at(now_ns) == pytest.approx(10**12 + now_ns - 1_000_000, abs=10_000), "as late as the least late"
+    clock.hear(5 * 10**12, now_ns)
+    assert clock.at(now_ns) == 5 * 10**12, "a clock that was set"
