@@ -46,17 +46,13 @@ NODES = ("virtual", "excitation", "identifier")
 def test_robot_calibrated_and_masses_weighed_by_services_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     warm_up("payload")
-    facts = {
-        "settings": ["payload.com=[0,0,0]", "payload.shape=point"],
-        "robot_sequence": "empty_hand_elbow",
-        "payload_sequence": "payload_elbow",
-    }
+    facts = {"settings": ["payload.com=[0,0,0]", "payload.shape=point"]}
     with running(tmp_path, *NODES, virtual=DRIVER, excitation=OUTPUT, identifier=facts) as (graph, client):
         state = client.states[-1]
         assert list(state.name) == sorted(state.name) and {*FOREIGN_JOINTS} < {*state.name}
         assert all(math.isnan(speed) for speed in state.velocity)
         hear_less(client)
-        answer = client.call("/identifier/calibrate_robot", 300.0)
+        answer = client.call("/identifier/calibrate_robot", 400.0)
         assert answer.success, (answer.message, graph.log("excitation"))
         for mass_kg in MASSES_KG:
             assert client.set("/virtual", "object", mass_kg).successful
