@@ -143,12 +143,14 @@ class ExcitationNode(ManagedNode):
         self._tell()
 
     def deactivate(self) -> None:
-        if self._machine is not None and self._machine.busy:
-            self._abort(self._machine, "the excitation node was told to end")
-            # the process ends after this, and takes with it what was not yet sent
-            self._status.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
-        if self._output is not None:
-            self._output.finish()
+        try:
+            if self._machine is not None and self._machine.busy:
+                self._abort(self._machine, "the excitation node was told to end")
+                # the process ends after this, and takes with it what was not yet sent
+                self._status.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+        finally:
+            if self._output is not None:
+                self._output.finish()
 
     def cleanup(self) -> None:
         self.remove_on_set_parameters_callback(self._on_parameters)
@@ -191,7 +193,7 @@ class ExcitationNode(ManagedNode):
             self._tick(now)
         assert self._output is not None
         if self.active and any(name in self._machine.joints for name in message.name):
-            lost = self._output.hear(message, now)
+            lost = self._output.hear(message, now, whole=sample is not None)
             if lost:
                 self.say(
                     "error",

@@ -653,9 +653,10 @@ class IdentifierNode(ManagedNode):
     def _measured_unit(self) -> str:
         """What the effort of the joint states is: as stated, or N m where our driver publishes it; empty: nobody says."""
         stated = str(self.values["effort_unit"])
+        if stated or time.monotonic() - self._effort_at_s > STALE_S:
+            return stated
         # an effort that the excitation node gives an effort controller of somebody else's says nothing of what that driver measures
-        ours = self.count_publishers(self.resolve_topic_name("applied_current")) > 0
-        return stated or ("N.m" if ours and time.monotonic() - self._effort_at_s <= STALE_S else "")
+        return "N.m" if self.count_publishers(self.resolve_topic_name("applied_current")) else ""
 
     def _weigh(self, job: Job) -> tuple[bool, str]:
         """Weigh by the motion of the last seconds, from a bag, as `proprio replay` would."""

@@ -43,8 +43,14 @@ class Output(Protocol):
     def send(self, command: Command, slipped: bool) -> None:
         """A command; ``slipped``: after an encoder has, positions from before are other places."""
 
-    def hear(self, message: JointState, now_s: float) -> str:
-        """A joint state has come, and the commands for it; returns why the arm is not held any more, if so."""
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        """A joint state has come, and the commands for it; returns why the arm is not held any more, if so.
+
+        Args:
+            message: About some joints of the arm.
+            now_s: When it came.
+            whole: Whether all joints of the arm are seen.
+        """
 
     def unheard(self) -> None:
         """No joint states come."""
@@ -84,7 +90,7 @@ class DriverOutput:
         if command.position and not slipped:
             self._positions.publish(messages.labelled(command.position))
 
-    def hear(self, message: JointState, now_s: float) -> str:
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         return ""
 
     def unheard(self) -> None:
@@ -117,6 +123,7 @@ class EffortOutput:
         self._commands, self._applied = commands, applied
         self._topic = self._commands.topic_name
         self._clock = StampClock()  # of the joint states
+        self._heard = False
         self._recorded: dict[str, float] = {}
         self._recorded_at_s = self._lost_at_s = -1e9
 
@@ -141,13 +148,14 @@ class EffortOutput:
         else:
             self._controller.take(command)
 
-    def hear(self, message: JointState, now_s: float) -> str:
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
         self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, time.monotonic_ns())
         controller, lost = self._controller, self._controller.lost
         controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
+        self._heard = True
         if controller.holding:
-            self._say(controller.efforts())
+            self._say(controller.efforts() if whole else controller.steady())
             if controller.lost and not lost:
                 self._lost_at_s = time.monotonic()
             elif controller.lost and time.monotonic() - self._lost_at_s > LET_GO_S:
@@ -188,6 +196,8 @@ class EffortOutput:
     def _record(self) -> None:
         """What drives the joints, for whoever records, on the clock of the joint states."""
         record, now_s = self._controller.record, time.monotonic()
+        if not self._heard:
+            return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
             stamp_ns = self._clock.at(time.monotonic_ns())
