@@ -22,6 +22,8 @@ SLOWEST_HZ = 80.0
 """Joint states that come less often cannot hold an arm."""
 FARTHEST_RAD = 0.15
 """The spring pulls no more than from here: an arm that was moved by hand comes back slowly."""
+CORRECTING_SHARE = 0.4
+"""Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and it would throw the joint back."""
 LOST_RAD = 0.4
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
 SLACK_RAD = 0.004
@@ -206,12 +208,9 @@ class Hold:
             off = self._goal[name] - self._position[name]
             bounded_off = math.copysign(min(abs(off), FARTHEST_RAD * per_rad), off)
             slow = self._goal_velocity[name] - self._velocity[name]
-            wanted = (
-                self._gravity[name]
-                + self._sum[name]
-                + spring * bounded_off
-                + 2.0 * self.gains.damping * frequency * inertia * slow
-            )
+            correcting = spring * bounded_off + 2.0 * self.gains.damping * frequency * inertia * slow
+            most = CORRECTING_SHARE * self.largest[name]
+            wanted = self._gravity[name] + self._sum[name] + max(-most, min(most, correcting))
             efforts[name] = self._bounded(name, wanted)
             # no sum while a joint is pushed: its reaction passes. None against a limit, and none within friction
             if not pushed and efforts[name] == wanted and abs(off) > SLACK_RAD * per_rad:
