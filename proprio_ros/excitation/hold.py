@@ -23,7 +23,7 @@ SLOWEST_HZ = 80.0
 FARTHEST_RAD = 0.15
 """The spring pulls no more than from here: an arm that was moved by hand comes back slowly."""
 CORRECTING_SHARE = 0.4
-"""Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and it would throw the joint back."""
+"""Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint back."""
 LOST_RAD = 0.4
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
 SLACK_RAD = 0.004
