@@ -22,12 +22,14 @@ SLOWEST_HZ = 80.0
 """Joint states that come less often cannot hold an arm."""
 FARTHEST_RAD = 0.15
 """The spring pulls no more than from here: an arm that was moved by hand comes back slowly."""
-CORRECTING_SHARE = 0.4
+CORRECTING_SHARE = 0.6
 """Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint back."""
 LOST_RAD = 0.4
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
 SLACK_RAD = 0.004
 """The sum rests so near to the goal: friction would have it hunt."""
+STILL_RAD_S = 0.3
+"""Nothing is summed up beyond this speed: what a joint does that is being braked says nothing of its load."""
 STEP_RAD = 0.05
 """A goal that changes by more at once is another goal, not one that moves."""
 MOVED_RAD = 0.005
@@ -213,7 +215,8 @@ class Hold:
             wanted = self._gravity[name] + self._sum[name] + max(-most, min(most, correcting))
             efforts[name] = self._bounded(name, wanted)
             # no sum while a joint is pushed: its reaction passes. None against a limit, and none within friction
-            if not pushed and efforts[name] == wanted and abs(off) > SLACK_RAD * per_rad:
+            free = efforts[name] == wanted and abs(correcting) < most and abs(slow) < STILL_RAD_S * per_rad
+            if free and not pushed and abs(off) > SLACK_RAD * per_rad:
                 self._sum[name] += spring * bounded_off * min(self._period_s, GAP_S) / self.gains.sum_s
                 self._sum[name] = self._bounded(name, self._sum[name])
         return efforts

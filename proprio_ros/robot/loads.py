@@ -10,8 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from proprio_ros.records import FloatArray
-from proprio_ros.robot.geometry import motion
+from proprio_ros.robot.geometry import FloatArray, motion
 from proprio_ros.robot.robot_file import Robot
 
 

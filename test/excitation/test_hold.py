@@ -41,7 +41,9 @@ class HeldArm:
         position, _, _ = self.driver.states()
         return dict(zip(self.driver.broadcast, position, strict=True))
 
-    def run(self, seconds: float, velocity: dict[str, float] | None = None) -> FloatArray:
+    def run(
+        self, seconds: float, velocity: dict[str, float] | None = None, pushed: dict[str, float] | None = None
+    ) -> FloatArray:
         """Departures from the goals, all of them as angles of the motors [rad], shape (T, J)."""
         rows = []
         for _ in range(round(seconds * self.rate_hz)):
@@ -54,7 +56,7 @@ class HeldArm:
             for name, speed in (velocity or {}).items():
                 self.goal[name] += speed / self.rate_hz
             self.hold.aim(self.goal)
-            self.waiting.append(self.hold.efforts({}))
+            self.waiting.append(self.hold.efforts(pushed or {}))
             if len(self.waiting) > 1:
                 efforts = self.waiting.popleft()
                 self.efforts.append([efforts[name] for name in JOINTS])
@@ -168,3 +170,20 @@ def test_pauses_make_it_softer_and_it_stays_stable() -> None:
     assert not arm.hold.lost
     assert np.abs(paused).max() < 0.2
     assert np.ptp(paused[-14:], axis=0).max() < 0.1
+
+
+def test_a_fast_joint_is_braked_and_comes_back_without_passing_its_goal_far() -> None:
+    """A shoulder that a push has brought to 4 rad/s: what is summed up meanwhile would throw it back."""
+    arm = HeldArm(500.0, seed=1, coulomb=0.05)
+    arm.run(0.3)
+    arm.goal |= {"joint2": arm.reading()["joint2"]}
+    arm.run(0.35, pushed={"joint2": 0.55})
+    arm.goal["joint2"] = arm.reading()["joint2"]
+    column = JOINTS.index("joint2")
+    speed = abs(arm.driver.arm.velocity_rad_s()[column])
+    assert speed > 3.0
+    braked = arm.run(1.5)[:, column]
+    assert np.abs(braked).max() < 0.35
+    assert braked.min() > -0.1, "it comes back from where it ran on to"
+    assert abs(braked[-1]) < 0.04
+    assert not arm.hold.lost
