@@ -1,0 +1,204 @@
+"""Where the excitation node's commands go: this package's driver, or an effort controller of somebody else's.
+
+The driver holds what is not pushed, and ends a push when it hears nothing. An effort controller does neither, so its output holds
+the joints itself, at every joint state, and says what it can before it ends.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from typing import Any, Protocol
+
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from proprio_ros.errors import ExcitationError
+from proprio_ros.excitation.effort_controller import EffortController, StampClock
+from proprio_ros.excitation.machine import Command
+from proprio_ros.excitation.plans import ProbeSequence
+from proprio_ros.nodes import messages
+from proprio_ros.nodes.runtime import ManagedNode
+
+LAST_WORDS_S = 0.3
+RECORD_PERIOD_S = 0.01
+"""What is commanded is recorded when it changes, and so often."""
+LET_GO_S = 0.3
+"""For so long zeros are said when joints are lost; then whoever takes over is not disturbed."""
+
+
+class Output(Protocol):
+    """Takes what the state machine commands."""
+
+    holds: bool
+    """Whether this node, and nobody else, holds the arm through it."""
+
+    def check(self, sequence: ProbeSequence) -> None:
+        """Raises: ExcitationError: It cannot be made now."""
+
+    def begin(self) -> None:
+        """A sequence begins."""
+
+    def send(self, command: Command, slipped: bool) -> None:
+        """A command; ``slipped``: after an encoder has, positions from before are other places."""
+
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        """A joint state has come, and the commands for it; returns why the arm is not held any more, if so.
+
+        Args:
+            message: About some joints of the arm.
+            now_s: When it came.
+            whole: Whether all joints of the arm are seen.
+        """
+
+    def unheard(self) -> None:
+        """No joint states come."""
+
+    def release(self) -> str:
+        """Let go, if it is this that holds the arm; says what was done."""
+
+    def finish(self) -> None:
+        """Last words, after which the process may end."""
+
+
+class DriverOutput:
+    """Currents and positions to this package's driver.
+
+    Args:
+        currents, positions: Publishers of labelled numbers.
+    """
+
+    holds = False
+
+    def __init__(self, currents: Any, positions: Any) -> None:
+        self._currents, self._positions = currents, positions
+        self._driving = False
+
+    def check(self, sequence: ProbeSequence) -> None:
+        pass
+
+    def begin(self) -> None:
+        pass
+
+    def send(self, command: Command, slipped: bool) -> None:
+        """Currents first: an empty one ends the push at once, and what is not driven is held."""
+        if command.current_A or self._driving:
+            self._currents.publish(messages.labelled(command.current_A))
+        self._driving = bool(command.current_A)
+        # to an encoder that has slipped the last position is another place, and the arm would go there; the driver holds it
+        if command.position and not slipped:
+            self._positions.publish(messages.labelled(command.position))
+
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        return ""
+
+    def unheard(self) -> None:
+        pass
+
+    def release(self) -> str:
+        return "the driver holds the arm: /driver/torque lets go of it"
+
+    def finish(self) -> None:
+        self._currents.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+
+
+class EffortOutput:
+    """Efforts to a `forward_command_controller`, or another that takes the same.
+
+    Args:
+        node: That publishes.
+        controller: Whose commands they are.
+        commands: Publisher to it.
+        applied: Publisher of what pushes, for whoever records.
+        let_go_at_end: Whether the last word is zero, and not what holds the arm.
+    """
+
+    holds = True
+
+    def __init__(
+        self, node: ManagedNode, controller: EffortController, commands: Any, applied: Any, let_go_at_end: bool
+    ) -> None:
+        self._node, self._controller, self._let_go_at_end = node, controller, let_go_at_end
+        self._commands, self._applied = commands, applied
+        self._topic = self._commands.topic_name
+        self._clock = StampClock()  # of the joint states
+        self._heard = False
+        self._recorded: dict[str, float] = {}
+        self._recorded_at_s = self._lost_at_s = -1e9
+
+    def check(self, sequence: ProbeSequence) -> None:
+        """Raises: ExcitationError: Nobody listens, somebody else commands, or the controller cannot make it."""
+        if self._node.count_subscribers(self._topic) == 0:
+            raise ExcitationError(f"nobody listens to {self._topic}: load and activate the effort controller")
+        others = self._node.count_publishers(self._topic) - 1
+        if others > 0:
+            raise ExcitationError(
+                f"somebody else publishes on {self._topic}, too: end it first, for the last command counts"
+            )
+        self._controller.check(sequence)
+
+    def begin(self) -> None:
+        self._controller.begin()
+
+    def send(self, command: Command, slipped: bool) -> None:
+        """What `hear` and `unheard` say from now on."""
+        if slipped:
+            self._controller.take_here()
+        else:
+            self._controller.take(command)
+
+    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        stamp_ns = messages.time_ns(message.header.stamp)
+        self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, time.monotonic_ns())
+        controller, lost = self._controller, self._controller.lost
+        controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
+        self._heard = True
+        if controller.holding:
+            self._say(controller.efforts() if whole else controller.steady())
+            if controller.lost and not lost:
+                self._lost_at_s = time.monotonic()
+            elif controller.lost and time.monotonic() - self._lost_at_s > LET_GO_S:
+                controller.release()
+        self._record()
+        return "" if lost else controller.lost
+
+    def unheard(self) -> None:
+        """What held the arm at last; nobody can do better who does not see it."""
+        if self._controller.holding:
+            self._say(self._controller.steady())
+        self._record()
+
+    def release(self) -> str:
+        if not self._controller.holding:
+            return "nothing was held"
+        self._say(self._controller.release())
+        return "the efforts are zero: nobody holds the arm until a controller does"
+
+    def finish(self) -> None:
+        """The controller keeps the last command, whatever becomes of us."""
+        if not self._controller.holding:
+            return
+        last = [0.0] * len(self._controller.joints)
+        try:
+            if not self._let_go_at_end:
+                last = self._controller.steady()
+        finally:
+            self._say(last)
+            self._record()
+            self._controller.holding = False
+            for publisher in (self._commands, self._applied):
+                publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+
+    def _say(self, efforts: list[float]) -> None:
+        self._commands.publish(Float64MultiArray(data=array("d", efforts)))
+
+    def _record(self) -> None:
+        """What drives the joints, for whoever records, on the clock of the joint states."""
+        record, now_s = self._controller.record, time.monotonic()
+        if not self._heard:
+            return  # on whose clock?
+        if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
+            self._recorded, self._recorded_at_s = record, now_s
+            stamp_ns = self._clock.at(time.monotonic_ns())
+            self._applied.publish(messages.joint_state(stamp_ns, list(record), effort=list(record.values())))
