@@ -28,6 +28,15 @@ LOST_RAD = 0.4
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
 SLACK_RAD = 0.004
 """The sum rests so near to the goal: friction would have it hunt."""
+DEAD_RAD = 0.0015
+"""Off by so little is not off, and likewise with a speed (`DEAD_RAD_S`): the noise of an encoder would shake a joint that stands, and
+a joint that shakes has no friction that holds it and creeps."""
+DEAD_RAD_S = 0.12
+SETTLING_S = 0.6
+"""The sum takes up what the arm carries for so long after its goals have come to rest, and then stands: a joint must be still before a
+push."""
+ASTRAY_RAD = 0.05
+"""Unless a joint is so far off: something else hangs at it."""
 STILL_RAD_S = 0.3
 """Nothing is summed up beyond this speed: what a joint does that is being braked says nothing of its load."""
 STEP_RAD = 0.05
@@ -54,7 +63,7 @@ class HoldGains:
         max_velocity_rad_s: A held joint that is faster is not held any more.
     """
 
-    frequency_rad_s: float = 15.0
+    frequency_rad_s: float = 20.0
     damping: float = 1.0
     sum_s: float = 0.4
     jump_rad: float = 0.3
@@ -85,6 +94,7 @@ class Hold:
             name: (drive.armature.value or drive.armature.std) / drive.transmission**2
             for name, drive in robot.drive_trains.items()
         }
+        self._friction = {name: drive.coulomb.value for name, drive in robot.drive_trains.items()}
         self._pose = {
             name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
             for name in robot.model.independent_joints
@@ -102,6 +112,8 @@ class Hold:
         self._loads_at: dict[str, float] | None = None
         self._gravity: dict[str, float] = {}
         self._inertia: dict[str, float] = {}
+        self._reactions: dict[str, dict[str, tuple[float, float]]] = {}
+        self._moved_s = 0.0  # when a goal last changed
         self.lost = ""
         """Why the joints are not held any more; empty while they are."""
 
@@ -172,6 +184,8 @@ class Hold:
             if after is None or not math.isfinite(after):
                 continue
             self._goal[name] = after
+            if after != before:
+                self._moved_s = now_s
             if before is None or not 0.0 < step_s <= GAP_S or abs(after - before) > STEP_RAD * self._per_rad[name]:
                 self._goal_velocity[name] = 0.0
             else:
@@ -200,6 +214,9 @@ class Hold:
         slow_s = max(self._period_s, self.wait_s)
         frequency = min(self.gains.frequency_rad_s, PERIODS_PER_RAD / slow_s) if slow_s > 0.0 else 0.0
         efforts = {}
+        reaction = self._reaction(pushed)
+        now_s = max(self._time_s.values(), default=0.0)
+        settling = now_s - self._moved_s < SETTLING_S
         for name in self.joints:
             if name in pushed:
                 efforts[name] = self._bounded(name, pushed[name])
@@ -207,16 +224,18 @@ class Hold:
             per_rad = self._per_rad[name]
             inertia = self._inertia[name] + self._rotor[name]
             spring = inertia * frequency**2
-            off = self._goal[name] - self._position[name]
+            off = _beyond(self._goal[name] - self._position[name], DEAD_RAD * per_rad)
             bounded_off = math.copysign(min(abs(off), FARTHEST_RAD * per_rad), off)
-            slow = self._goal_velocity[name] - self._velocity[name]
+            slow = _beyond(self._goal_velocity[name] - self._velocity[name], DEAD_RAD_S * per_rad)
             correcting = spring * bounded_off + 2.0 * self.gains.damping * frequency * inertia * slow
             most = CORRECTING_SHARE * self.largest[name]
-            wanted = self._gravity[name] + self._sum[name] + max(-most, min(most, correcting))
+            steady = self._gravity[name] + self._sum[name] + reaction.get(name, 0.0)
+            wanted = steady + max(-most, min(most, correcting))
             efforts[name] = self._bounded(name, wanted)
             # no sum while a joint is pushed: its reaction passes. None against a limit, and none within friction
             free = efforts[name] == wanted and abs(correcting) < most and abs(slow) < STILL_RAD_S * per_rad
-            if free and not pushed and abs(off) > SLACK_RAD * per_rad:
+            far = abs(off) > (SLACK_RAD if settling else ASTRAY_RAD) * per_rad
+            if free and not pushed and far:
                 self._sum[name] += spring * bounded_off * min(self._period_s, GAP_S) / self.gains.sum_s
                 self._sum[name] = self._bounded(name, self._sum[name])
         return efforts
@@ -227,6 +246,20 @@ class Hold:
             return dict.fromkeys(self.joints, 0.0)
         self._update_loads()
         return {name: self._bounded(name, self._gravity[name] + self._sum[name]) for name in self.joints}
+
+    def _reaction(self, pushed: Mapping[str, float]) -> dict[str, float]:
+        """What a push does to the other joints, which would give way until springs are bent: by the URDF and known friction."""
+        reaction: dict[str, float] = {}
+        for name, effort in pushed.items():
+            velocity = self._velocity[name]
+            moved = abs(velocity) > DEAD_RAD_S * self._per_rad[name]
+            free = self._bounded(name, effort) - self._gravity[name] - self._sum[name]
+            friction = min(self._friction[name], abs(free))
+            free -= math.copysign(friction, velocity if moved else free)
+            acceleration = free / (self._inertia[name] + self._rotor[name])
+            for other, (by_acceleration, by_speed) in self._reactions.get(name, {}).items():
+                reaction[other] = reaction.get(other, 0.0) + by_acceleration * acceleration + by_speed * velocity**2
+        return reaction
 
     def _look_for_lost(self, pushed: Mapping[str, float]) -> None:
         for name in self.joints:
@@ -245,7 +278,7 @@ class Hold:
             for name, value in self._pose.items()
         ):
             self._loads_at = dict(self._pose)
-            self._gravity, self._inertia = self._loads.at(self._pose)
+            self._gravity, self._inertia, self._reactions = self._loads.at(self._pose)
 
     def _bounded(self, name: str, effort: float) -> float:
         return max(-self.largest[name], min(self.largest[name], effort))
@@ -254,3 +287,8 @@ class Hold:
 def _share(step_s: float) -> float:
     """Of a new value in the filter of velocities."""
     return 1.0 - math.exp(-step_s / FILTER_S)
+
+
+def _beyond(value: float, dead: float) -> float:
+    """A number's part outside a dead band."""
+    return math.copysign(max(abs(value) - dead, 0.0), value)
