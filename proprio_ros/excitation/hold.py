@@ -35,7 +35,7 @@ DEAD_RAD_S = 0.12
 SETTLING_S = 0.6
 """The sum takes up what the arm carries for so long after its goals have come to rest, and then stands: a joint must be still before a
 push."""
-ASTRAY_RAD = 0.05
+ASTRAY_RAD = 0.03
 """Unless a joint is so far off: something else hangs at it."""
 STILL_RAD_S = 0.3
 """Nothing is summed up beyond this speed: what a joint does that is being braked says nothing of its load."""

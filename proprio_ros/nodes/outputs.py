@@ -24,6 +24,8 @@ from proprio_ros.nodes.runtime import ManagedNode
 LAST_WORDS_S = 0.3
 RECORD_PERIOD_S = 0.01
 """What is commanded is recorded when it changes, and so often."""
+ON_THE_WAY_NS = 500_000
+"""A command that is sent later before an update than this is taken by the next."""
 LET_GO_S = 0.3
 """For so long zeros are said when joints are lost; then whoever takes over is not disturbed."""
 
@@ -125,6 +127,7 @@ class EffortOutput:
         self._clock = StampClock()  # of the joint states
         self._heard = False
         self._recorded: dict[str, float] = {}
+        self._untaken: dict[int, dict[str, float]] = {}  # by when it was sent, on the clock of the joint states
         self._recorded_at_s = self._lost_at_s = -1e9
 
     def check(self, sequence: ProbeSequence) -> None:
@@ -151,9 +154,11 @@ class EffortOutput:
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
         self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, time.monotonic_ns())
+        stamp_ns = stamp_ns or self._clock.at(time.monotonic_ns())
         controller, lost = self._controller, self._controller.lost
         controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
         self._heard = True
+        self._take_up(stamp_ns)
         if controller.holding:
             self._say(controller.efforts() if whole else controller.steady())
             if controller.lost and not lost:
@@ -168,6 +173,7 @@ class EffortOutput:
         if self._controller.holding:
             self._say(self._controller.steady())
         self._record()
+        self._take_up(None)
 
     def release(self) -> str:
         if not self._controller.holding:
@@ -186,6 +192,7 @@ class EffortOutput:
         finally:
             self._say(last)
             self._record()
+            self._take_up(None)
             self._controller.holding = False
             for publisher in (self._commands, self._applied):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
@@ -194,11 +201,24 @@ class EffortOutput:
         self._commands.publish(Float64MultiArray(data=array("d", efforts)))
 
     def _record(self) -> None:
-        """What drives the joints, for whoever records, on the clock of the joint states."""
+        """Remember what drives the joints, for whoever records, when it changes and now and then."""
         record, now_s = self._controller.record, time.monotonic()
         if not self._heard:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
-            stamp_ns = self._clock.at(time.monotonic_ns())
-            self._applied.publish(messages.joint_state(stamp_ns, list(record), effort=list(record.values())))
+            self._untaken[self._clock.at(time.monotonic_ns())] = record
+
+    def _take_up(self, stamp_ns: int | None) -> None:
+        """Publish what was sent, stamped with when the controller took it: its next update, of which a joint state tells.
+
+        Args:
+            stamp_ns: Of a joint state; None: none comes, and what was sent is stamped so.
+        """
+        taken = [sent_ns for sent_ns in self._untaken if stamp_ns is None or sent_ns + ON_THE_WAY_NS <= stamp_ns]
+        for sent_ns in taken if stamp_ns is None else taken[-1:]:
+            record = self._untaken[sent_ns]
+            when_ns = sent_ns if stamp_ns is None else stamp_ns
+            self._applied.publish(messages.joint_state(when_ns, list(record), effort=list(record.values())))
+        for sent_ns in taken:
+            del self._untaken[sent_ns]

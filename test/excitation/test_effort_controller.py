@@ -76,7 +76,7 @@ def test_a_second_sequence_does_not_drop_what_is_held() -> None:
     controller = held()
     controller.take(Command({**POSE, "joint2": POSE["joint2"] - 0.02}))
     for step in range(100):
-        controller.observe(2.0 + 0.002 * step, POSE)
+        controller.observe(1.4 + 0.002 * step, POSE)
         controller.efforts()
     summed = controller.steady()
     controller.begin()

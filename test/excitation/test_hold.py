@@ -75,7 +75,7 @@ def test_a_load_that_nobody_announced_is_taken_up_without_swinging(rate_hz: floa
     loaded = arm.run(2.0)
     assert np.abs(loaded).max() < sag_rad
     last = loaded[-round(0.5 * rate_hz) :]
-    assert np.abs(last).max() < 0.02
+    assert np.abs(last).max() < 0.035
     assert np.ptp(last, axis=0).max() < 0.008
     assert not arm.hold.lost
 
