@@ -29,12 +29,11 @@ LOST_RAD = 0.4
 SLACK_RAD = 0.004
 """The sum rests so near to the goal: friction would have it hunt."""
 DEAD_RAD = 0.0015
-"""Off by so little is not off, and likewise with a speed (`DEAD_RAD_S`): the noise of an encoder would shake a joint that stands, and
-a joint that shakes has no friction that holds it and creeps."""
+"""Off by so little is not off: an encoder's noise would shake a joint that stands, and what shakes creeps in spite of friction."""
 DEAD_RAD_S = 0.12
+"""Likewise of speeds."""
 SETTLING_S = 0.6
-"""The sum takes up what the arm carries for so long after its goals have come to rest, and then stands: a joint must be still before a
-push."""
+"""The sum takes up loads for so long after its goals have come to rest, and then stands: a joint must be still before a push."""
 ASTRAY_RAD = 0.03
 """Unless a joint is so far off: something else hangs at it."""
 STILL_RAD_S = 0.3

@@ -100,7 +100,9 @@ class Inputs:
         ):  # fmt: skip
             listener = self.listener(node.resolve_topic_name(topic), role, kind)
             skip = partial(self.may_skip, role)
-            node.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=partial(self._takes_all, role))
+            node.listen(
+                kind, topic, listener, STREAM, raw=True, only_newest=skip, together=partial(self._takes_all, role)
+            )
         self._motors_topic = node.resolve_topic_name("motors")
         node.create_subscription(DiagnosticStatus, "motors", self.on_motors, LATCHED, raw=True)
         # latched, but only what changes while a recording is under way belongs to it

@@ -1,9 +1,9 @@
-"""What an arm asks of its motors: the effort that gravity needs at each joint, the inertia that each joint turns, and what one joint
-that moves does to the others.
+"""What an arm asks of its motors: against gravity, to turn a joint, and to hold it while another moves.
 
-The bodies beyond a joint move with it as one (Featherstone, "Rigid Body Dynamics Algorithms", 2008, composite-rigid-body algorithm).
-With P their pseudo-inertias, added in the base frame, and S the joint's motion as a 4 x 4 matrix, a speed v and an acceleration a give
-each of their points ``(S a + S S v^2) x``; another joint, with motion S', feels ``trace(S' P (S a + S S v^2)^T)``, P beyond both.
+The bodies beyond a joint move with it as one (Featherstone, "Rigid Body Dynamics Algorithms", 2008, composite-rigid-body
+algorithm). With P their pseudo-inertias, added in the base frame, and S the joint's motion as a 4 x 4 matrix, a speed v and an
+acceleration a accelerate each of their points x by ``(S a + S S v^2) x``; another joint, with motion S', feels
+``trace(S' P (S a + S S v^2)^T)``, P now of what is beyond both.
 """
 
 from __future__ import annotations
