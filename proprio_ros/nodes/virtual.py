@@ -73,6 +73,7 @@ class VirtualNode(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("virtual", **kwargs)
         self._robot: VirtualRobot | EffortDriver | None = None
+        self._thread: threading.Thread | None = None
         self._hand = "any"
         self._content_is_out = False
 
@@ -116,7 +117,10 @@ class VirtualNode(ManagedNode):
             self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
             where = f"{self.values['effort_topic']} for {', '.join(self._robot.joints)}"
             # a thread: an executor's wake-ups at every period and command would take a core
-            threading.Thread(target=self._broadcast, args=(self._robot,), name="joint states", daemon=True).start()
+            self._thread = threading.Thread(
+                target=self._broadcast, args=(self._robot,), name="joint states", daemon=True
+            )
+            self._thread.start()
         self._fill_hand()
         self.say("info", f"a virtual {self.values['robot']} at {where}")
 
@@ -124,6 +128,9 @@ class VirtualNode(ManagedNode):
         if self._robot is not None:
             self._robot.close()
             self._robot = None
+        if self._thread is not None:
+            self._thread.join(timeout=1.0)
+            self._thread = None
 
     def cleanup(self) -> None:
         self.remove_on_set_parameters_callback(self._on_parameters)
@@ -156,13 +163,15 @@ class VirtualNode(ManagedNode):
         """As a controller manager: read, take what was commanded since, write, again and again while the node is active."""
         pacer = Pacer(STATE_PERIOD_S)
         message = JointState(name=list(driver.broadcast))
+        warned = False
         while self._robot is driver:
             pacer.wait()
             now_s = time.monotonic()
             driver.advance(now_s)
             with self._efforts.handle:
                 while (told := self._efforts.handle.take_message(Float64MultiArray, False)) is not None:
-                    if not driver.command(now_s, told[0].data):
+                    if not driver.command(now_s, told[0].data) and not warned:
+                        warned = True
                         self.say("warning", f"a command of {len(told[0].data)} efforts was ignored")
             message.header.stamp = messages.time_message(self.get_clock().now().nanoseconds)
             # arrays are taken as they are; lists are looked through, number by number

@@ -187,3 +187,56 @@ def test_a_fast_joint_is_braked_and_comes_back_without_passing_its_goal_far() ->
     assert braked.min() > -0.02, "it comes back from where it ran on to"
     assert abs(braked[-1]) < 0.04
     assert not arm.hold.lost
+
+
+def test_blind_efforts_hold_a_load_that_a_joint_leans_on() -> None:
+    """Beyond its settling time the sum stands, and a spring carries what came later: the last word must carry it, too."""
+    arm = HeldArm(500.0, coulomb=0.03)
+    arm.run(1.5)
+    arm.driver.hold(Payload(0.05))
+    loaded = arm.run(1.0)[-1]
+    last = arm.hold.steady()
+    for _ in range(250):
+        arm.time_s += 0.002
+        assert arm.driver.command(arm.time_s, [last[name] for name in JOINTS])
+        arm.driver.advance(arm.time_s)
+    true = arm.driver.arm.position()
+    after = np.array([true[name] - arm.goal[name] for name in JOINTS]) / SCALE
+    assert np.abs(after - loaded).max() < 0.03
+
+
+def test_a_push_moves_the_other_joints_little() -> None:
+    """Unless the reaction is countered the elbow gives way by 60 mrad at once, and springs take it back."""
+    arm = HeldArm(500.0, seed=1, coulomb=0.05)
+    arm.driver.arm.set_position({"joint2": 0.0, "joint3": -1.2, "joint4": 0.0})
+    arm.run(1.0)
+    before = arm.run(0.1)[-1]
+    pushed = arm.run(0.4, pushed={"joint2": -0.46})
+    others = [column for column, name in enumerate(JOINTS) if name != "joint2"]
+    assert np.abs(pushed[-1, JOINTS.index("joint2")] - before[JOINTS.index("joint2")]) > 0.2
+    assert np.abs(pushed[:, others] - before[others]).max() < 0.025
+
+
+def test_a_heavy_hand_is_braked_after_a_push() -> None:
+    arm = HeldArm(500.0, seed=1, coulomb=0.05)
+    arm.driver.hold(Payload(0.15))
+    arm.driver.arm.set_position({"joint2": 0.0, "joint3": -1.0, "joint4": 0.0})
+    arm.run(0.8)
+    start, column = arm.reading()["joint2"], JOINTS.index("joint2")
+    while abs(arm.reading()["joint2"] - start) < 0.6:
+        arm.run(0.02, pushed={"joint2": -0.7})
+    assert abs(arm.driver.arm.velocity_rad_s()[column]) > 3.0
+    arm.goal["joint2"] = arm.reading()["joint2"]
+    braked = arm.run(1.2)[:, column]
+    assert not arm.hold.lost
+    assert np.abs(braked).max() < 0.35
+    assert abs(braked[-1]) < 0.04
+
+
+def test_a_joint_that_has_settled_stands_still() -> None:
+    """The sum or the encoder's noise would have it creep, and a probe begins at rest."""
+    arm = HeldArm(500.0, seed=2, coulomb=0.05)
+    arm.run(0.5)
+    arm.run(0.3, {"joint2": -0.5, "joint3": 0.5})
+    arm.run(1.0)
+    assert np.ptp(arm.run(0.8), axis=0).max() < 0.002
