@@ -23,8 +23,8 @@ SLOWEST_HZ = 80.0
 FARTHEST_RAD = 0.15
 """The spring pulls no more than from here: an arm that was moved by hand comes back slowly."""
 CORRECTING_SHARE = 0.85
-"""Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint back. With 0.6 a
-shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
+"""Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint
+back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
 LOST_RAD = 0.5
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
 SLACK_RAD = 0.004
