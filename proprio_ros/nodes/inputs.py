@@ -119,7 +119,7 @@ class Inputs:
 
     def _takes_all(self, role: str) -> bool:
         """Whether all that waits of a topic is taken at one wake-up; not where the time of hearing it counts."""
-        # both are stamped; at 500 Hz each would have a wake-up of its own, and a node on a busy computer would hear them seconds late
+        # both are stamped; at 500 Hz each would have its own wake-up, and a node on a busy computer would hear them seconds late
         return not self._busy() or role in ("joint_states", "applied_effort")
 
     def may_skip(self, role: str) -> bool:

@@ -206,15 +206,15 @@ def test_blind_efforts_hold_a_load_that_a_joint_leans_on() -> None:
 
 
 def test_a_push_moves_the_other_joints_little() -> None:
-    """Unless the reaction is countered the elbow gives way by 60 mrad at once, and springs take it back."""
-    arm = HeldArm(500.0, seed=1, coulomb=0.05)
-    arm.driver.arm.set_position({"joint2": 0.0, "joint3": -1.2, "joint4": 0.0})
+    """Unless the reaction is countered the elbow gives way by 20 mrad."""
+    arm = HeldArm(500.0, seed=1, coulomb=0.02)
+    arm.driver.arm.set_position({"joint2": 0.0, "joint3": -1.0, "joint4": 0.0})
     arm.run(1.0)
     before = arm.run(0.1)[-1]
-    pushed = arm.run(0.4, pushed={"joint2": -0.46})
+    pushed = arm.run(0.3, pushed={"joint2": -0.57})
     others = [column for column, name in enumerate(JOINTS) if name != "joint2"]
     assert np.abs(pushed[-1, JOINTS.index("joint2")] - before[JOINTS.index("joint2")]) > 0.2
-    assert np.abs(pushed[:, others] - before[others]).max() < 0.025
+    assert np.abs(pushed[:, others] - before[others]).max() < 0.008
 
 
 def test_a_heavy_hand_is_braked_after_a_push() -> None:

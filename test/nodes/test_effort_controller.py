@@ -53,6 +53,15 @@ def stands(client: Client) -> bool:
     return wait_for(still, 30.0)
 
 
+def asked(client: Client, service: str, seconds: float) -> Any:
+    """The answer; asked again where the probe was ended because a busy machine kept a node from its work."""
+    for _ in range(4):
+        answer = client.call(service, seconds)
+        if answer.success or not any(words in answer.message for words in ("fallen silent", "joint states", "paused")):
+            break
+    return answer
+
+
 NODES = ("virtual", "excitation", "identifier")
 
 
@@ -66,11 +75,11 @@ def test_robot_calibrated_and_masses_weighed_by_services_alone(tmp_path: Path, m
         assert list(state.name) == sorted(state.name) and {*FOREIGN_JOINTS} < {*state.name}
         assert all(math.isnan(speed) for speed in state.velocity)
         hear_less(client)
-        answer = client.call("/identifier/calibrate_robot", 1200.0)
+        answer = asked(client, "/identifier/calibrate_robot", 1200.0)
         assert answer.success, (answer.message, graph.log("excitation"))
         for mass_kg in MASSES_KG:
             assert client.set("/virtual", "object", mass_kg).successful
-            answer = client.call("/identifier/calibrate_payload", 600.0)
+            answer = asked(client, "/identifier/calibrate_payload", 600.0)
             assert answer.success, (answer.message, graph.log("excitation"))
             assert wait_for(lambda: bool(client.masses), 5.0)
             assert client.masses[-1] == pytest.approx(mass_kg, abs=WITHIN_KG), answer.message
