@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 import rclpy
@@ -45,6 +46,10 @@ FROM_MANY = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 IDLE_PAUSE_S = 0.008
 """Between two callbacks of a node that has nothing to do. Every wake-up costs 0.3 ms, whatever it is for: without this a driver at
 250 Hz had its idle listeners take a quarter of a core each. A service call still waits for three or four of them only."""
+
+
+MOST_TOGETHER = 10
+"""Of messages that are handed on at one wake-up: where they come faster than they are taken, timers must have their turn."""
 
 
 def waiting(subscription: Any, data: Any) -> Iterator[Any]:
@@ -150,7 +155,7 @@ class ManagedNode(LifecycleNode):
             if only_newest():
                 callback(newest(subscriptions[-1], message))
             elif together():
-                for each in waiting(subscriptions[-1], message):
+                for each in islice(waiting(subscriptions[-1], message), MOST_TOGETHER):
                     callback(each)
             else:
                 callback(message)

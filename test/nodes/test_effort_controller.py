@@ -131,8 +131,9 @@ def test_every_way_out_leaves_the_arm_held_or_let_go(tmp_path: Path, monkeypatch
             graph.processes["virtual"].send_signal(signal.SIGCONT)
         assert all(abs(effort) < 0.6 for effort in blind) and any(blind)
         assert stands(client)
+        # held, or let go if it was found too far off
         answer = client.call("/excitation/release")
-        assert "the efforts are zero" in answer.message
+        assert "the efforts are zero" in answer.message or answer.message == "nothing was held"
         assert wait_for(lambda: all(current == 0.0 for current in client.motors[-1].effort), 5.0)
         assert efforts and all(len(message.data) == len(ORDER) for message in efforts)
         assert client.call("/excitation/release").message == "nothing was held"
