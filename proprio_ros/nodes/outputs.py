@@ -126,6 +126,7 @@ class EffortOutput:
         self._topic = self._commands.topic_name
         self._clock = StampClock()  # of the joint states
         self._heard = False
+        self._said_ns = time.monotonic_ns()
         self._recorded: dict[str, float] = {}
         self._untaken: dict[int, dict[str, float]] = {}  # by when it was sent, on the clock of the joint states
         self._recorded_at_s = self._lost_at_s = -1e9
@@ -198,6 +199,7 @@ class EffortOutput:
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
 
     def _say(self, efforts: list[float]) -> None:
+        self._said_ns = time.monotonic_ns()  # before it is sent: a pause after it would have it sent late
         self._commands.publish(Float64MultiArray(data=array("d", efforts)))
 
     def _record(self) -> None:
@@ -207,7 +209,8 @@ class EffortOutput:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
-            self._untaken[self._clock.at(time.monotonic_ns())] = record
+            said_ns = self._said_ns if self._controller.holding else time.monotonic_ns()
+            self._untaken[self._clock.at(said_ns)] = record
 
     def _take_up(self, stamp_ns: int | None) -> None:
         """Publish what was sent, stamped with when the controller took it: its next update, of which a joint state tells.

@@ -166,14 +166,14 @@ class VirtualNode(ManagedNode):
         warned = False
         while self._robot is driver:
             pacer.wait()
-            now_s = time.monotonic()
+            now_s, stamp_ns = time.monotonic(), self.get_clock().now().nanoseconds
             driver.advance(now_s)
             with self._efforts.handle:
                 while (told := self._efforts.handle.take_message(Float64MultiArray, False)) is not None:
                     if not driver.command(now_s, told[0].data) and not warned:
                         warned = True
                         self.say("warning", f"a command of {len(told[0].data)} efforts was ignored")
-            message.header.stamp = messages.time_message(self.get_clock().now().nanoseconds)
+            message.header.stamp = messages.time_message(stamp_ns)
             # arrays are taken as they are; lists are looked through, number by number
             message.position, message.velocity, message.effort = (array("d", each) for each in driver.states())
             self._states.publish(message)
