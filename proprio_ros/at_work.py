@@ -12,6 +12,7 @@ from proprio_ros.motions import MOVED_RAD
 from proprio_ros.probes.base import Carried, Probe
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import zero_pose
 
 NO_MOTIONS = (
     "there is no calibration of motions; record the arm with an empty hand while it works, run `proprio calibrate BAG --output "
@@ -68,8 +69,7 @@ class RunningFeed:
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
         self._running: RunningWeight | None = None
-        places = {name: self._robot.model.joint(name) for name in self.others}
-        self._held = {name: min(max(0.0, joint.lower), joint.upper) for name, joint in places.items()}
+        self._held = zero_pose(self._robot, self.others)
         self.waits_for, self.samples = "", 0
         self.moved: set[str] = set()
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.machine import MIN_APPROACH_S, PEAK_OVER_MEAN, ExcitationMachine
+from proprio_ros.excitation.machine import ExcitationMachine, approach_s
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.identification.sequential import (
@@ -183,15 +183,7 @@ class UntilSure:
                 "the currents that its limits allow",
             )
         inner = max(target**2 - self._widening**2, 0.0) ** 0.5 / Z95
-        names = list(self._robot.model.independent_joints)
-        here = np.array([pose.get(name, 0.0) for name in names])
-        beside_s = self._sequence.settle_s + self._sequence.brake_s
-
-        def time_of(starts: np.ndarray) -> np.ndarray:
-            widest = np.abs(starts - here).max(axis=1)
-            way = np.maximum(MIN_APPROACH_S, PEAK_OVER_MEAN * widest / self._sequence.approach_velocity)
-            return np.asarray(beside_s + way)
-
+        time_of = _time_of(self._robot, self._sequence, pose)
         ranked = self.catalogue.rank(self._known, time_of, inner, self._unknown_kg)
         ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2]
         if not ranked:
@@ -259,6 +251,13 @@ class UntilSure:
         return f"{runs} run" + "s" * (runs != 1)
 
 
+def _time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) -> Callable[[np.ndarray], np.ndarray]:
+    """How long a push takes beside itself, by its start, shape (S, N) to (S,) [s]: the way there from a pose, rest and brake."""
+    here = np.array([pose.get(name, 0.0) for name in robot.model.independent_joints])
+    beside_s = sequence.settle_s + sequence.brake_s
+    return lambda starts: beside_s + approach_s(np.abs(starts - here).max(axis=1), sequence.approach_velocity)
+
+
 def _passes(machine: ExcitationMachine, sequence: ProbeSequence, run: ProbeRun, pose: Mapping[str, float]) -> bool:
     """Whether the excitation's guards would let a push through, and the way to it."""
     one = replace(sequence, runs=(run,), until=None, home={})
@@ -310,23 +309,11 @@ def chosen_known(
         sequence: Whose ways, rest and brake count.
     """
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
-    names = list(robot.model.independent_joints)
-    beside_s = sequence.settle_s + sequence.brake_s
     catalogue = Catalogue(robot)
-
-    def from_here(here: Mapping[str, float]) -> Callable[[np.ndarray], np.ndarray]:
-        place = np.array([here[name] for name in names])
-        return lambda starts: np.asarray(
-            beside_s
-            + np.maximum(
-                MIN_APPROACH_S, PEAK_OVER_MEAN * np.abs(starts - place).max(axis=1) / sequence.approach_velocity
-            )
-        )
-
     # weighings that are foreseen: without their own noise nothing would be worth learning
     known = replace(catalogue.nothing_known(), mass=weighed_kg)
     for _ in range(WEIGHED_PUSHES):
-        push = max(catalogue.rank(known, from_here(bent_pose(robot))), key=lambda p: p.gain)
+        push = max(catalogue.rank(known, _time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain)
         known = replace(catalogue.foreseen(known, push), mass=weighed_kg)
     machine = ExcitationMachine(robot)
     here, elapsed_s = bent_pose(robot), 0.0
@@ -334,7 +321,7 @@ def chosen_known(
         here |= run.start
     chosen: list[ProbeRun] = []
     while half_of(known.std) > half_interval:
-        ranked = catalogue.rank(known, from_here(here), half_interval / Z95, load_kg=reference_kg)
+        ranked = catalogue.rank(known, _time_of(robot, sequence, here), half_interval / Z95, load_kg=reference_kg)
         for push in ranked:
             run = run_of(push, robot)
             if elapsed_s + push.time_s <= at_most_s and _passes(machine, sequence, run, here):

@@ -24,7 +24,7 @@ from proprio_ros.bus.dynamixel import DynamixelBus, Goal, Reading, ServoHealth
 from proprio_ros.errors import BusError, PortLostError
 from proprio_ros.realtime import RoundTrips
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import clearance
+from proprio_ros.robot.kinematics import clearance, zero_pose
 
 FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
@@ -207,10 +207,7 @@ class ArmDriver:
         self._alerts: set[str] = set()
         self._limp = False  # there was to be no current when the bus was lost
         # joints without a motor are taken to stand at zero, or at the limit nearest to it
-        self._rest = {
-            name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
-            for name in robot.model.independent_joints
-        }
+        self._rest = zero_pose(robot)
 
     def _joint(self, name: str) -> _Joint:
         joint, drive = self.robot.model.joint(name), self.robot.drive_trains[name]

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
 
 FILTER_S = 0.01
@@ -95,10 +96,7 @@ class Hold:
             for name, drive in robot.drive_trains.items()
         }
         self._friction = {name: drive.coulomb.value for name, drive in robot.drive_trains.items()}
-        self._pose = {
-            name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
-            for name in robot.model.independent_joints
-        }
+        self._pose = zero_pose(robot)
         self._time_s: dict[str, float] = {}
         self._period_s = 0.0
         self._pauses_s = self._squares_s2 = 0.0

@@ -33,8 +33,9 @@ from proprio_ros.excitation.plans import (
     check_sequence,
     margin,
 )
+from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import clearance
+from proprio_ros.robot.kinematics import clearance, zero_pose
 
 MIN_APPROACH_S = 0.3
 PEAK_OVER_MEAN = 1.875
@@ -183,6 +184,16 @@ class _Way:
         return dict(self.poses[-1])
 
 
+def approach_s(widest_rad: FloatArray | float, velocity_rad_s: float) -> FloatArray:
+    """How long a minimum-jerk way takes.
+
+    Args:
+        widest_rad: Of the joint that moves farthest, at the motor's shaft.
+        velocity_rad_s: Peak speed there.
+    """
+    return np.maximum(MIN_APPROACH_S, PEAK_OVER_MEAN * widest_rad / velocity_rad_s)
+
+
 class ExcitationMachine:
     """Makes probe sequences, one at a time.
 
@@ -201,10 +212,7 @@ class ExcitationMachine:
         # what angles at the motor's shaft are in the joint's own unit
         self._per_rad = {name: margin(robot, name, 1.0) for name in self.joints}
         # joints without a motor are taken to stand at zero, or at the limit nearest to it
-        self._rest = {
-            name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
-            for name in robot.model.independent_joints
-        }
+        self._rest = zero_pose(robot)
         self._phase = Phase.IDLE
         self._command = Command()
         self._message = "waiting for a sequence"
@@ -843,4 +851,4 @@ class ExcitationMachine:
 
     def _duration_s(self, before: Mapping[str, float], after: Mapping[str, float], velocity_rad_s: float) -> float:
         widest = max(abs(after[name] - before[name]) / self._per_rad[name] for name in self.joints)
-        return max(MIN_APPROACH_S, PEAK_OVER_MEAN * widest / velocity_rad_s)
+        return float(approach_s(widest, velocity_rad_s))

@@ -17,7 +17,7 @@ from proprio_ros.errors import ConfigurationError, one_line
 from proprio_ros.reading import finite, yaml_file
 from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import clearance
+from proprio_ros.robot.kinematics import clearance, zero_pose
 
 HANDS = ("empty", "payload", "reference", "container", "block", "any")
 """What should be in the hand: nothing, the object, a weighed reference, a container, a soft block; or no matter what."""
@@ -338,17 +338,13 @@ def _check_pose(
             )
     if not stated:
         return
-    rest = {name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper) for name in _all(robot)}
+    rest = zero_pose(robot)
     height = clearance(robot, {**rest, **(known or {}), **stated})
     if height < sequence.min_clearance_m:
         raise ConfigurationError(
             f"{where}: the arm would be {100 * height:.1f} cm above the base's plane, less than "
             f"min_clearance_m={sequence.min_clearance_m:g}; choose a higher pose"
         )
-
-
-def _all(robot: Robot) -> tuple[str, ...]:
-    return robot.model.independent_joints
 
 
 # ----------------------------------------------------------------------------------------------------------------- YAML

@@ -29,7 +29,7 @@ from proprio_ros.kinds import Key, label_of
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import bent_pose, clearance
+from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
 from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
 RATE_HZ = 40.0
@@ -264,10 +264,7 @@ def travel_range(robot: Robot, joint: str, count: int) -> np.ndarray:
 
 def _poses(robot: Robot, joint: str, starts: int, held: int) -> list[dict[str, float]]:
     """Start poses on a grid over the joints that matter to the driven one, high enough above the base's plane."""
-    model = robot.model
-    rest = {
-        name: float(np.clip(0.0, model.joint(name).lower, model.joint(name).upper)) for name in model.independent_joints
-    }
+    rest = zero_pose(robot)
     matters = prepare_run(robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
     others = [name for name in matters if name in robot.drive_trains]
     grids = [travel_range(robot, joint, starts), *(travel_range(robot, name, held) for name in others)]

@@ -42,6 +42,7 @@ from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.motions import LONGEST_GAP_S
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import zero_pose
 
 FloatArray = NDArray[np.float64]
 
@@ -157,8 +158,8 @@ class RunningWeight:
         held: dict[str, float] | None = None,
     ) -> None:
         self.joints = calibration.joints
-        others = [robot.model.joint(name) for name in robot.model.independent_joints if name not in self.joints]
-        places = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in others} | (held or {})
+        others = [name for name in robot.model.independent_joints if name not in self.joints]
+        places = zero_pose(robot, others) | (held or {})
         self._model = robot.model.lock(list(self.joints), places, robot.gravity)
         if tuple(self._model.joint_names) != tuple(self.joints):
             raise RobotError(

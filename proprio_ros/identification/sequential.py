@@ -43,7 +43,7 @@ from proprio_ros.kinds import Key
 from proprio_ros.quantity import Z95, Quantity, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import bent_pose, clearance
+from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
 from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -171,8 +171,8 @@ class Catalogue:
         return prepare_run(self.robot, still_run(joint, pose, 0.01, max(DURATIONS_S)), None, self.facts)
 
     def _places_of(self, joint: str) -> list[_Place]:
-        robot, model = self.robot, self.robot.model
-        rest = {n: float(np.clip(0.0, model.joint(n).lower, model.joint(n).upper)) for n in model.independent_joints}
+        robot = self.robot
+        rest = zero_pose(robot)
         matters = self._still(joint, bent_pose(robot)).coefficients.pose
         others = [name for name in matters if name in robot.drive_trains]
         found = []

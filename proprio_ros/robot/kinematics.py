@@ -95,6 +95,17 @@ def bent_pose(robot: Robot) -> dict[str, float]:
     }
 
 
+def zero_pose(robot: Robot, joints: Sequence[str] | None = None) -> dict[str, float]:
+    """Joints at zero, or at the limit nearest to it [rad or m].
+
+    Args:
+        robot: The arm.
+        joints: Which; None: all independent ones.
+    """
+    places = map(robot.model.joint, robot.model.independent_joints if joints is None else joints)
+    return {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in places}
+
+
 def _lowest(up: Vector, steps: tuple[_Step, ...], pose: Mapping[str, float]) -> float:
     # only heights are wanted: carry the vertical into each frame instead of the frame into the base
     passed: list[tuple[Vector, float]] = []

@@ -20,6 +20,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError, SimulationError
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Joint, Robot
+from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.virtual.objects import Container, HandObject, HungPayload, Payload, SoftBlock
 from proprio_ros.virtual.truth import LinkTruth, Truth
 
@@ -97,10 +98,7 @@ class VirtualArm:
 
         self._mujoco = import_mujoco()
         self._build(None)
-        start = {
-            name: min(max(0.0, robot.model.joint(name).lower), robot.model.joint(name).upper)
-            for name in robot.model.independent_joints
-        }
+        start = zero_pose(robot)
         self.set_position(start | dict(position or {}))
 
     @property

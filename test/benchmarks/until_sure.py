@@ -33,7 +33,7 @@ from coverage import DIAMETER_M, MATCHED, REFERENCE_KG, facts_of
 from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, HiddenRobot, Load, ball, draw_robot, record
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.excitation.machine import MIN_APPROACH_S, PEAK_OVER_MEAN
+from proprio_ros.excitation.machine import approach_s
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, Until, load_sequence
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
@@ -69,7 +69,7 @@ class Bench:
         start = {**self.pose, **{k: v for k, v in probe.start.items() if k != GRIPPER}}
         while current is not None:
             way = max(abs(start[name] - self.pose[name]) for name in JOINTS)
-            self.time_s += max(MIN_APPROACH_S, PEAK_OVER_MEAN * way / self.sequence.approach_velocity)
+            self.time_s += float(approach_s(way, self.sequence.approach_velocity))
             self.time_s += self.sequence.settle_s + self.sequence.brake_s
             run = self._record(probe, start, current, probe.duration_s, load)
             travel = np.abs(run.position - start[probe.joint])
