@@ -210,6 +210,7 @@ def _between(motion: Motion, first_s: float, last_s: float, words: str) -> Motio
         times_s=motion.times_s[rows] - motion.times_s[rows][0],
         position=motion.position[rows],
         current_A=motion.current_A[rows],
+        beside={joint: position[rows] for joint, position in motion.beside.items()},
     )
 
 

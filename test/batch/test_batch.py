@@ -22,7 +22,7 @@ from lerobot_layout import write_data_set
 
 import proprio_ros.batch.local as local
 from proprio_ros.batch.episodes import episodes_of
-from proprio_ros.batch.grasps import grasps_of
+from proprio_ros.batch.grasps import Grasps
 from proprio_ros.batch.job import run_batch
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
@@ -239,7 +239,9 @@ def test_grasps_are_found_with_their_masses(fleet: Path) -> None:
     """Nothing, 150 g from 8 s on, 60 g from 16 s on as if one of two things had fallen."""
     motion = Arm(3).record(77, 24.0, 0.0, changes=((8.0, 0.15), (16.0, 0.06)))
     prepared = prepare(asked(fleet))
-    found = grasps_of(prepared, prepared.robot, motion)
+    grasps = Grasps(prepared, prepared.robot, motion)
+    grasps.add(motion)
+    found = grasps.found()
     assert [grasp.code for grasp in found] == ["empty", "held", "slipped"]
     assert np.allclose([grasp.start_s for grasp in found], [0.0, 8.0, 16.0], atol=0.6)
     for grasp, mass in zip(found, (0.0, 0.15, 0.06), strict=True):
