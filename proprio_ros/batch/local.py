@@ -21,6 +21,7 @@ from typing import Any
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import Job, failed_row, rows_of
 from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, source_name, write_rows
+from proprio_ros.threads import one_blas_thread
 
 CHUNK = 64
 """Episodes per file, at most."""
@@ -44,6 +45,7 @@ def chunk_size(episodes: int, workers: int, most: int = CHUNK) -> int:
     return max(1, min(most, episodes // (4 * workers)))
 
 
+@one_blas_thread
 def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:
     """Rows of a chunk, written; returns how many episodes failed."""
     rows = [row for episode in episodes for row in rows_of(episode, job)]
@@ -86,6 +88,7 @@ def run_local(
                     tell(
                         f"{finished} of {len(episodes)} episodes, {failed} failed ({told - began:.0f} s, about {left:.0f} s left)"
                     )
+            pool.shutdown()  # its processes end, and their locks with them
         except BrokenProcessPool:
             tell("a process died; its episodes are done again")
             for chunk in _again(list(running.values())):

@@ -15,6 +15,7 @@ from proprio_ros.batch.local import CHUNK, chunk_size
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import PARTITION, Store, schema, table_of
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.threads import one_blas_thread
 
 
 def ray_or_refuse() -> Any:
@@ -72,6 +73,7 @@ def run_ray(
     context.enable_progress_bars = not quiet
     listed = [asdict(episode) for episode in episodes]
 
+    @one_blas_thread
     def answered(batch: Any) -> Any:
         return table_of([row for each in batch.to_pylist() for row in rows_of(Episode(**each), job)])
 
