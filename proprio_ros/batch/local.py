@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import Job, failed_row, rows_of
+from proprio_ros.batch.rows import Job, failed_row, rows_of_all
 from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, source_name, write_rows
-from proprio_ros.threads import one_blas_thread
 
 CHUNK = 64
 """Episodes per file, at most."""
@@ -45,10 +44,9 @@ def chunk_size(episodes: int, workers: int, most: int = CHUNK) -> int:
     return max(1, min(most, episodes // (4 * workers)))
 
 
-@one_blas_thread
 def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:
     """Rows of a chunk, written; returns how many episodes failed."""
-    rows = [row for episode in episodes for row in rows_of(episode, job)]
+    rows = rows_of_all(episodes, job)
     write_rows(Path(folder) / f"part-{chunk_id(episodes)}.parquet", rows)
     return sum(row["kind"] == "failed" for row in rows)
 

@@ -12,10 +12,9 @@ from typing import Any
 
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.local import CHUNK, chunk_size
-from proprio_ros.batch.rows import Job, rows_of
+from proprio_ros.batch.rows import Job, rows_of_all
 from proprio_ros.batch.store import PARTITION, Store, schema, table_of
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.threads import one_blas_thread
 
 
 def ray_or_refuse() -> Any:
@@ -73,9 +72,8 @@ def run_ray(
     context.enable_progress_bars = not quiet
     listed = [asdict(episode) for episode in episodes]
 
-    @one_blas_thread
     def answered(batch: Any) -> Any:
-        return table_of([row for each in batch.to_pylist() for row in rows_of(Episode(**each), job)])
+        return table_of(rows_of_all([Episode(**each) for each in batch.to_pylist()], job))
 
     # the same needs for both, so that one task answers and writes; Ray tries a task again whose worker or machine dies
     rows = ray.data.from_items(listed, override_num_blocks=-(-len(listed) // size)).map_batches(

@@ -83,6 +83,12 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
         return _finished([failed_row(episode, job, reason, "unexpected")], started)
 
 
+@one_blas_thread
+def rows_of_all(episodes: Sequence[Episode], job: Job) -> list[Row]:
+    """The same of some episodes; the threads are limited once."""
+    return [row for episode in episodes for row in rows_of(episode, job)]
+
+
 def spans_of(episode: Episode, job: Job) -> list[Span | None]:
     """The parts in which an episode is answered; one, unless it is long.
 
