@@ -38,8 +38,8 @@ class Period:
     """A day or a week, or some episodes in their order.
 
     Attributes:
-        name: A date, or the first episode.
-        at: Days since the first period, or its number.
+        name: Its first date, or which episodes.
+        at: Days since the first period, or the number of its first episode.
         episodes: That it was learnt from.
         arm: What they say about the arm.
     """
@@ -99,11 +99,12 @@ def drift_of(
 
     Args:
         episodes: With an empty hand, in their order.
-        stamps: When each was recorded, by its path [ns].
+        stamps: When each was recorded, by its path [ns]; where any is known, those without are left out.
         options: Without a calibration; their span is what of each is empty.
         tell: Hears what is going on.
     """
     prepared = prepare(replace(options, calibration=None))
+    episodes = [episode for episode in episodes if stamps.get(episode.path)] or episodes
     found = []
     periods = evenly(periods_of([stamps.get(episode.path) for episode in episodes]), MOST_PERIODS)
     if len(periods) > 1:

@@ -79,8 +79,8 @@ def named(row: Mapping[str, Any]) -> str:
     span = span_of(row)
     if span is None:
         return shlex.quote(path_of(row))
-    until = "" if span[1] is None else f"{1e-9 * span[1]:.9f}"
-    return f"{shlex.quote(path_of(row))} --span {1e-9 * span[0]:.9f}:{until}"
+    words = ["" if end is None else f"{1e-9 * end:.9f}".rstrip("0").rstrip(".") for end in span]
+    return f"{shlex.quote(path_of(row))} --span {':'.join(words)}"
 
 
 def _summary(whole: Sequence[Mapping[str, Any]]) -> list[str]:

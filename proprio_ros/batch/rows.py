@@ -108,7 +108,11 @@ def spans_of(episode: Episode, job: Job) -> list[Span | None]:
 
 
 def _bytes_of(bag: Path) -> int:
-    return sum(file.stat().st_size for file in ([bag] if bag.is_file() else bag.iterdir()))
+    """Of all its files; 0 where it has gone, which reading it will say."""
+    try:
+        return sum(file.stat().st_size for file in ([bag] if bag.is_file() else bag.iterdir()))
+    except OSError:
+        return 0
 
 
 def _later(span: Span | None, job: Job) -> Span | None:

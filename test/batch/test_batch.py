@@ -29,7 +29,7 @@ from proprio_ros.batch.drift import periods_of
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.grasps import Grasps
 from proprio_ros.batch.job import run_batch
-from proprio_ros.batch.page import span_of
+from proprio_ros.batch.page import named, span_of
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.calibrating import calibrate_from_bags
@@ -367,9 +367,13 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp
         write_bag(tmp_path / "bags" / f"{n}", motion, BEGIN_NS + (n // 2) * week_ns)
     options = ReplayOptions(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
     out, said = tmp_path / "out", list[str]()
+    cut = write_bag(tmp_path / "bags" / "cut", motion)
+    storage = next(cut.glob("*.mcap"))
+    storage.write_bytes(storage.read_bytes()[:3000])
     run_batch([tmp_path / "bags"], Job(options), out, said.append, processes=1, empty_first_s=6.0)
-    assert any("8 of 8 episodes, whose hand is empty at first" in words for words in said)
-    rows = table(out)
+    assert any("8 of 9 episodes, whose hand is empty at first" in words for words in said)
+    *rows, failed = table(out)
+    assert failed["kind"] == "failed" and named(failed).endswith("bags/cut --span 6:")
     assert [row["start_s"] for row in rows] == [6.0] * 8
     held = [row["low"] - 0.001 <= mass <= row["high"] + 0.001 for row, mass in zip(rows, masses, strict=True)]
     assert sum(held) >= 7
@@ -388,7 +392,7 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp
     assert np.all(np.abs(last[:, 0] - 1.8 * first[:, 0]) < 3.0 * sigmas)
     assert np.max((last[:, 0] - first[:, 0]) / np.hypot(first[:, 1], last[:, 1])) > 2.5
     page = (out / "batch.html").read_text()
-    assert "How the arm drifts" in page and "Coulomb friction of j1" in page and "--span 6.0" not in page
+    assert "How the arm drifts" in page and "Coulomb friction of j1" in page
     with pytest.raises(ConfigurationError, match="are the least that say anything"):
         run_batch([tmp_path / "bags"], Job(options), tmp_path / "no", said.append, empty_first_s=1.0)
 
