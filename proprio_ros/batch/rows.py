@@ -136,7 +136,7 @@ def _answered(episode: Episode, job: Job, prepared: Prepared, spans: Sequence[Sp
                 return []
             rows.append(_whole(episode, here, read, identify(here, robot, read, [episode.path])))
         except ProprioError as error:
-            if len(spans) == 1:
+            if span is None:
                 raise
             rows.append(failed_row(episode, job, str(error), "unreadable"))
         if span is not None:
