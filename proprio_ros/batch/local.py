@@ -40,8 +40,8 @@ def processors() -> int:
 
 
 def chunk_size(episodes: int, workers: int, most: int = CHUNK) -> int:
-    """Small enough that every worker has several."""
-    return max(1, min(most, episodes // (4 * workers)))
+    """Small enough that every worker has many, so that none works long after the others have ended."""
+    return max(1, min(most, episodes // (16 * workers)))
 
 
 def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:

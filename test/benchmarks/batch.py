@@ -225,14 +225,13 @@ def run_ray(folder: Path) -> None:
     compare(folder, out)
 
 
-def throughput(folder: Path, engine: str) -> None:
+def throughput(folder: Path, engine: str, source: str) -> None:
     """Episodes per second of one worker and of two, on the same episodes, and seconds of a processor for each.
 
     From the start of the command to its end, and between the first file of rows and the last: starting the command, Ray and the
     workers costs the same however long the job is.
     """
-    with open(folder / "truth.csv") as stream:
-        count = sum(1 for _ in stream) - 1
+    count = len(episodes_of([folder / source]))
     rates: list[tuple[float, float]] = []
     for workers in (1, 2):
         out = folder / f"out_{workers}"
@@ -241,7 +240,7 @@ def throughput(folder: Path, engine: str) -> None:
             time.sleep(5.0)  # Ray starts workers ahead
             more = ["--engine", "ray", "--address", address] if engine == "ray" else ["--jobs", str(workers)]
             begun, before = time.time(), spent_s()
-            batch(folder, [str(folder / "data")], out, *more).wait()
+            batch(folder, [str(folder / source)], out, *more).wait()
             wall_s, used_s = time.time() - begun, spent_s() - before
         files = sorted((file.stat().st_mtime, len(rows_of_file(file))) for file in (out / "rows").glob("*/*.parquet"))
         # what was there with the first file was done before it
@@ -328,6 +327,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, help="of the part memory: this many alone")
     parser.add_argument("--jobs", type=int, default=2, help="processes that make episodes")
     parser.add_argument("--engine", default="ray", choices=("ray", "local"), help="of the part throughput")
+    parser.add_argument("--source", default="data", help="of the part throughput: below the folder, such as data/set_0")
     given = parser.parse_args()
     folder = given.folder.resolve()
     if given.part == "make":
@@ -337,7 +337,7 @@ def main() -> None:
     elif given.part == "compare":
         compare(folder, folder / "out_ray")
     elif given.part == "throughput":
-        throughput(folder, given.engine)
+        throughput(folder, given.engine, given.source)
     elif given.part == "cost":
         cost(folder)
     else:
