@@ -38,8 +38,8 @@ VERSIONS = ("v2.0", "v2.1", "v3.")
 POSITION_UNITS = ("rad", "deg")
 CLOCK = ("timestamp", "frame_index")
 """Columns that say when a frame was; the first that is there counts."""
-FRAMES = 8192
-"""That are held at once where a part of an episode is read."""
+FRAMES, BUFFER = 8192, 1 << 20
+"""Frames, and bytes of a column, that are held at once where a part of an episode is read."""
 _EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")
 _SUFFIX = re.compile(r"\.(pos|vel|torque|effort|current|load)$")
 _LONGEST_META = 64_000_000
@@ -250,7 +250,7 @@ def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span |
             table = table.filter(arrow().compute.equal(table["episode_index"], index))
             found, count = {column: _numbers(table[column], len(table)) for column in there}, len(table)
         else:
-            found, count = _columns_within(opened, groups, there, data, index, span)
+            found, count = _columns_within(groups, there, data, index, span)
             if not all(map(len, found.values())):
                 raise RecordingError(f"{name}: no frames in this part of the recording; it has {count} in all")
     if count != episode.length:
@@ -261,12 +261,14 @@ def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span |
 
 
 def _columns_within(
-    opened: Any, groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: Span
+    groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: Span
 ) -> tuple[dict[str, FloatArray], int]:
     """Columns of a part of an episode, read some frames at a time; and how many frames the whole episode has."""
     parts: dict[str, list[FloatArray]] = {column: [] for column in columns}
     first: dict[str, FloatArray] = {}
     count = 0
+    # an episode is one row group: without a buffer all of its columns would be read first
+    opened = arrow().parquet.ParquetFile(data.folder / data.episodes[index].file, buffer_size=BUFFER)
     batches = opened.iter_batches(FRAMES, row_groups=groups, columns=[*columns, "episode_index"], use_threads=False)
     for table in batches:
         table = table.filter(arrow().compute.equal(table["episode_index"], index))
@@ -293,7 +295,7 @@ def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
     count = 1 if known is None else -(-known.length // most)
     if count < 2:
         return [(0, None)]
-    times_ns = _times(data, read_columns(data, index, CLOCK))
+    times_ns = _times(data, read_columns(data, index, CLOCK, (0, None)))
     begins = sorted({int(time_ns) for time_ns in times_ns[:: -(-len(times_ns) // count)]})
     return list(zip(begins, [*begins[1:], int(times_ns.max()) + 1], strict=True))
 
