@@ -172,7 +172,7 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
         band = at, value - Z95 * std, value + Z95 * std
         series = Series(joint, at, value, "measured", "dots")
         panels.append(Panel(f"Coulomb friction of {joint} [N m]", "N m", [series], 90.0, band))
-    header = ["from", "episodes", "arm over URDF", *(f"Coulomb friction of {joint} [N m]" for joint in joints)]
+    header = ["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in joints)]
     rows = [
         [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}",
          *(f"{number(v, s)} +- {s:.2g}" for v, s in zip(*term, strict=True))]
@@ -190,7 +190,8 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
         "<h2>How the arm drifts</h2>",
         f"<p>{said}</p>",
         framed(chart(panels, axis, "drift"), "Each period learnt anew from its empty hand; bands are 95 % intervals."),
-        table(header, rows, range(1, len(header))),
+        "<p>Coulomb friction with its standard deviation:</p>",
+        table(header, rows, range(len(header))),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",
     ]
 
