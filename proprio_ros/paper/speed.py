@@ -293,7 +293,7 @@ class NewtonArm:
         builder = newton.ModelBuilder(gravity=tuple(locked.gravity))
         moved = builder.add_link(mass=mass, com=tuple(com), inertia=wp.mat33(_inertia(second)))
         self._payload = builder.add_link(
-            mass=TRUE_KG, com=tuple(case.facts.com), inertia=wp.mat33(TRUE_KG * self._inertia_per_kg)
+            mass=STARTS_KG[0], com=tuple(case.facts.com), inertia=wp.mat33(STARTS_KG[0] * self._inertia_per_kg)
         )
         nothing = dict.fromkeys(("damping", "stiffness", "target_ke", "target_kd", "friction"), 0.0)
         placement, axis = _transform(locked.placement[0]), tuple(locked.axes[0])
@@ -308,7 +308,7 @@ class NewtonArm:
         self._control = model.control()
         self._control.joint_f.fill_(prepared.drive.torque_constant.value * float(case.run.input_current_A[0]))
 
-        instants = (prepared.times_s - case.robot.delay.value) / step_s
+        instants = np.maximum(prepared.times_s - case.robot.delay.value, 0.0) / step_s
         steps = math.ceil(instants[-1] - 1e-6)
         self._row = np.clip(np.floor(instants).astype(int), 0, steps - 1)
         self._share = instants - self._row
