@@ -253,14 +253,17 @@ class _Bag:
         count = -(-states.size // most)
         if count < 2:
             return [(0, None)]
-        size, first_ns = -(-states.size // count), min(self._recorded_ns(states))
-        begins, last_ns = {0}, 0
-        for number, (time_ns, _) in enumerate(self._read(states)):
-            last_ns = max(last_ns, time_ns - first_ns)
-            if number % size == 0:
-                begins.add(max(time_ns - first_ns, 0))
-        ends = sorted(begins)
-        return list(zip(ends, [*ends[1:], last_ns + 1], strict=True))
+        size, begins, last_ns = -(-states.size // count), list[int](), 0
+        try:
+            for number, message in enumerate(_in_order(self._read(states))):
+                last_ns = message[0]
+                if number % size == 0:
+                    begins.append(last_ns)
+        except _OutOfOrder:  # files of one bag that overlap
+            times = sorted(time_ns for time_ns, _ in self._read(states))
+            begins, last_ns = times[::size], times[-1]
+        ends = sorted({begin_ns - begins[0] for begin_ns in begins})
+        return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
 
     def messages(self, topic: _Topic) -> list[tuple[int, Any]]:
         """Recorder's time [ns] and message, of one topic, in the order of time; at least one, unless the bag was cut."""
