@@ -17,13 +17,14 @@ from std_srvs.srv import Trigger
 
 from proprio_ros.errors import ConfigurationError, ExcitationError, ProprioError
 from proprio_ros.excitation.effort_controller import UNITS, EffortController
+from proprio_ros.excitation.goal_controller import GoalController
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.joint_states import JointStates
 from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, JointSample, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
-from proprio_ros.nodes.outputs import DriverOutput, EffortOutput, Output
+from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.robot import load_robot
@@ -41,8 +42,10 @@ DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
 HOLD_PAUSE_S = 0.002
 """Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
-INTERFACES = ("driver", "effort")
-"""What takes the commands: this package's driver, or an effort controller."""
+INPUT_TOPICS = {"effort": "/forward_effort_controller/commands", "position": "/position_controller/commands"}
+"""Where controllers of others usually listen."""
+INTERFACES = ("driver", *INPUT_TOPICS)
+"""What takes the commands: this package's driver, or an effort or position controller."""
 ENDS = ("hold", "zero")
 BLIND_PATIENCE = 3.0
 """Times `stale_after`: a sequence that is held by efforts waits no longer for joint states, for nobody sees the arm meanwhile."""
@@ -64,15 +67,17 @@ class ExcitationNode(ManagedNode):
         Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
         Parameter("command_interface", "driver",
                   "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
-                  "then has hold the arm."),
-        Parameter("input_topic", "/forward_effort_controller/commands", "Where the effort controller listens."),
-        Parameter("controller_joints", [], "The effort controller's `joints`, in its order."),
+                  "then has hold the arm; position: a position controller, for servos that know no current."),
+        Parameter("input_topic", "",
+                  "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
+        Parameter("controller_joints", [], "That controller's `joints`, in its order."),
         Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A."),
         Parameter("hold_frequency", _H.frequency_rad_s,
                   "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
                   "rate.", 3.0, 25.0),
         Parameter("on_end", "hold",
-                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down."),
+                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. Goals "
+                  "always hold."),
     )  # fmt: skip
 
     real_time = True
@@ -102,7 +107,8 @@ class ExcitationNode(ManagedNode):
         for name, choices in (("command_interface", INTERFACES), ("effort_unit", UNITS), ("on_end", ENDS)):
             if self.values[name] not in choices:
                 raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
-        by_effort = self.values["command_interface"] == "effort"
+        interface = self.values["command_interface"]
+        ours, by_effort = interface == "driver", interface == "effort"
         self._machine = ExcitationMachine(
             self._robot,
             Guards(
@@ -118,18 +124,19 @@ class ExcitationNode(ManagedNode):
         self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])
         load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
-        if by_effort:
-            commands = self.create_publisher(Float64MultiArray, self.values["input_topic"], COMMANDS)
-            applied = self.create_publisher(JointState, "applied_effort", STREAM)
-            controller, speaker = self._effort_controller(), LastWords(commands.topic_name)
-            self._output = EffortOutput(self, controller, commands, applied, speaker, self.values["on_end"] == "zero")
+        if not ours:
+            controller = self._effort_controller() if by_effort else self._goal_controller()
+            commands = self.create_publisher(Float64MultiArray, self._input_topic, COMMANDS)
+            applied = self.create_publisher(JointState, controller.recorded_as[0], STREAM)
+            speaker, let_go = LastWords(commands.topic_name), by_effort and self.values["on_end"] == "zero"
+            self._output = ControllerOutput(self, controller, commands, applied, speaker, let_go)
         else:
             currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
             positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
             self._output = DriverOutput(currents, positions)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: by_effort)
-        if not by_effort:  # else this node says itself what it commands
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not ours)
+        if ours:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_subscription(Bool, "torque_enabled", self._on_torque_enabled, LATCHED)
@@ -157,6 +164,19 @@ class ExcitationNode(ManagedNode):
             self._output.close()
         self.remove_on_set_parameters_callback(self._on_parameters)
 
+    @property
+    def _input_topic(self) -> str:
+        return str(self.values["input_topic"] or INPUT_TOPICS[self.values["command_interface"]])
+
+    def _goal_controller(self) -> GoalController:
+        controller = GoalController(self._robot, self.values["controller_joints"])
+        self.say(
+            "warning",
+            f"goals go to {self._input_topic}; this node switches no controllers: activate that one first, and keep a hand near the "
+            "servos' supply (docs: hardware and safety)",
+        )
+        return controller
+
     def _effort_controller(self) -> EffortController:
         gains = HoldGains(
             frequency_rad_s=self.values["hold_frequency"],
@@ -166,7 +186,7 @@ class ExcitationNode(ManagedNode):
         controller = EffortController(self._robot, self.values["controller_joints"], self.values["effort_unit"], gains)
         self.say(
             "warning",
-            f"efforts go to {self.values['input_topic']}; this node alone holds the arm then, and switches no controllers: "
+            f"efforts go to {self._input_topic}; this node alone holds the arm then, and switches no controllers: "
             "activate that one first, and keep a hand near the emergency stop (docs: hardware and safety)",
         )
         return controller

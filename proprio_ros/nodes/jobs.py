@@ -429,7 +429,7 @@ class Jobs:
             self._inputs.heard = None
         for note in notes:
             self._node.say("info", note)
-        if not self._inputs.has_effort:
+        if not self._inputs.has_effort and not self._inputs.by_goals:
             self._node.say(
                 "warning",
                 "no applied_effort: the times at which a current began are those at which its command was heard",
