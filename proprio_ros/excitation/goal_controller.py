@@ -57,7 +57,9 @@ class GoalController:
             )
         unknown = [name for name in joints if name not in robot.drive_trains]
         if unknown:
-            raise ConfigurationError(f"controller_joints: {robot.name} does not drive {', '.join(unknown)}; it drives {driven}")
+            raise ConfigurationError(
+                f"controller_joints: {robot.name} does not drive {', '.join(unknown)}; it drives {driven}"
+            )
         if len(set(joints)) != len(joints):
             raise ConfigurationError(f"controller_joints names a joint twice: {', '.join(joints)}")
         self.joints = tuple(joints)
@@ -94,7 +96,10 @@ class GoalController:
                 f"{sequence.name} pushes with currents, which a position controller does not take: choose a sequence whose runs state "
                 "goal_step"
             )
-        named = {name for run in sequence.runs for name in (run.joint, *run.start)} | {*sequence.home, *sequence.from_here}
+        named = {name for run in sequence.runs for name in (run.joint, *run.start)} | {
+            *sequence.home,
+            *sequence.from_here,
+        }
         if others := sorted(named - {*self.joints}):
             raise ExcitationError(
                 f"{sequence.name} moves {', '.join(others)}, which the position controller does not have: add to "

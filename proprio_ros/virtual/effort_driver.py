@@ -164,7 +164,9 @@ class EffortDriver:
             ConfigurationError: One is asked for.
         """
         if text:
-            raise ConfigurationError(f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus")
+            raise ConfigurationError(
+                f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus"
+            )
 
     def close(self) -> None:
         """Nothing is open."""
@@ -220,5 +222,7 @@ class PositionDriver(EffortDriver):
         distance = self._moved - counts * self._count_rad * self._transmission
         distance = np.sign(distance) * np.maximum(np.abs(distance) - self._dead, 0.0)
         duty = np.clip(self._gain * distance, -self._limit, self._limit)
-        current_A: FloatArray = (self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()) / self._resistance_ohm
+        current_A: FloatArray = (
+            self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()
+        ) / self._resistance_ohm
         return current_A

@@ -35,7 +35,7 @@ def test_a_push_has_the_effort_of_its_current_in_its_place(joint: str) -> None:
     torque, current = held("N.m"), held("A")
     for controller in (torque, current):
         controller.take(push(joint, -0.3))
-    by_torque, by_current = torque.efforts(), current.efforts()
+    by_torque, by_current = torque.commands(), current.commands()
     assert by_torque[ORDER.index(joint)] == pytest.approx(-0.3 * TORQUE[joint])
     assert by_current[ORDER.index(joint)] == pytest.approx(-0.3)
     for name, newton, ampere in zip(ORDER, by_torque, by_current, strict=True):
