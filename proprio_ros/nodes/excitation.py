@@ -26,7 +26,8 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, ManagedNode, run_node
+from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.switching import PACKAGE, Controllers, Switching, own_controller, words
 from proprio_ros.robot import load_robot
 
 _G, _H = Guards(), HoldGains()
@@ -47,6 +48,7 @@ INPUT_TOPICS = {"effort": "/forward_effort_controller/commands", "position": "/p
 INTERFACES = ("driver", *INPUT_TOPICS)
 """What takes the commands: this package's driver, or an effort or position controller."""
 ENDS = ("hold", "zero")
+DEFAULT_PROBE = "payload"
 BLIND_PATIENCE = 3.0
 """Times `stale_after`: a sequence that is held by efforts waits no longer for joint states, for nobody sees the arm meanwhile."""
 LIMP = ("stopped", "released", "inactive")
@@ -58,7 +60,7 @@ class ExcitationNode(ManagedNode):
 
     parameters = (
         ROBOT,
-        Parameter("probe", "payload", "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
+        Parameter("probe", DEFAULT_PROBE, "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
         Parameter("limit_margin", _G.limit_margin_rad, "Room left before a joint's limit during a run [rad].", 0.0, 0.5),
         Parameter("max_velocity", _G.max_velocity_rad_s, "A run ends when a joint is faster [rad/s].", 0.1, 20.0),
         Parameter("stale_after", _G.stale_after_s, "Joint states further apart end the sequence [s].", 0.02, 5.0),
@@ -71,6 +73,10 @@ class ExcitationNode(ManagedNode):
         Parameter("input_topic", "",
                   "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
         Parameter("controller_joints", [], "That controller's `joints`, in its order."),
+        Parameter("controller_manager", "",
+                  "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody switches."),
+        Parameter("activate_controller", "", "That controller; empty: as input_topic names it."),
+        Parameter("deactivate_controllers", [], "Controllers that have the joints else; active again after each sequence."),
         Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A."),
         Parameter("hold_frequency", _H.frequency_rad_s,
                   "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
@@ -96,6 +102,9 @@ class ExcitationNode(ManagedNode):
         self._driver_state = self._driver_words = ""
         self._driver_at_s = -math.inf
         self._output: Output | None = None
+        self._switching: Switching | None = None
+        self._speaker: LastWords | None = None
+        self._waiting: list[Answer] = []  # whoever asked for a sequence while controllers were switched back
         self._unpushed_since_s: float | None = None
         self._torque_enabled: bool | None = None  # None: the driver does not say
         self._count = 0
@@ -122,14 +131,17 @@ class ExcitationNode(ManagedNode):
             ),
         )
         self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])
-        load_sequence(value_of(self, "probe"), self._robot)
+        if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
+            load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
         if not ours:
             controller = self._effort_controller() if by_effort else self._goal_controller()
+            self._switching = self._controller_switching()
+            switched = None if self._switching is None else self._switching.controllers
             commands = self.create_publisher(Float64MultiArray, self._input_topic, COMMANDS)
             applied = self.create_publisher(JointState, controller.recorded_as[0], STREAM)
-            speaker, let_go = LastWords(commands.topic_name), by_effort and self.values["on_end"] == "zero"
-            self._output = ControllerOutput(self, controller, commands, applied, speaker, let_go)
+            self._speaker, let_go = LastWords(commands.topic_name, switched), by_effort and self.values["on_end"] == "zero"
+            self._output = ControllerOutput(self, controller, commands, applied, self._speaker, let_go)
         else:
             currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
             positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
@@ -141,7 +153,10 @@ class ExcitationNode(ManagedNode):
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_subscription(Bool, "torque_enabled", self._on_torque_enabled, LATCHED)
         self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)
-        self.create_service(Trigger, "~/run", self._on_run)
+        if self._switching is None:
+            self.create_service(Trigger, "~/run", self._on_run)
+        else:
+            LongService(self, "~/run", self._run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.create_service(Trigger, "~/release", self._on_release)
         self.every(0.02, self._on_timer)
@@ -158,10 +173,12 @@ class ExcitationNode(ManagedNode):
         finally:
             if self._output is not None:
                 self._output.finish()
+            self._switch_back()
 
     def cleanup(self) -> None:
         if self._output is not None:
             self._output.close()
+        self._switching = self._speaker = None
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     @property
@@ -172,8 +189,8 @@ class ExcitationNode(ManagedNode):
         controller = GoalController(self._robot, self.values["controller_joints"])
         self.say(
             "warning",
-            f"goals go to {self._input_topic}; this node switches no controllers: activate that one first, and keep a hand near the "
-            "servos' supply (docs: hardware and safety)",
+            f"goals go to {self._input_topic}; {self._who_switches}, and keep a hand near the servos' supply (docs: hardware and "
+            "safety)",
         )
         return controller
 
@@ -186,10 +203,35 @@ class ExcitationNode(ManagedNode):
         controller = EffortController(self._robot, self.values["controller_joints"], self.values["effort_unit"], gains)
         self.say(
             "warning",
-            f"efforts go to {self._input_topic}; this node alone holds the arm then, and switches no controllers: "
-            "activate that one first, and keep a hand near the emergency stop (docs: hardware and safety)",
+            f"efforts go to {self._input_topic}; this node alone holds the arm then; {self._who_switches}, and "
+            "keep a hand near the emergency stop (docs: hardware and safety)",
         )
         return controller
+
+    @property
+    def _who_switches(self) -> str:
+        stated = self.values["controller_manager"]
+        return f"{stated} switches controllers" if stated else "this node switches no controllers: activate that one first"
+
+    def _controller_switching(self) -> Switching | None:
+        """None where nobody is to switch, or the messages for it are not there."""
+        manager = self.values["controller_manager"].rstrip("/")
+        if not manager:
+            return None
+        ours = self.values["activate_controller"] or own_controller(self._input_topic)
+        if not ours:
+            raise ConfigurationError(
+                f"activate_controller is empty, and {self._input_topic} names no controller: state which one takes the commands"
+            )
+        try:
+            return Switching(self, Controllers(manager, ours, tuple(self.values["deactivate_controllers"])))
+        except ImportError as error:
+            self.say(
+                "warning",
+                f"controllers are not switched, for the messages of {PACKAGE} are not there ({error}): activate {ours} yourself "
+                f"before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}",
+            )
+            return None
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """A probe that cannot be made is refused when it is named, with the reason."""
@@ -286,6 +328,8 @@ class ExcitationNode(ManagedNode):
             return
         command = machine.tick(now, self._sample)
         self._send(command)
+        if not machine.busy:
+            self._switch_back()
         if machine.phase is Phase.ABORTED:
             self.say("error", f"aborted: {machine.abort_reason}")
         elif machine.phase is Phase.DONE:
@@ -295,13 +339,87 @@ class ExcitationNode(ManagedNode):
     def _abort(self, machine: ExcitationMachine, reason: str) -> None:
         machine.abort(reason)
         self._send(machine.command)
+        self._switch_back()
         self._tell()
 
     def _send(self, command: Command) -> None:
         assert self._output is not None
         self._output.send(command, slipped=self._machine is not None and self._machine.aborted_by == "jump")
 
+    # --- controllers --------------------------------------------------------------------------------------------------
+
+    def _run(self, answer: Answer) -> None:
+        """~/run where controllers are switched: what holds the arm is said from before the switch on, and the sequence begins after."""
+        switching, output, speaker = self._switching, self._output, self._speaker
+        assert switching is not None and output is not None and speaker is not None
+        if switching.pending:
+            self._waiting.append(answer)
+            return
+        if switching.engaged or self._refused():
+            self._answer_run(answer)
+            return
+        output.begin()
+        speaker.engaged = True
+
+        def switched(why: str) -> None:
+            if why:
+                answer(False, f"the controllers were not switched: {why}")
+            else:
+                self._answer_run(answer)
+            if switching.engaged and not (self._machine is not None and self._machine.busy):
+                self._switch_back()
+            elif not switching.engaged:
+                self._handed_back()
+            self._run_waiting()
+
+        switching.ask(True, switched)
+
+    def _answer_run(self, answer: Answer) -> None:
+        response = self._on_run(Trigger.Request(), Trigger.Response())
+        answer(response.success, response.message)
+
+    def _switch_back(self) -> None:
+        """However a sequence ended, the controllers are what they were; until that is known, this node holds the arm."""
+        switching = self._switching
+        if switching is None or not switching.engaged or switching.pending:
+            return
+
+        def switched(why: str) -> None:
+            if why:
+                self.say("error", f"the controllers were not switched back: {why}; ~/release tries again, and meanwhile the arm is held")
+            else:
+                self.say("info", f"the arm is handed back to {words(switching.controllers.others)}")
+                self._handed_back()
+            self._run_waiting()
+
+        switching.ask(False, switched)
+
+    def _handed_back(self) -> None:
+        if self._speaker is not None and self._output is not None:
+            self._speaker.engaged = False
+            self._output.hand_over()
+
+    def _run_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for answer in waiting:
+            self._run(answer)
+
     # --- services -----------------------------------------------------------------------------------------------------
+
+    def _refused(self) -> str:
+        """Why no sequence can begin now, or an empty string."""
+        machine = self._machine
+        if machine is None or not self.active:
+            return "the excitation node is not active"
+        if machine.busy:
+            return "a sequence is under way"
+        try:
+            sequence = load_sequence(value_of(self, "probe"), self._robot)
+            assert self._output is not None
+            self._output.check(sequence)
+        except ProprioError as error:
+            return str(error)
+        return "" if self._sample is not None and self._fresh else "no joint states are coming"
 
     def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = False, "the excitation node is not active"
@@ -359,6 +477,11 @@ class ExcitationNode(ManagedNode):
         if self._machine is not None and self._machine.busy:
             self._abort(self._machine, "by ~/release")
         response.success = True
+        switching = self._switching
+        if switching is not None and switching.engaged:
+            self._switch_back()
+            response.message = f"the arm is handed back to {words(switching.controllers.others)}"
+            return response
         response.message = "nothing was held" if self._output is None else self._output.release()
         return response
 

@@ -61,6 +61,9 @@ class Output(Protocol):
     def release(self) -> str:
         """Let go, if it is this that holds the arm; says what was done."""
 
+    def hand_over(self) -> None:
+        """Others hold the arm from now on."""
+
     def finish(self) -> None:
         """Last words, after which the process may end."""
 
@@ -109,6 +112,9 @@ class DriverOutput:
 
     def release(self) -> str:
         return "the driver holds the arm: /driver/torque lets go of it"
+
+    def hand_over(self) -> None:
+        pass
 
     def finish(self) -> None:
         self._currents.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
@@ -207,6 +213,10 @@ class ControllerOutput:
             return "nothing was held"
         self._let_go()
         return self._controller.let_go
+
+    def hand_over(self) -> None:
+        self._controller.release()
+        self._last_words.dismiss()
 
     def finish(self) -> None:
         """The controller keeps the last command, whatever becomes of us."""
