@@ -58,8 +58,10 @@ class EffortController:
         ConfigurationError: No joint, a joint that the robot does not drive or that is named twice, or another unit.
     """
 
-    recorded_as = ("applied_effort", "effort")
-    """Topic on which whoever records hears what pushes, and the field of it."""
+    recorded_as = "effort"
+    """Field in which whoever records hears what pushes."""
+    can_let_go = True
+    """Whether a last command lets go of the arm."""
     let_go = "the efforts are zero: nobody holds the arm until a controller does"
 
     def __init__(self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None) -> None:
@@ -114,7 +116,8 @@ class EffortController:
             )
         if any(run.goal_step for run in sequence.runs):
             raise ExcitationError(
-                f"{sequence.name} pushes by steps of goals, which an effort controller does not take: choose a sequence with currents"
+                f"{sequence.name} pushes by steps of goals, which an effort controller does not take: choose a sequence with "
+                "currents"
             )
         if not self._hold.knows or self._hold.rate_hz < SLOWEST_HZ:
             raise ExcitationError(

@@ -1,11 +1,11 @@
-"""What a position controller of somebody else's driver is to be sent, so that a sequence's pushes and everything beside them come to be.
+"""What a position controller of somebody else's driver is to be sent, so that a sequence's pushes and all beside them come to be.
 
-For servos that know no current: a step of the goal is the push, and a goal at where a joint is holds it there. The servo's law is a
-soft spring, so an arm hangs below its goals. The goals sent are therefore ahead of those wanted: by what gravity takes, where the robot
-file states the law, and by a slow sum of what is missing where joints stand. What was sent is what is recorded.
+For servos that know no current: a step of the goal is the push, and a goal where a joint is holds it there. The servo's law is a
+soft spring, so an arm hangs below its goals. The goals sent are therefore ahead of those wanted: by what gravity takes, where the
+robot file states the law, and by a slow sum of what is missing where joints stand. What was sent is what is recorded.
 
-As `forward_command_controller` does it, such a controller takes goals for all its joints in a fixed order and keeps the last one. So
-every command here is whole. No clock, no ROS.
+As `forward_command_controller` does it, such a controller takes goals for all its joints in a fixed order, and keeps the last ones.
+So every command here is whole. No clock, no ROS.
 """
 
 from __future__ import annotations
@@ -45,8 +45,10 @@ class GoalController:
         ConfigurationError: No joint, or a joint that the robot does not drive or that is named twice.
     """
 
-    recorded_as = ("joint_command", "position")
-    """Topic on which whoever records hears what is sent, and the field of it."""
+    recorded_as = "position"
+    """Field in which whoever records hears what is sent."""
+    can_let_go = False
+    """Whether a last command lets go of the arm."""
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
 
     def __init__(self, robot: Robot, joints: Sequence[str]) -> None:
@@ -93,8 +95,8 @@ class GoalController:
         """
         if not all(run.goal_step for run in sequence.runs):
             raise ExcitationError(
-                f"{sequence.name} pushes with currents, which a position controller does not take: choose a sequence whose runs state "
-                "goal_step"
+                f"{sequence.name} pushes with currents, which a position controller does not take: choose a sequence whose runs "
+                "state goal_step"
             )
         named = {name for run in sequence.runs for name in (run.joint, *run.start)} | {
             *sequence.home,
@@ -196,7 +198,7 @@ class GoalController:
 
 
 def _springs(robot: Robot, joints: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
-    """Of joints whose servo's law the robot file states: stiffness [N m/rad], and how far a goal may be before the duty is at its limit."""
+    """Of joints whose servo's law the robot file states: stiffness [N m/rad], and how far its goal is at the largest duty."""
     stiffness, farthest = {}, {}
     for name in joints:
         drive = robot.drive_trains[name]

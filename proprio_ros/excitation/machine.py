@@ -1,8 +1,8 @@
 """The state machine that makes a probe sequence: it takes samples and the time, and gives commands. No clock, no bus, no ROS.
 
-Each run is: move to its start, rest, push with a constant current, a square wave or a step of the goal, hold. What the joints do is watched at
-every tick, and whatever goes wrong while the current is on ends it at that very tick: the command then holds all joints where
-they are.
+Each run is: move to its start, rest, push with a constant current, a square wave or a step of the goal, hold. What the joints do
+is watched at every tick, and whatever goes wrong while the push is on ends it at that very tick: the command then holds all joints
+where they are.
 
 A run without current lets one joint swing freely. Before anything moves it is computed that it would swing back inside its
 limits, without friction and with an empty hand. When its time is over, or when a speed, a limit or the table is near, the joint is

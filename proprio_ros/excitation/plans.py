@@ -1,8 +1,8 @@
 """Probe sequences: which joint is pushed with which current, from where and for how long, as probe files state them.
 
-A servo that knows no current is pushed by a step of its goal instead. A probe file is YAML; its section ``excitation`` is read here.
-Keys are the names of the fields below. Positions, velocities and travel count in the unit of the joint: rad for one that turns, m for
-one that slides. Currents are in A.
+A servo that knows no current is pushed by a step of its goal instead. A probe file is YAML; its section ``excitation`` is read
+here. Keys are the names of the fields below. Positions, velocities and travel count in the unit of the joint: rad for one that
+turns, m for one that slides. Currents are in A.
 """
 
 from __future__ import annotations

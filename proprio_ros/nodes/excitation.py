@@ -26,7 +26,16 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, Answer, LongService, ManagedNode, run_node
+from proprio_ros.nodes.runtime import (
+    COMMANDS,
+    IDLE_PAUSE_S,
+    LATCHED,
+    STREAM,
+    Answer,
+    LongService,
+    ManagedNode,
+    run_node,
+)
 from proprio_ros.nodes.switching import PACKAGE, Controllers, Switching, own_controller, words
 from proprio_ros.robot import load_robot
 
@@ -74,7 +83,8 @@ class ExcitationNode(ManagedNode):
                   "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
         Parameter("controller_joints", [], "That controller's `joints`, in its order."),
         Parameter("controller_manager", "",
-                  "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody switches."),
+                  "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody "
+                  "switches."),
         Parameter("activate_controller", "", "That controller; empty: as input_topic names it."),
         Parameter("deactivate_controllers", [], "Controllers that have the joints else; active again after each sequence."),
         Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A."),
@@ -82,8 +92,8 @@ class ExcitationNode(ManagedNode):
                   "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
                   "rate.", 3.0, 25.0),
         Parameter("on_end", "hold",
-                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. Goals "
-                  "always hold."),
+                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. "
+                  "Goals always hold."),
     )  # fmt: skip
 
     real_time = True
@@ -134,14 +144,16 @@ class ExcitationNode(ManagedNode):
         if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
             load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
-        if not ours:
-            controller = self._effort_controller() if by_effort else self._goal_controller()
-            self._switching = self._controller_switching()
-            switched = None if self._switching is None else self._switching.controllers
-            commands = self.create_publisher(Float64MultiArray, self._input_topic, COMMANDS)
-            applied = self.create_publisher(JointState, controller.recorded_as[0], STREAM)
-            self._speaker, let_go = LastWords(commands.topic_name, switched), by_effort and self.values["on_end"] == "zero"
-            self._output = ControllerOutput(self, controller, commands, applied, self._speaker, let_go)
+        if by_effort:
+            topic = self.values["input_topic"] or INPUT_TOPICS["effort"]
+            commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
+            applied = self.create_publisher(JointState, "applied_effort", STREAM)
+            self._output = self._controller_output(self._effort_controller(topic), commands, applied)
+        elif not ours:
+            topic = self.values["input_topic"] or INPUT_TOPICS["position"]
+            commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
+            goals = self.create_publisher(JointState, "joint_command", STREAM)
+            self._output = self._controller_output(self._goal_controller(topic), commands, goals)
         else:
             currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
             positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
@@ -181,20 +193,25 @@ class ExcitationNode(ManagedNode):
         self._switching = self._speaker = None
         self.remove_on_set_parameters_callback(self._on_parameters)
 
-    @property
-    def _input_topic(self) -> str:
-        return str(self.values["input_topic"] or INPUT_TOPICS[self.values["command_interface"]])
+    def _controller_output(
+        self, controller: EffortController | GoalController, commands: Any, applied: Any
+    ) -> ControllerOutput:
+        self._switching = self._controller_switching(commands.topic_name)
+        switched = None if self._switching is None else self._switching.controllers
+        self._speaker = LastWords(commands.topic_name, switched)
+        let_go = controller.can_let_go and self.values["on_end"] == "zero"
+        return ControllerOutput(self, controller, commands, applied, self._speaker, let_go)
 
-    def _goal_controller(self) -> GoalController:
+    def _goal_controller(self, topic: str) -> GoalController:
         controller = GoalController(self._robot, self.values["controller_joints"])
         self.say(
             "warning",
-            f"goals go to {self._input_topic}; {self._who_switches}, and keep a hand near the servos' supply (docs: hardware and "
+            f"goals go to {topic}; {self._who_switches}, and keep a hand near the servos' supply (docs: hardware and "
             "safety)",
         )
         return controller
 
-    def _effort_controller(self) -> EffortController:
+    def _effort_controller(self, topic: str) -> EffortController:
         gains = HoldGains(
             frequency_rad_s=self.values["hold_frequency"],
             jump_rad=self.values["max_jump"],
@@ -203,7 +220,7 @@ class ExcitationNode(ManagedNode):
         controller = EffortController(self._robot, self.values["controller_joints"], self.values["effort_unit"], gains)
         self.say(
             "warning",
-            f"efforts go to {self._input_topic}; this node alone holds the arm then; {self._who_switches}, and "
+            f"efforts go to {topic}; this node alone holds the arm then; {self._who_switches}, and "
             "keep a hand near the emergency stop (docs: hardware and safety)",
         )
         return controller
@@ -211,17 +228,19 @@ class ExcitationNode(ManagedNode):
     @property
     def _who_switches(self) -> str:
         stated = self.values["controller_manager"]
-        return f"{stated} switches controllers" if stated else "this node switches no controllers: activate that one first"
+        return (
+            f"{stated} switches controllers" if stated else "this node switches no controllers: activate that one first"
+        )
 
-    def _controller_switching(self) -> Switching | None:
+    def _controller_switching(self, topic: str) -> Switching | None:
         """None where nobody is to switch, or the messages for it are not there."""
         manager = self.values["controller_manager"].rstrip("/")
         if not manager:
             return None
-        ours = self.values["activate_controller"] or own_controller(self._input_topic)
+        ours = self.values["activate_controller"] or own_controller(topic)
         if not ours:
             raise ConfigurationError(
-                f"activate_controller is empty, and {self._input_topic} names no controller: state which one takes the commands"
+                f"activate_controller is empty, and {topic} names no controller: state which one takes the commands"
             )
         try:
             return Switching(self, Controllers(manager, ours, tuple(self.values["deactivate_controllers"])))
@@ -349,7 +368,7 @@ class ExcitationNode(ManagedNode):
     # --- controllers --------------------------------------------------------------------------------------------------
 
     def _run(self, answer: Answer) -> None:
-        """~/run where controllers are switched: what holds the arm is said from before the switch on, and the sequence begins after."""
+        """~/run where controllers are switched: what holds the arm is said before it, and the sequence begins after it."""
         switching, output, speaker = self._switching, self._output, self._speaker
         assert switching is not None and output is not None and speaker is not None
         if switching.pending:
@@ -386,7 +405,10 @@ class ExcitationNode(ManagedNode):
 
         def switched(why: str) -> None:
             if why:
-                self.say("error", f"the controllers were not switched back: {why}; ~/release tries again, and meanwhile the arm is held")
+                self.say(
+                    "error",
+                    f"not switched back: {why}; the arm is held, and ~/release tries again",
+                )
             else:
                 self.say("info", f"the arm is handed back to {words(switching.controllers.others)}")
                 self._handed_back()

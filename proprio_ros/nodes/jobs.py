@@ -235,7 +235,8 @@ class Jobs:
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
         stays = self._keeping.keep_calibration(output)
-        said = f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+        on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
+        said = f"robot calibrated on {on}; calibration: {output}"
         return True, f"{said}; {stays}" if stays else said
 
     def _chosen(

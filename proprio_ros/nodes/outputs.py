@@ -1,7 +1,7 @@
 """Where the excitation node's commands go: this package's driver, or an effort or position controller of somebody else's.
 
-The driver holds what is not pushed, and ends a push when it hears nothing. A controller of others does neither, so its output says at
-every joint state what holds the joints, and says what it can before it ends.
+The driver holds what is not pushed, and ends a push when it hears nothing. A controller of others does neither, so its output says
+at every joint state what holds the joints, and says what it can before it ends.
 """
 
 from __future__ import annotations
@@ -268,7 +268,7 @@ class ControllerOutput:
         for sent_ns in taken if stamp_ns is None else taken[-1:]:
             record = self._untaken[sent_ns]
             when_ns = sent_ns if stamp_ns is None else stamp_ns
-            values = {self._controller.recorded_as[1]: list(record.values())}
+            values = {self._controller.recorded_as: list(record.values())}
             self._applied.publish(messages.joint_state(when_ns, list(record), **values))
         for sent_ns in taken:
             del self._untaken[sent_ns]

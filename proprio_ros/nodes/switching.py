@@ -1,8 +1,8 @@
-"""Switching controllers for a sequence: controller_manager activates the one that takes commands, and afterwards the user's own again.
+"""Switching controllers for a sequence: controller_manager activates the one that takes commands, and the user's own afterwards.
 
-As `ros2_control` has it, a joint is one controller's, so whoever holds the arm must let go in the very cycle in which the other takes
-over; `switch_controller` does both. The node says what holds the arm from before the switch on, since a controller that becomes active
-has no command yet. What was switched is switched back however a sequence ends: by the node, which only has to send the request, and by the
+A joint is one controller's in `ros2_control`, so whoever holds the arm must let go in the very cycle in which the other takes over;
+`switch_controller` does both. The node says what holds the arm from before the switch on, since a controller that becomes active
+has no command yet. However a sequence ends, it is switched back: by the node, which only has to send the request, and by the
 process that speaks for it once it is gone.
 """
 

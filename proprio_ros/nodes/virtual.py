@@ -103,12 +103,13 @@ class VirtualNode(ManagedNode):
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._motors = self.create_publisher(JointState, "~/motors", 10)
         self.every(0.02, self._publish_motors)
-        self._input_topic = self.values["input_topic"] or INPUT_TOPICS.get(self.values["interface"], "")
-        if self._input_topic and self.values["interface"] != "bus":
-            self._states = self.create_publisher(JointState, "joint_states", STREAM)
-            self._efforts = self.create_subscription(
-                Float64MultiArray, self._input_topic, lambda _: None, FROM_MANY, callback_group=_Polled()
-            )
+        for interface, usual in INPUT_TOPICS.items():
+            if interface == self.values["interface"]:
+                topic = self.values["input_topic"] or usual
+                self._states = self.create_publisher(JointState, "joint_states", STREAM)
+                self._commands = self.create_subscription(
+                    Float64MultiArray, topic, lambda _: None, FROM_MANY, callback_group=_Polled()
+                )
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
         self.create_subscription(DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED)
 
@@ -124,7 +125,7 @@ class VirtualNode(ManagedNode):
             else:
                 unit = self.values["effort_unit"]
                 self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
-            where = f"{self._input_topic} for {', '.join(self._robot.joints)}"
+            where = f"{self._commands.topic_name} for {', '.join(self._robot.joints)}"
             # a thread: an executor's wake-ups at every period and command would take a core
             self._thread = threading.Thread(
                 target=self._broadcast, args=(self._robot,), name="joint states", daemon=True
@@ -177,8 +178,8 @@ class VirtualNode(ManagedNode):
             pacer.wait()
             now_s, stamp_ns = time.monotonic(), self.get_clock().now().nanoseconds
             driver.advance(now_s)
-            with self._efforts.handle:
-                while (told := self._efforts.handle.take_message(Float64MultiArray, False)) is not None:
+            with self._commands.handle:
+                while (told := self._commands.handle.take_message(Float64MultiArray, False)) is not None:
                     if not driver.command(now_s, told[0].data) and not warned:
                         warned = True
                         self.say("warning", f"a command of {len(told[0].data)} numbers was ignored")

@@ -1,4 +1,4 @@
-"""A simulated arm behind what looks like somebody else's driver: an effort or position controller, and a broadcaster of joint states.
+"""A simulated arm behind what looks like somebody else's driver: an effort or position controller, and joint states on a topic.
 
 As `forward_command_controller` does it, a command counts for all joints in a fixed order and stays until the next; one of another
 length is ignored. As `joint_state_broadcaster` does it, the joints come in the order of the alphabet, among others that are not the
@@ -173,9 +173,12 @@ class EffortDriver:
 
 
 class PositionDriver(EffortDriver):
-    """The same behind a position controller: each servo makes a voltage of the distance to its goal, as its law in the robot file says.
+    """The same behind a position controller: each servo makes a voltage of the distance to its goal, by its law in the robot file.
 
-    Until the first command somebody holds the arm. Arguments and errors as above, without a unit: goals are in rad.
+    Until the first command somebody holds the arm.
+
+    Args:
+        robot, truth, joints, position, seed: As above. Goals are in rad.
 
     Raises:
         ConfigurationError: Also where the robot file states no law of a position servo for a joint.

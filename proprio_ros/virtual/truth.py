@@ -94,8 +94,8 @@ class Truth:
 
         Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part of that
         deviation (Coulomb 0.3 to 0.9, viscous 0.1 to 0.6, with the load 0 to 0.6 of it), so that no joint is stuck for good.
-        Everything else is normal, and cut off where it would make no sense. Where voltages drive the motors, an arm's torque constants
-        are off together by what the file says, and each by 3 % more.
+        Everything else is normal, and cut off where it would make no sense. Where voltages drive the motors, an arm's torque
+        constants are off together by what the file says, and each by 3 % more.
 
         Args:
             robot: The robot.

@@ -2,8 +2,8 @@
 
 Nodes in processes of their own: a virtual arm that takes and keeps efforts as `forward_command_controller` does (joint states at
 500 Hz in the order of the alphabet, with two foreign joints and without velocities), the excitation node, which holds it, and the
-identifier. A probe that was interrupted is asked for again; a rejected one is not, and counts. With ``--so101`` it is an SO-101 under
-its servos' own position law, behind a position controller: goals and positions alone, 30 times a second (``--rate``).
+identifier. A probe that was interrupted is asked for again; a rejected one is not, and counts. With ``--so101`` it is an SO-101
+under its servos' own position law, behind a position controller: goals and positions alone, 30 times a second (``--rate``).
 
     python test/benchmarks/effort_controller.py --data DIR [--seed 1] [--masses 0.02 0.05 0.08 0.12 0.15]
     python test/benchmarks/effort_controller.py --data DIR --so101 [--seed 1] [--rate 30]

@@ -1,4 +1,4 @@
-"""What a position controller is sent, and what the state machine makes of goal steps: on virtual servos, which hang below their goals."""
+"""What a position controller is sent, and what the state machine makes of goal steps on virtual servos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Controllers are switched for a sequence and back after every end of it, by the service of ros2_control with its published definition."""
+"""Controllers are switched for a sequence and back after every end of it, by the service of ros2_control as it is published."""
 
 from __future__ import annotations
 
@@ -105,9 +105,10 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         "deactivate_controllers": [THEIRS], **ARM,
     }  # fmt: skip
     environment = {"PYTHONPATH": built.environment["PYTHONPATH"]}
-    with running(
-        tmp_path, "virtual", "excitation", environment=environment, virtual=virtual, excitation=output
-    ) as (graph, client):
+    with running(tmp_path, "virtual", "excitation", environment=environment, virtual=virtual, excitation=output) as (
+        graph,
+        client,
+    ):
         answer = client.call("/excitation/run")
         assert not answer.success and "controller_manager running?" in answer.message
         manager = Manager(client, built.kind)
