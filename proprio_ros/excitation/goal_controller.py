@@ -40,6 +40,7 @@ class GoalController:
     Args:
         robot: The arm.
         joints: The controller's joints, in its order. Joints of the robot that are not among them are held by others.
+        jump_rad: A position that changes by more from sample to sample is an encoder that slipped.
 
     Raises:
         ConfigurationError: No joint, or a joint that the robot does not drive or that is named twice.
@@ -51,7 +52,7 @@ class GoalController:
     """Whether a last command lets go of the arm."""
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
 
-    def __init__(self, robot: Robot, joints: Sequence[str]) -> None:
+    def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
         driven = ", ".join(robot.drive_trains)
         if not joints:
             raise ConfigurationError(
@@ -70,6 +71,7 @@ class GoalController:
         self.lost = ""  # servos hold by themselves: nobody can lose them here
         self._limits = {name: (robot.model.joint(name).lower, robot.model.joint(name).upper) for name in joints}
         self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in joints}
+        self._jump_rad = jump_rad
         self._stiffness, self._farthest = _springs(robot, self.joints)
         self._loads = Loads(robot)
         self._pose = zero_pose(robot)
@@ -143,6 +145,9 @@ class GoalController:
                 continue
             step_s = time_s - self._time_s.get(name, time_s)
             moved = abs(value - self._position.get(name, value))
+            if moved > self._jump_rad * self._per_rad[name] and name in self._wanted:
+                # the arm is where it was: only what it reads has changed
+                self._wanted[name] += value - self._position[name]
             self._position[name], self._time_s[name] = value, time_s
             if 0.0 < step_s <= GAP_S and moved <= STILL_RAD_S * self._per_rad[name] * step_s:
                 self._sum_up(name, time_s, step_s)

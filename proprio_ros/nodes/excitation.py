@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from proprio_ros.errors import ConfigurationError, ExcitationError, ProprioError
+from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.effort_controller import UNITS, EffortController
 from proprio_ros.excitation.goal_controller import GoalController
 from proprio_ros.excitation.hold import HoldGains
@@ -203,7 +203,7 @@ class ExcitationNode(ManagedNode):
         return ControllerOutput(self, controller, commands, applied, self._speaker, let_go)
 
     def _goal_controller(self, topic: str) -> GoalController:
-        controller = GoalController(self._robot, self.values["controller_joints"])
+        controller = GoalController(self._robot, self.values["controller_joints"], self.values["max_jump"])
         self.say(
             "warning",
             f"goals go to {topic}; {self._who_switches}, and keep a hand near the servos' supply (docs: hardware and "
@@ -374,8 +374,11 @@ class ExcitationNode(ManagedNode):
         if switching.pending:
             self._waiting.append(answer)
             return
-        if switching.engaged or self._refused():
+        if switching.engaged:
             self._answer_run(answer)
+            return
+        if why := self._refused():
+            answer(False, why)
             return
         output.begin()
         speaker.engaged = True
@@ -434,47 +437,39 @@ class ExcitationNode(ManagedNode):
         if machine is None or not self.active:
             return "the excitation node is not active"
         if machine.busy:
-            return "a sequence is under way"
+            assert machine.sequence is not None
+            run = f"run {machine.run_number} of {machine.runs}"
+            return f"{machine.sequence.name} is under way ({run}): wait for its end, or abort it"
+        if self._limp:
+            return f"the driver is {self._limp}"
+        if self.now_s() == 0.0:
+            return "use_sim_time is set, and no time comes on /clock: start the simulation, or set it to false"
+        if not self._fresh:
+            self._tell()  # `joint_states` says the same to a program
+            return "no joint states are coming: start the driver, and check its bus and the topic joint_states"
         try:
             sequence = load_sequence(value_of(self, "probe"), self._robot)
             assert self._output is not None
             self._output.check(sequence)
         except ProprioError as error:
             return str(error)
-        return "" if self._sample is not None and self._fresh else "no joint states are coming"
+        if any(run.free for run in sequence.runs) and self._torque_enabled is None:
+            return (
+                f"{sequence.name}: nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of, and a "
+                "recording of free swings is of no use without; start proprio_ros' driver"
+            )
+        return ""
 
     def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "the excitation node is not active"
-        machine = self._machine
-        if machine is None or not self.active:
+        response.success, response.message = False, self._refused()
+        if response.message:
             return response
-        if not machine.busy and self._limp:
-            response.message = f"the driver is {self._limp}"
-            return response
-        now, sample = self.now_s(), self._sample
-        if now == 0.0:
-            response.message = (
-                "use_sim_time is set, and no time comes on /clock: start the simulation, or set it to false"
-            )
-            return response
-        if sample is None or (not machine.busy and not self._fresh):
-            response.message = (
-                "no joint states are coming: start the driver, and check its bus and the topic joint_states"
-            )
-            self._tell()  # `joint_states` says the same to a program
-            return response
+        machine, output, sample = self._machine, self._output, self._sample
+        assert machine is not None and output is not None and sample is not None
         try:
             sequence = load_sequence(value_of(self, "probe"), self._robot)
-            if any(run.free for run in sequence.runs) and self._torque_enabled is None:
-                raise ExcitationError(
-                    f"{sequence.name}: nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of, and a "
-                    "recording of free swings is of no use without; start proprio_ros' driver"
-                )
-            assert self._output is not None
-            if not machine.busy:
-                self._output.check(sequence)
             machine.start(sequence, sample)
-            self._output.begin()
+            output.begin()
         except ProprioError as error:
             response.message = str(error)
             return response
