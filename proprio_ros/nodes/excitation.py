@@ -24,19 +24,18 @@ from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, J
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
-from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output
+from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, effort_controller, goal_controller
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.runtime import (
     COMMANDS,
     IDLE_PAUSE_S,
     LATCHED,
     STREAM,
-    Answer,
     LongService,
     ManagedNode,
     run_node,
 )
-from proprio_ros.nodes.switching import PACKAGE, Controllers, Switching, own_controller, words
+from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.robot import load_robot
 
 _G, _H = Guards(), HoldGains()
@@ -112,9 +111,7 @@ class ExcitationNode(ManagedNode):
         self._driver_state = self._driver_words = ""
         self._driver_at_s = -math.inf
         self._output: Output | None = None
-        self._switching: Switching | None = None
-        self._speaker: LastWords | None = None
-        self._waiting: list[Answer] = []  # whoever asked for a sequence while controllers were switched back
+        self._switched: SwitchedRuns | None = None
         self._unpushed_since_s: float | None = None
         self._torque_enabled: bool | None = None  # None: the driver does not say
         self._count = 0
@@ -128,6 +125,8 @@ class ExcitationNode(ManagedNode):
                 raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
         interface = self.values["command_interface"]
         ours, by_effort = interface == "driver", interface == "effort"
+        if ours and self.values["controller_manager"]:
+            raise ConfigurationError("controller_manager is for command_interface:=effort or position: leave it out")
         self._machine = ExcitationMachine(
             self._robot,
             Guards(
@@ -148,12 +147,12 @@ class ExcitationNode(ManagedNode):
             topic = self.values["input_topic"] or INPUT_TOPICS["effort"]
             commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
             applied = self.create_publisher(JointState, "applied_effort", STREAM)
-            self._output = self._controller_output(self._effort_controller(topic), commands, applied)
+            self._output = self._controller_output(effort_controller(self, self._robot, topic), commands, applied)
         elif not ours:
             topic = self.values["input_topic"] or INPUT_TOPICS["position"]
             commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
             goals = self.create_publisher(JointState, "joint_command", STREAM)
-            self._output = self._controller_output(self._goal_controller(topic), commands, goals)
+            self._output = self._controller_output(goal_controller(self, self._robot, topic), commands, goals)
         else:
             currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
             positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
@@ -165,10 +164,10 @@ class ExcitationNode(ManagedNode):
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_subscription(Bool, "torque_enabled", self._on_torque_enabled, LATCHED)
         self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)
-        if self._switching is None:
+        if self._switched is None:
             self.create_service(Trigger, "~/run", self._on_run)
         else:
-            LongService(self, "~/run", self._run)
+            LongService(self, "~/run", self._switched.run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.create_service(Trigger, "~/release", self._on_release)
         self.every(0.02, self._on_timer)
@@ -183,74 +182,28 @@ class ExcitationNode(ManagedNode):
                 # the process ends after this, and takes with it what was not yet sent
                 self._status.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
         finally:
-            if self._output is not None:
-                self._output.finish()
-            self._switch_back()
+            try:
+                if self._output is not None:
+                    self._output.finish()
+            finally:
+                self._hand_back()
 
     def cleanup(self) -> None:
         if self._output is not None:
             self._output.close()
-        self._switching = self._speaker = None
+        self._switched = None
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     def _controller_output(
         self, controller: EffortController | GoalController, commands: Any, applied: Any
     ) -> ControllerOutput:
-        self._switching = self._controller_switching(commands.topic_name)
-        switched = None if self._switching is None else self._switching.controllers
-        self._speaker = LastWords(commands.topic_name, switched)
+        switching = switching_of(self, commands.topic_name)
+        speaker = LastWords(commands.topic_name, None if switching is None else switching.controllers)
         let_go = controller.can_let_go and self.values["on_end"] == "zero"
-        return ControllerOutput(self, controller, commands, applied, self._speaker, let_go)
-
-    def _goal_controller(self, topic: str) -> GoalController:
-        controller = GoalController(self._robot, self.values["controller_joints"], self.values["max_jump"])
-        self.say(
-            "warning",
-            f"goals go to {topic}; {self._who_switches}, and keep a hand near the servos' supply (docs: hardware and "
-            "safety)",
-        )
-        return controller
-
-    def _effort_controller(self, topic: str) -> EffortController:
-        gains = HoldGains(
-            frequency_rad_s=self.values["hold_frequency"],
-            jump_rad=self.values["max_jump"],
-            max_velocity_rad_s=self.values["max_velocity"],
-        )
-        controller = EffortController(self._robot, self.values["controller_joints"], self.values["effort_unit"], gains)
-        self.say(
-            "warning",
-            f"efforts go to {topic}; this node alone holds the arm then; {self._who_switches}, and "
-            "keep a hand near the emergency stop (docs: hardware and safety)",
-        )
-        return controller
-
-    @property
-    def _who_switches(self) -> str:
-        stated = self.values["controller_manager"]
-        return (
-            f"{stated} switches controllers" if stated else "this node switches no controllers: activate that one first"
-        )
-
-    def _controller_switching(self, topic: str) -> Switching | None:
-        """None where nobody is to switch, or the messages for it are not there."""
-        manager = self.values["controller_manager"].rstrip("/")
-        if not manager:
-            return None
-        ours = self.values["activate_controller"] or own_controller(topic)
-        if not ours:
-            raise ConfigurationError(
-                f"activate_controller is empty, and {topic} names no controller: state which one takes the commands"
-            )
-        try:
-            return Switching(self, Controllers(manager, ours, tuple(self.values["deactivate_controllers"])))
-        except ImportError as error:
-            self.say(
-                "warning",
-                f"controllers are not switched, for the messages of {PACKAGE} are not there ({error}): activate {ours} yourself "
-                f"before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}",
-            )
-            return None
+        output = ControllerOutput(self, controller, commands, applied, speaker, let_go)
+        if switching is not None:
+            self._switched = SwitchedRuns(self, switching, speaker, output)
+        return output
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """A probe that cannot be made is refused when it is named, with the reason."""
@@ -348,7 +301,7 @@ class ExcitationNode(ManagedNode):
         command = machine.tick(now, self._sample)
         self._send(command)
         if not machine.busy:
-            self._switch_back()
+            self._hand_back()
         if machine.phase is Phase.ABORTED:
             self.say("error", f"aborted: {machine.abort_reason}")
         elif machine.phase is Phase.DONE:
@@ -358,80 +311,26 @@ class ExcitationNode(ManagedNode):
     def _abort(self, machine: ExcitationMachine, reason: str) -> None:
         machine.abort(reason)
         self._send(machine.command)
-        self._switch_back()
+        self._hand_back()
         self._tell()
 
     def _send(self, command: Command) -> None:
         assert self._output is not None
         self._output.send(command, slipped=self._machine is not None and self._machine.aborted_by == "jump")
 
-    # --- controllers --------------------------------------------------------------------------------------------------
-
-    def _run(self, answer: Answer) -> None:
-        """~/run where controllers are switched: what holds the arm is said before it, and the sequence begins after it."""
-        switching, output, speaker = self._switching, self._output, self._speaker
-        assert switching is not None and output is not None and speaker is not None
-        if switching.pending:
-            self._waiting.append(answer)
-            return
-        if switching.engaged:
-            self._answer_run(answer)
-            return
-        if why := self._refused():
-            answer(False, why)
-            return
-        output.begin()
-        speaker.engaged = True
-
-        def switched(why: str) -> None:
-            if why:
-                answer(False, f"the controllers were not switched: {why}")
-            else:
-                self._answer_run(answer)
-            if switching.engaged and not (self._machine is not None and self._machine.busy):
-                self._switch_back()
-            elif not switching.engaged:
-                self._handed_back()
-            self._run_waiting()
-
-        switching.ask(True, switched)
-
-    def _answer_run(self, answer: Answer) -> None:
-        response = self._on_run(Trigger.Request(), Trigger.Response())
-        answer(response.success, response.message)
-
-    def _switch_back(self) -> None:
-        """However a sequence ended, the controllers are what they were; until that is known, this node holds the arm."""
-        switching = self._switching
-        if switching is None or not switching.engaged or switching.pending:
-            return
-
-        def switched(why: str) -> None:
-            if why:
-                self.say(
-                    "error",
-                    f"not switched back: {why}; the arm is held, and ~/release tries again",
-                )
-            else:
-                self.say("info", f"the arm is handed back to {words(switching.controllers.others)}")
-                self._handed_back()
-            self._run_waiting()
-
-        switching.ask(False, switched)
-
-    def _handed_back(self) -> None:
-        if self._speaker is not None and self._output is not None:
-            self._speaker.engaged = False
-            self._output.hand_over()
-
-    def _run_waiting(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        for answer in waiting:
-            self._run(answer)
-
     # --- services -----------------------------------------------------------------------------------------------------
 
-    def _refused(self) -> str:
+    def _hand_back(self) -> None:
+        """However a sequence ended, controllers are what they were."""
+        if self._switched is not None:
+            self._switched.back()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a sequence is under way."""
+        return self._machine is not None and self._machine.busy
+
+    def refused(self) -> str:
         """Why no sequence can begin now, or an empty string."""
         machine = self._machine
         if machine is None or not self.active:
@@ -461,9 +360,13 @@ class ExcitationNode(ManagedNode):
         return ""
 
     def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, self._refused()
-        if response.message:
-            return response
+        response.success, response.message = self.begin_run()
+        return response
+
+    def begin_run(self) -> tuple[bool, str]:
+        """Begin the sequence now; whether it has begun, and what there is to say."""
+        if why := self.refused():
+            return False, why
         machine, output, sample = self._machine, self._output, self._sample
         assert machine is not None and output is not None and sample is not None
         try:
@@ -471,14 +374,11 @@ class ExcitationNode(ManagedNode):
             machine.start(sequence, sample)
             output.begin()
         except ProprioError as error:
-            response.message = str(error)
-            return response
+            return False, str(error)
         self._count += 1
         self._tell()
         # the count says to whoever listens to ~/status which sequence a status belongs to
-        response.success = True
-        response.message = f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
-        return response
+        return True, f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         machine = self._machine
@@ -494,10 +394,8 @@ class ExcitationNode(ManagedNode):
         if self._machine is not None and self._machine.busy:
             self._abort(self._machine, "by ~/release")
         response.success = True
-        switching = self._switching
-        if switching is not None and switching.engaged:
-            self._switch_back()
-            response.message = f"the arm is handed back to {words(switching.controllers.others)}"
+        if self._switched is not None and self._switched.engaged:
+            response.message = self._switched.release()
             return response
         response.message = "nothing was held" if self._output is None else self._output.release()
         return response

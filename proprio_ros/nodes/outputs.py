@@ -17,11 +17,13 @@ from std_msgs.msg import Float64MultiArray
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
 from proprio_ros.excitation.goal_controller import GoalController
+from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.nodes import last_words, messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.robot import Robot
 
 RECORD_PERIOD_S = 0.01
 """What is commanded is recorded when it changes, and so often."""
@@ -29,6 +31,42 @@ ON_THE_WAY_NS = 500_000
 """A command that is sent later before an update than this is taken by the next."""
 LET_GO_S = 0.3
 """For so long zeros are said when joints are lost; then whoever takes over is not disturbed."""
+
+
+def effort_controller(node: ManagedNode, robot: Robot, topic: str) -> EffortController:
+    """As the node's parameters state it.
+
+    Raises:
+        ConfigurationError: They do not fit the robot.
+    """
+    values = node.values
+    gains = HoldGains(
+        frequency_rad_s=values["hold_frequency"], jump_rad=values["max_jump"], max_velocity_rad_s=values["max_velocity"]
+    )
+    controller = EffortController(robot, values["controller_joints"], values["effort_unit"], gains)
+    node.say(
+        "warning",
+        f"efforts go to {topic}; this node alone holds the arm then; {_who_switches(node)}, and keep a hand near the emergency "
+        "stop (docs: hardware and safety)",
+    )
+    return controller
+
+
+def goal_controller(node: ManagedNode, robot: Robot, topic: str) -> GoalController:
+    """The same; Raises likewise."""
+    controller = GoalController(robot, node.values["controller_joints"], node.values["max_jump"])
+    node.say(
+        "warning",
+        f"goals go to {topic}; {_who_switches(node)}, and keep a hand near the servos' supply (docs: hardware and safety)",
+    )
+    return controller
+
+
+def _who_switches(node: ManagedNode) -> str:
+    manager = node.values["controller_manager"]
+    return (
+        f"{manager} switches controllers" if manager else "this node switches no controllers: activate that one first"
+    )
 
 
 class Output(Protocol):

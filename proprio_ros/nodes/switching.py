@@ -9,11 +9,15 @@ process that speaks for it once it is gone.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.nodes.runtime import Answer, ManagedNode
 
 PACKAGE = "controller_manager_msgs"
 STRICT = 2
@@ -127,6 +131,137 @@ class Switching:
         return None
 
 
-def words(names: Sequence[str]) -> str:
-    """Controllers, as a sentence has them."""
-    return ", ".join(names) if names else "nobody (deactivate_controllers is empty)"
+def switching_of(node: ManagedNode, topic: str) -> Switching | None:
+    """As the node's parameters state it; None where nobody is to switch, or the messages for it are not there.
+
+    Args:
+        node: That asks.
+        topic: Of the commands.
+
+    Raises:
+        ConfigurationError: Nobody says which controller takes them.
+    """
+    values = node.values
+    if not values["controller_manager"]:
+        return None
+    ours = values["activate_controller"] or own_controller(topic)
+    if not ours:
+        raise ConfigurationError(
+            f"activate_controller is empty, and {topic} names no controller: state which one takes the commands"
+        )
+    manager, others = values["controller_manager"].rstrip("/"), tuple(values["deactivate_controllers"])
+    try:
+        return Switching(node, Controllers(manager, ours, others))
+    except ImportError as error:
+        node.say(
+            "warning",
+            f"controllers are not switched, for the messages of {PACKAGE} are not there ({error}): activate {ours} yourself "
+            f"before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}",
+        )
+        return None
+
+
+class Excites(Protocol):
+    """A node that makes sequences."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether one is under way."""
+
+    def refused(self) -> str:
+        """Why none can begin now, or an empty string."""
+
+    def begin_run(self) -> tuple[bool, str]:
+        """Begin one now; whether it has begun, and what there is to say."""
+
+    def say(self, severity: str, message: str) -> None:
+        """Log."""
+
+
+class Holds(Protocol):
+    """What holds the arm meanwhile."""
+
+    def begin(self) -> None:
+        """From now on."""
+
+    def hand_over(self) -> None:
+        """No more."""
+
+
+class Speaks(Protocol):
+    """Who switches back where the node is gone."""
+
+    engaged: bool
+
+
+class SwitchedRuns:
+    """Sequences between two switches.
+
+    Args:
+        node: That makes them.
+        switching: Of its controllers.
+        speaker: Speaks for a node that is gone.
+        output: Holds the arm.
+    """
+
+    def __init__(self, node: Excites, switching: Switching, speaker: Speaks, output: Holds) -> None:
+        self._node, self._switching, self._speaker, self._output = node, switching, speaker, output
+        self._waiting: list[Answer] = []  # for the end of a switch
+        others = switching.controllers.others
+        self._others = ", ".join(others) if others else "nobody (deactivate_controllers is empty)"
+
+    @property
+    def engaged(self) -> bool:
+        """Whether our controller is active, or may be."""
+        return self._switching.engaged
+
+    def run(self, answer: Answer) -> None:
+        """Serves ~/run: what holds the arm is said before the switch, and the sequence begins after it."""
+        if self._switching.pending:
+            self._waiting.append(answer)
+        elif self._switching.engaged:
+            answer(*self._node.begin_run())
+        elif why := self._node.refused():
+            answer(False, why)
+        else:
+            self._output.begin()
+            self._speaker.engaged = True
+            self._switching.ask(True, partial(self._engaged, answer))
+
+    def _engaged(self, answer: Answer, why: str) -> None:
+        if why:
+            answer(False, f"the controllers were not switched: {why}")
+        else:
+            answer(*self._node.begin_run())
+        if not self._switching.engaged:
+            self._handed_back()
+        elif not self._node.busy:
+            self.back()
+        self._go_on()
+
+    def back(self) -> None:
+        """Switch back, if it is switched; until that is known, our output holds the arm."""
+        if self._switching.engaged and not self._switching.pending:
+            self._switching.ask(False, self._back)
+
+    def _back(self, why: str) -> None:
+        if why:
+            self._node.say("error", f"not switched back: {why}; the arm is held, and ~/release tries again")
+        else:
+            self._node.say("info", f"the arm is handed back to {self._others}")
+            self._handed_back()
+        self._go_on()
+
+    def _handed_back(self) -> None:
+        self._speaker.engaged = False
+        self._output.hand_over()
+
+    def _go_on(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for answer in waiting:
+            self.run(answer)
+
+    def release(self) -> str:
+        """Give the arm back now, or try again; says so."""
+        self.back()
+        return f"the arm is handed back to {self._others}"
