@@ -305,7 +305,9 @@ ROS = {
 }
 # heavy or special libraries, and the only rooms that may import them
 ONLY_IN = {
-    "warp": {"sim"},
+    # the paper's room for Newton only, whose models and gradients are Warp's
+    "warp": {"sim", "paper"},
+    "newton": {"paper"},
     "rosbags": {"bags"},
     "mujoco": {"virtual", "paper"},
     "dynamixel_sdk": {"bus"},
@@ -391,6 +393,7 @@ def test_the_table_has_no_circle() -> None:
             del open_rooms[room]
 
 
+@pytest.mark.long
 def test_only_the_command_line_prints() -> None:
     for path in modules():
         calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]

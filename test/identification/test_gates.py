@@ -61,6 +61,18 @@ def test_stuck(calibrated: Robot, lift: Run) -> None:
     assert "so friction and not the weight decides where it is" in estimate.reasons[0]
 
 
+@pytest.mark.parametrize(("share", "moves"), [(1.0, True), (0.7, False), (0.0, True)])
+def test_a_joint_that_stands_still_where_the_others_say_it_moves(
+    calibrated: Robot, lift: Run, share: float, moves: bool
+) -> None:
+    """Beside the current that lifts and none at all, 0.7 of it is within friction of what holds 20 g."""
+    still = replace(shrunk(lift, 1e-3), name="still", input_current_A=share * lift.input_current_A)
+    estimate = weigh(calibrated, [lift, still])
+    said = [reason for reason in estimate.reasons if "still: joint3 stood still with" in reason]
+    assert (estimate.verdict is Verdict.REJECTED, bool(said)) == (moves, moves)
+    assert not said or "it sticks, or leans on something" in said[0]
+
+
 def test_little_travel(bags: Path, calibrated: Robot, robot: Robot) -> None:
     slow = run_of(bags, "realistic_s00_fixed_heavy_ball_50g_joint3", robot)  # 0.22 rad
     estimate = weigh(calibrated, [slow])
@@ -110,6 +122,7 @@ def test_a_held_joint_that_moves(calibrated: Robot, lift: Run) -> None:
     assert any("joint2 should be held but moved by 0.050 rad" in reason for reason in estimate.reasons)
 
 
+@pytest.mark.long
 def test_friction_never_reversed(bags: Path, robot: Robot, lift: Run) -> None:
     """Without a calibration, runs that all lift cannot separate friction from weight; one that lowers settles it."""
     again = run_of(bags, "realistic_s00_fixed_heavy_cube_23g_joint3", robot)
@@ -131,6 +144,7 @@ def test_friction_needs_no_reversal_where_it_was_calibrated(calibrated: Robot, l
     assert not any("only ever moved" in reason for reason in weigh(calibrated, [lift]).reasons)
 
 
+@pytest.mark.long
 def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: Robot, robot: Robot, lift: Run) -> None:
     runs = [
         run_of(bags, f"realistic_s00_fixed_{name}", robot)
@@ -144,6 +158,7 @@ def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: R
     assert said == pytest.approx(50.0, abs=2.5) and others == pytest.approx(22.0, abs=2.0)
 
 
+@pytest.mark.long
 def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
     bags: Path, calibrated: Robot, robot: Robot
 ) -> None:
