@@ -240,13 +240,11 @@ class Inputs:
         node = self._node
         effort, command = node.resolve_topic_name("applied_effort"), node.resolve_topic_name("current_command")
         if self.by_goals:
+            if node.count_publishers(self.by_goals):
+                return ""
             return (
-                ""
-                if node.count_publishers(self.by_goals)
-                else (
-                    f"nobody publishes where the servos are sent, {self.by_goals}: start the excitation node with "
-                    "command_interface:=position"
-                )
+                f"nobody publishes where the servos are sent, {self.by_goals}: start the excitation node with "
+                "command_interface:=position"
             )
         if self.has_effort:
             return ""

@@ -46,8 +46,8 @@ def effort_controller(node: ManagedNode, robot: Robot, topic: str) -> EffortCont
     controller = EffortController(robot, values["controller_joints"], values["effort_unit"], gains)
     node.say(
         "warning",
-        f"efforts go to {topic}; this node alone holds the arm then; {_who_switches(node)}, and keep a hand near the emergency "
-        "stop (docs: hardware and safety)",
+        f"efforts go to {topic}; this node alone holds the arm then; {_who_switches(node)}keep a hand near the emergency stop "
+        "(docs: hardware and safety)",
     )
     return controller
 
@@ -57,16 +57,14 @@ def goal_controller(node: ManagedNode, robot: Robot, topic: str) -> GoalControll
     controller = GoalController(robot, node.values["controller_joints"], node.values["max_jump"])
     node.say(
         "warning",
-        f"goals go to {topic}; {_who_switches(node)}, and keep a hand near the servos' supply (docs: hardware and safety)",
+        f"goals go to {topic}; {_who_switches(node)}keep a hand near the servos' supply (docs: hardware and safety)",
     )
     return controller
 
 
 def _who_switches(node: ManagedNode) -> str:
     manager = node.values["controller_manager"]
-    return (
-        f"{manager} switches controllers" if manager else "this node switches no controllers: activate that one first"
-    )
+    return "" if manager else "this node switches no controllers: activate that one first, and "
 
 
 class Output(Protocol):

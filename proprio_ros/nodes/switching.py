@@ -264,4 +264,4 @@ class SwitchedRuns:
     def release(self) -> str:
         """Give the arm back now, or try again; says so."""
         self.back()
-        return f"the arm is handed back to {self._others}"
+        return f"giving the arm back to {self._others}"

@@ -12,8 +12,9 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.robot import DriveTrain, Robot
 
-ALIKE = 0.03
-"""Servos of one type, in one arm, differ so much from each other in their torque constant; from the data sheet all together."""
+ALIKE, OFF_TOGETHER = 0.03, 0.3
+"""Servos of one type, in one arm, differ by the first from each other in their torque constant; from the robot file all together, by
+so much of what it leaves open, which allows for other gears and supplies."""
 FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006
 """From a command on the bus to the motor's torque."""
 
@@ -95,7 +96,7 @@ class Truth:
         Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part of that
         deviation (Coulomb 0.3 to 0.9, viscous 0.1 to 0.6, with the load 0 to 0.6 of it), so that no joint is stuck for good.
         Everything else is normal, and cut off where it would make no sense. Where voltages drive the motors, an arm's torque
-        constants are off together by what the file says, and each by 3 % more.
+        constants are off together by 0.3 of what the file leaves open, and each by 3 % more.
 
         Args:
             robot: The robot.
@@ -119,7 +120,7 @@ class Truth:
             excess_velocity = float(excess.normal(drive.stribeck_velocity.value, drive.stribeck_velocity.std))
             mean, std = constant.value, constant.std
             if drive.driven_by is not None:
-                mean, std = max(mean + together * std, 0.5 * mean), ALIKE * mean
+                mean, std = max(mean + OFF_TOGETHER * together * std, 0.5 * mean), ALIKE * mean
             joints[name] = JointTruth(
                 torque_constant=max(float(motors.normal(mean, std)), 0.5 * constant.value),
                 coulomb=friction("coulomb", 0.3, 0.9),

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 
 from proprio_ros.nodes import excitation
 from proprio_ros.nodes.excitation import ExcitationNode
-from proprio_ros.nodes.switching import Controllers, own_controller
+from proprio_ros.nodes.switching import Controllers, SwitchedRuns, own_controller
 
 pytestmark = pytest.mark.long
 
@@ -180,6 +180,79 @@ def test_without_the_messages_the_node_says_so_and_works(monkeypatch: pytest.Mon
         node.finish()
         node.destroy_node()
         rclpy.shutdown(context=context)
+
+
+class Fake:
+    """Node, switch, speaker and output in one, which remember what they were asked for."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+        self.engaged = self.pending = self.busy = self.switched = False
+        self.controllers = Controllers("/controller_manager", OURS, (THEIRS,))
+        self.then: Any = None
+
+    def ask(self, engage: bool, then: Any) -> None:
+        self.done.append("engage" if engage else "back")
+        self.pending = self.switched = True
+        self.then, self.wanted = then, engage
+
+    def answer(self, why: str = "", known: bool = True) -> None:
+        self.pending = False
+        self.switched = self.wanted != bool(why) if known else True
+        self.then(why)
+
+    def begin(self) -> None:
+        self.done.append("hold")
+
+    def hand_over(self) -> None:
+        self.done.append("hand over")
+
+    def refused(self) -> str:
+        return ""
+
+    def begin_run(self) -> tuple[bool, str]:
+        self.busy = True
+        return True, "begun"
+
+    def say(self, severity: str, message: str) -> None:
+        self.done.append(severity)
+
+
+def staged() -> tuple[Fake, SwitchedRuns, list[tuple[bool, str]]]:
+    fake, answers = Fake(), list[tuple[bool, str]]()
+    switch: Any = type("Switch", (), {
+        "controllers": fake.controllers, "ask": staticmethod(fake.ask),
+        "pending": property(lambda _: fake.pending), "engaged": property(lambda _: fake.switched),
+    })()  # fmt: skip
+    return fake, SwitchedRuns(fake, switch, fake, fake), answers
+
+
+def test_the_arm_is_held_from_before_the_switch_until_it_is_switched_back() -> None:
+    fake, runs, answers = staged()
+    runs.run(lambda *given: answers.append(given))
+    assert fake.done == ["hold", "engage"] and fake.engaged and not answers
+    fake.answer()
+    assert answers == [(True, "begun")]
+    fake.busy = False
+    runs.back()
+    runs.back()
+    assert fake.done == ["hold", "engage", "back"], "asked once"
+    fake.answer("no such controller")
+    assert fake.done[-1] == "error" and fake.engaged, "it goes on holding, and is spoken for"
+    assert THEIRS in runs.release()
+    fake.answer()
+    assert fake.done[-4:] == ["error", "back", "info", "hand over"] and not fake.engaged
+
+
+def test_nothing_begins_where_the_switch_is_refused_and_one_that_is_not_answered_is_taken_back() -> None:
+    fake, runs, answers = staged()
+    runs.run(lambda *given: answers.append(given))
+    fake.answer("refused")
+    assert answers == [(False, "the controllers were not switched: refused")]
+    assert fake.done == ["hold", "engage", "hand over"] and not fake.busy
+    runs.run(lambda *given: answers.append(given))
+    fake.answer("no answer", known=False)
+    assert fake.done[-1] == "back" and fake.engaged and not fake.busy
 
 
 def test_a_controllers_name_is_that_of_its_topic() -> None:
