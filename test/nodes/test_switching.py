@@ -109,13 +109,14 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         graph,
         client,
     ):
-        answer = client.call("/excitation/run")
-        assert not answer.success and "controller_manager running?" in answer.message
+        # whoever speaks for the node is a stranger until its name is heard
+        assert wait_for(lambda: "controller_manager running?" in client.call("/excitation/run").message)
         manager = Manager(client, built.kind)
 
         def runs() -> bool:
             answer = client.call("/excitation/run")
-            assert answer.success or "is not there" in answer.message or "no joint states" in answer.message, answer
+            soon = ("is not there", "no joint states", "somebody else publishes")
+            assert answer.success or any(words in answer.message for words in soon), answer
             return bool(answer.success)
 
         assert wait_for(runs)
