@@ -41,6 +41,7 @@ from proprio_ros.replay import (
     bag_recording,
     bag_runs_or_motion,
     held_positions,
+    moment_of,
     robot_of,
     runs_or_motion,
 )
@@ -125,7 +126,8 @@ def calibrate_from_bags(
     else:
         estimate = calibrate(robot, runs, progress=progress)
     if estimate.calibration is not None:
-        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors))
+        made = moment_of([each.run for each in runs], [path for path, _ in loads], options.state_topic)
+        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
     written = None
     learnt = estimate.calibration or estimate.motion or estimate.joint
     if output is not None and learnt is not None and estimate.verdict.value == "accepted":
@@ -215,6 +217,8 @@ def write_calibration(
     settings = calibration.as_settings()
     section = CommentedMap(settings)
     section["runs"] = [_on_one_line(run) for run in settings["runs"]]
+    if "made" in settings:
+        section["made"] = _on_one_line(settings["made"])
     if "unknowns" in settings:
         section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
     for name in ("correlation", "deviations", "without"):
