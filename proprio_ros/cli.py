@@ -168,6 +168,11 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument(
         "--output", required=True, metavar="FILE.yaml", help="the calibration, for `replay --calibration`"
     )
+    calibrate.add_argument(
+        "--refresh",
+        metavar="OLD.yaml",
+        help="bring this calibration up to date: what drift has left of it is the prior, so that a few empty-hand runs are enough",
+    )
     calibrate.add_argument("--force", action="store_true", help="replace an older file of that name")
     _add_robot(calibrate)
     _add_set(calibrate)
@@ -450,24 +455,24 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         if not path:
             raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
         references[path] = known
-    from proprio_ros.calibrating import calibrate_from_bags
+    from proprio_ros.calibrating import calibrate_from_bags, refresh_from_bags
     from proprio_ros.replay import ReplayOptions
 
-    estimate = calibrate_from_bags(
-        options.bags,
-        references,
-        ReplayOptions(
-            robot=options.robot,
-            settings=settings,
-            driver=options.driver,
-            state_topic=options.state_topic,
-            command_topic=options.command_topic,
-            effort_unit=options.effort_unit,
-        ),
-        options.output,
-        _progress,
-        force=options.force,
+    about = ReplayOptions(
+        robot=options.robot,
+        settings=settings,
+        calibration=options.refresh,
+        driver=options.driver,
+        state_topic=options.state_topic,
+        command_topic=options.command_topic,
+        effort_unit=options.effort_unit,
     )
+    if options.refresh is not None and references:
+        raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
+    if options.refresh is not None:
+        estimate = refresh_from_bags(options.bags, about, options.output, _progress, force=options.force)
+    else:
+        estimate = calibrate_from_bags(options.bags, references, about, options.output, _progress, force=options.force)
     accepted = estimate.verdict.value == "accepted"
     if options.json:
         written = {"output": str(options.output) if accepted else None}

@@ -4,7 +4,7 @@ Friction and torque constants wander with wear, grease and warmth. The robot fil
 calibration grows by that, so that yesterday's numbers are today's prior:
 
 - Dry, viscous and load-dependent friction of every joint, each on its own: a part of its value, as a random walk (variance in
-  proportion to the hours, so that it does not matter how often somebody looks), and by the warmth of the motor where both are known.
+  proportion to the hours, so that it does not matter how often somebody looks), and by the warmth of the motor where it is known.
 - Torque constants likewise; half of their variance is common to all joints (one room, one kind of magnet), half each one's own.
 
 What does not age is left alone: masses, encoders, delays.
@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,9 @@ def hours_between(one: Moment, other: Moment) -> float | None:
 
 def warmer_K(one: Moment, other: Moment) -> dict[str, float]:
     """By joint, where both know the motor's temperature."""
-    return {joint: t - one.temperature_C[joint] for joint, t in other.temperature_C.items() if joint in one.temperature_C}
+    return {
+        joint: t - one.temperature_C[joint] for joint, t in other.temperature_C.items() if joint in one.temperature_C
+    }
 
 
 def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibration:
@@ -82,7 +83,9 @@ def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibrat
     warmer = warmer_K(then, now)
     if hours <= ONE_SESSION_H and max(map(abs, warmer.values()), default=0.0) <= READ_TO_K:
         return calibration
-    return replace(calibration, covariance=calibration.covariance + _growth(calibration, drift, hours, warmer), made=now)
+    return replace(
+        calibration, covariance=calibration.covariance + _growth(calibration, drift, hours, warmer), made=now
+    )
 
 
 def _growth(calibration: Calibration, drift: Drift, hours: float, warmer: Mapping[str, float]) -> FloatArray:
@@ -111,18 +114,19 @@ def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:
     friction, torque = drift.of("friction", hours, degrees), drift.of("torque_constant", hours, degrees)
     if friction < WORTH_SAYING:
         return ""
-    warmth = f" and a motor {abs(degrees):.0f} K {'warmer' if degrees > 0.0 else 'colder'}" if abs(degrees) > READ_TO_K else ""
+    warmth = (
+        f" and a motor {abs(degrees):.0f} K {'warmer' if degrees > 0.0 else 'colder'}"
+        if abs(degrees) > READ_TO_K
+        else ""
+    )
     return (
         f"{_age(hours)}{warmth} lie between the calibration and this recording: friction counts as uncertain by "
-        f"{100 * friction:.0f} % and torque constants by {100 * torque:.1f} % beside what it knew; some empty-hand runs bring it up to "
-        "date (`proprio calibrate --refresh`, ~/refresh_robot)"
+        f"{100 * friction:.0f} % and torque constants by {100 * torque:.1f} % beside what it knew; some empty-hand runs bring it "
+        "up to date (`proprio calibrate --refresh`, ~/refresh_robot)"
     )
 
 
 def _age(hours: float) -> str:
-    return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} h" if hours >= 1.0 else f"{60 * hours:.0f} min"
-
-
-def as_settings(drift: Drift) -> dict[str, Any]:
-    """Plain numbers, as the robot file has them."""
-    return {field.name: getattr(drift, field.name) for field in fields(drift)}
+    return (
+        f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} h" if hours >= 1.0 else f"{60 * hours:.0f} min"
+    )

@@ -23,8 +23,8 @@ from proprio_ros.bags import (
     read_text_recording,
     without_jumps,
 )
-from proprio_ros.datasets import episode_of, read_episode
 from proprio_ros.calibration import Moment
+from proprio_ros.datasets import episode_of, read_episode
 from proprio_ros.drift import aged, said
 from proprio_ros.drivers import Driver, load_driver
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
@@ -254,9 +254,7 @@ def identify(prepared: Prepared, robot: Robot, read: Recorded, paths: Sequence[s
     return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded))
 
 
-def aged_for(
-    robot: Robot, runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None
-) -> Robot:
+def aged_for(robot: Robot, runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None) -> Robot:
     """The robot, of whose calibration as much is known as was left when some runs were recorded (see `drift`)."""
     if robot.calibration is None or robot.calibration.made is None or not runs:
         return robot

@@ -314,7 +314,9 @@ def chosen_known(
     return _chosen(catalogue, known, half_interval, at_most_s, sequence, reference_kg)
 
 
-def chosen_refresh(fresh: Robot, aged: Robot, at_most_s: float, sequence: ProbeSequence) -> tuple[list[ProbeRun], float, float]:
+def chosen_refresh(
+    fresh: Robot, aged: Robot, at_most_s: float, sequence: ProbeSequence
+) -> tuple[list[ProbeRun], float, float]:
     """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
 
     Args:
@@ -339,7 +341,7 @@ def chosen_refresh(fresh: Robot, aged: Robot, at_most_s: float, sequence: ProbeS
 
 
 def _foreseen_weighing(catalogue: Catalogue, weighed_kg: float, sequence: ProbeSequence) -> tuple[Known, list[Push]]:
-    """What will be known after a weighing by `WEIGHED_PUSHES` pushes, and these: without its own noise nothing would be worth learning."""
+    """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
     robot = catalogue.robot
     known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
     for _ in range(WEIGHED_PUSHES):

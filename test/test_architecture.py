@@ -127,6 +127,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "calibrating": {
         "errors",
+        "reading",
         "bags",
         "datasets",
         "motors",
@@ -268,6 +269,7 @@ ROOMS: dict[str, set[str]] = {
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
     "excitation": {"errors", "reading", "records", "resources", "robot"},
     "nodes": {
+        "calibration",
         "errors",
         "motions",
         "motors",

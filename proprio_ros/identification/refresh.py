@@ -1,7 +1,7 @@
 """An old calibration brought up to date by a few runs whose load is known: the old one, aged, is the prior of the new.
 
-Nothing is learnt from scratch: the noise stays as it was calibrated, and what the runs do not touch follows by its correlations. That is
-one step of a Kalman filter, linearised where the fit ends.
+Nothing is learnt from scratch: the noise stays as it was calibrated, and what the runs do not touch follows by its correlations.
+That is one step of a Kalman filter, linearised where the fit ends.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibration import RANGES, Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
@@ -22,13 +22,13 @@ from proprio_ros.identification.planning import weighable
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_calibration import LoadedRun, empty_hand
+from proprio_ros.identification.robot_calibration import LoadedRun, empty_hand, entry_of
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 TOO_FAR = 5.0
-"""Standard deviations of its aged prior by which a number may have moved: beyond that it is not drift as the robot file states it."""
+"""Standard deviations of its aged prior by which a number may have moved: beyond that it is not the stated drift."""
 ITERATIONS = 40
 
 
@@ -44,7 +44,7 @@ def refresh(
         look_ahead: Whether to say what can be weighed with the outcome.
 
     Raises:
-        ConfigurationError: The robot has no calibration of driven runs.
+        ConfigurationError: The robot has no calibration of driven runs, or a run is one of those that it was made of.
         RecordingError: A run cannot be related to the robot at all.
     """
     old = robot.calibration
@@ -63,6 +63,10 @@ def refresh(
         if why:
             found.notes.append(f"{loaded.run.name} was left out: {why}")
             continue
+        if entry_of(prepared) in old.runs:
+            raise ConfigurationError(
+                f"{loaded.run.name} is one of the runs that the calibration was made of: it would count twice"
+            )
         usable.append(prepared)
         alone = Findings()
         screen_run(robot, prepared, alone)
@@ -97,8 +101,8 @@ def refresh(
         found.reasons.append(
             Reason(
                 "drift",
-                f"the calibration no longer fits, not even with the drift that the robot file states ({what}): was the hand empty, and "
-                "did anything touch the arm? If not, calibrate anew",
+                f"the calibration no longer fits, not even with the drift that the robot file states ({what}): was the hand empty, "
+                "and did anything touch the arm? If not, calibrate anew",
             )
         )
     hand = empty_hand(problem, values, posterior)
@@ -140,15 +144,10 @@ def _updated(old: Calibration, problem: Problem, values: np.ndarray, posterior: 
     follows = old.covariance[:, own] @ inverse
     after = posterior.covariance[np.ix_(of_fit, of_fit)]
     new = old.values + follows @ (values[rows] - old.values[own])
+    forms = [RANGES[key if isinstance(key, str) else key[0]] for key in old.keys]
+    new = np.clip(
+        new, [form.lowest for form in forms], [form.highest for form in forms]
+    )  # a rise of friction that was zero
     covariance = old.covariance - follows @ (prior - after) @ follows.T
-    runs = tuple(
-        {
-            "name": run.run.name,
-            "joint": run.run.joint,
-            "current_A": float(run.run.input_current_A[0]),
-            "load_kg": run.load.mass if run.load else 0.0,
-            "samples": run.used,
-        }
-        for run in problem.runs
-    )
-    return replace(old, values=new, covariance=0.5 * (covariance + covariance.T), runs=(*old.runs, *runs))
+    runs = (*old.runs, *map(entry_of, problem.runs))
+    return replace(old, values=new, covariance=0.5 * (covariance + covariance.T), runs=runs)

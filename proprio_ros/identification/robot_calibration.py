@@ -635,16 +635,18 @@ def _as_calibration(fitted: _Fitted) -> Calibration:
         fitted.noise.stamp_jitter_s,
         fitted.noise.torque_disturbance,
         fitted.noise.start_velocity,
-        tuple(
-            {
-                "name": run.run.name,
-                "joint": run.run.joint,
-                "current_A": float(run.run.input_current_A[0]),
-                "load_kg": run.load.mass if run.load else 0.0,
-                "samples": run.used,
-            }
-            for run in problem.runs
-        ),
+        tuple(map(entry_of, problem.runs)),
         friction_spread=fitted.noise.friction_spread if fitted.noise.swing_error > 0.0 else 0.0,
         swing_error=fitted.noise.swing_error,
     )
+
+
+def entry_of(run: PreparedRun) -> dict[str, object]:
+    """A run, as a calibration lists it."""
+    return {
+        "name": run.run.name,
+        "joint": run.run.joint,
+        "current_A": float(run.run.input_current_A[0]),
+        "load_kg": run.load.mass if run.load else 0.0,
+        "samples": run.used,
+    }

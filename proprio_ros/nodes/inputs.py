@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
 from proprio_ros.bags import JOINT_STATE, TEMPERATURES, RawMessage
+from proprio_ros.calibration import Moment
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
@@ -195,6 +196,10 @@ class Inputs:
         if session is not None:
             now_ns = self._node.get_clock().now().nanoseconds
             session.add(self._temperatures_topic, _type_of(Float64MultiArray), now_ns, self._temperatures)
+
+    def moment(self) -> Moment:
+        """Now, as a recording will have it."""
+        return Moment(1e-9 * self.stamp_ns, self.temperatures_C())
 
     def temperatures_C(self) -> dict[str, float]:
         """How warm the motors are, as far as their driver says it, by joint."""

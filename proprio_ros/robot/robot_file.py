@@ -87,7 +87,7 @@ class Robot:
     calibration: Calibration | None = None
     motion_calibration: MotionCalibration | None = None
     joint_calibration: JointCalibration | None = None
-    drift: Drift = Drift()
+    drift: Drift = field(default_factory=Drift)
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.

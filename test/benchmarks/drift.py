@@ -1,9 +1,9 @@
 """How long is a calibration good? Random robots whose friction and torque constants have drifted since.
 
-Each robot (in MuJoCo, see `random_arm.py`) is calibrated by the shipped empty-hand sequence and the shipped reference sequence. Then
-friction and torque constants change by hidden amounts, drawn as the robot file states them for the hours and degrees between. It
-weighs objects by the shipped payload sequence: with the calibration taken as if nothing had changed, with the calibration aged (see
-`proprio_ros/drift.py`), and with the calibration after a refresh, some empty-hand pushes that are chosen for it.
+Each robot (in MuJoCo, see `random_arm.py`) is calibrated by the shipped empty-hand sequence and the shipped reference sequence.
+Then friction and torque constants change by hidden amounts, drawn as the robot file states them for the hours and degrees between.
+It weighs objects by the shipped payload sequence: with the calibration taken as if nothing had changed, with the calibration aged
+(see `proprio_ros/drift.py`), and with the calibration after a refresh, some empty-hand pushes that are chosen for it.
 
     python test/benchmarks/drift.py                         # 24 robots, a day later
     python test/benchmarks/drift.py --warmer 10 --times 2   # motors 10 K (rms) warmer or colder; drift twice as large as stated
@@ -71,9 +71,7 @@ def drifted(
         shared = rng.standard_normal() * by_time + rng.standard_normal() * np.array(by_warmth)
         return 1.0 + np.sqrt(0.5) * (own + shared)
 
-    changed = {
-        name: tuple(np.array(getattr(hidden, name)) * factors("friction", False)) for name in FRICTION
-    }
+    changed = {name: tuple(np.array(getattr(hidden, name)) * factors("friction", False)) for name in FRICTION}
     changed["torque_constant"] = tuple(np.array(hidden.torque_constant) * factors("torque_constant", True))
     return replace(hidden, **changed)
 
@@ -139,8 +137,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=3000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--warmer", type=float, default=0.0, help="rms of the motors' temperature change, which is known [K]")
-    parser.add_argument("--times", type=float, default=1.0, help="the true drift is so many times what the robot file states")
+    parser.add_argument(
+        "--warmer", type=float, default=0.0, help="rms of the motors' temperature change, which is known [K]"
+    )
+    parser.add_argument(
+        "--times", type=float, default=1.0, help="the true drift is so many times what the robot file states"
+    )
     parser.add_argument("--reference", choices=["none", "shipped"], default="shipped")
     parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
     o = parser.parse_args()
@@ -148,7 +150,9 @@ def main() -> None:
     cases: list[Case] = []
     times, counts = [], []
     with Pool(o.jobs) as pool:
-        for seed, (found, time_s, count, said) in zip(range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True):
+        for seed, (found, time_s, count, said) in zip(
+            range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True
+        ):
             print(f"  {seed}: refresh {count} pushes, {time_s:.0f} s, {said}", file=sys.stderr, flush=True)
             cases += found
             if found:
