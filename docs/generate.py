@@ -72,6 +72,7 @@ ABOUT = {
     "/identifier/markers": "for RViz",
     "/identifier/status": "progress, and what the hand should hold now",
     "/identifier/calibrate_robot": "empty hand: learn the robot; once, and when something has changed",
+    "/identifier/next_push": "what is known after a push, in words, and the way of the hand in the push that comes next, in RViz",
     "/identifier/refresh_robot": "empty hand: some chosen pushes that bring its calibration up to date; now and then",
     "/identifier/record_container_baseline": "make the container's sequence with the empty container, and keep the recording",
     "/identifier/weigh": "what the hand held in the last `weigh_seconds` of whatever motion",

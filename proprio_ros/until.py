@@ -88,6 +88,15 @@ class Decision:
         return entries
 
 
+def words_of(decision: Decision) -> str:
+    """What is known, and what comes next, in two short lines."""
+    known = f"{shown('kg', decision.mass, spec='.1f')} +- {shown('kg', decision.half, spec='.2f')}"
+    if decision.push is None:
+        return f"{known}\nended by: {decision.ended_by}"
+    push = f"{decision.push.joint} {shown('A', decision.push.current_A, spec='+.0f')}"
+    return f"{known}\nnext: {push}, then +-{shown('kg', decision.promised, spec='.2f')}"
+
+
 class UntilSure:
     """One weighing whose pushes are chosen one by one.
 

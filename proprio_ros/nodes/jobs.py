@@ -392,6 +392,7 @@ class Jobs:
             self._results.tell(job.kind, decision.reason, entries)
             self._node.say("info", f"{decision.reason} (decided in {1e3 * decision.decided_s:.0f} ms)")
             job.decisions.append(decision)
+            self._results.choice(chooser.catalogue.robot, decision, live.position())
             if decision.run is None:
                 job.reason = decision.reason
                 return
