@@ -78,7 +78,7 @@ def refresh_robot(
     if job.cancelled.is_set():
         raise JobError("cancelled")
     results.tell_and_log(
-        job.kind, f"{len(runs)} pushes with an empty hand; a weighing of 30 g was as sure as +-{worth}"
+        job.kind, f"pushes with an empty hand: {len(runs)}; a weighing of 30 g was as sure as +-{worth}"
     )
     # after them the arm stays where it is
     bag = record(job, job.kind, as_text(replace(sequence, runs=tuple(runs), until=None, home={})), fresh, options)
