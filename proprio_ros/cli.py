@@ -761,11 +761,12 @@ def _calibration_as_text(estimate: Any) -> str:
     if estimate.empty_hand is not None:
         lines.append(f"  empty hand: {estimate.empty_hand.sentence()}")
     of_runs = estimate.motion is None  # a motion's are some hundred, and none has a meaning alone
+    source = "before" if "refreshed" in estimate.origin else "file"
     listed = [row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"]
     for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit
         lines.append(
-            f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   (file: {row.prior:.5f} +- {row.prior_std:.5f})"
+            f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   ({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
         )
     if len(listed) < len(estimate.unknowns):
         lines.append(

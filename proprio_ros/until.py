@@ -22,6 +22,7 @@ from proprio_ros.identification.sequential import (
     MAX_TRAVEL,
     SHAKE_PERIOD_S,
     UNKNOWN_KG,
+    UNKNOWN_STD_KG,
     WORTH,
     Catalogue,
     Known,
@@ -91,6 +92,8 @@ class Decision:
 def words_of(decision: Decision) -> str:
     """What is known, and what comes next, in two short lines."""
     known = f"{shown('kg', decision.mass, spec='.1f')} +- {shown('kg', decision.half, spec='.2f')}"
+    if decision.half > 0.99 * half_of(UNKNOWN_STD_KG):
+        known = "not weighed yet"
     if decision.push is None:
         return f"{known}\nended by: {decision.ended_by}"
     push = f"{decision.push.joint} {shown('A', decision.push.current_A, spec='+.0f')}"

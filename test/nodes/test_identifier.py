@@ -220,6 +220,8 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
     for place, pose in ((0, start), (-1, start | {"joint3": -0.1})):
         np.testing.assert_allclose(way[place], robot.model.frame_transform(robot.payload_frame, pose)[:3, 3])
     assert (end.pose.position.x, end.pose.position.z) == (way[-1, 0], way[-1, 2])
+    results.choice(robot, Decision(None, "", "", 0.06, 0.2, 4e-3, push, (), 0.1), {})
+    assert shown[-1].markers[1].text.startswith("not weighed yet\nnext: joint3")
     results.choice(robot, Decision(None, "sure", "target", 0.05, 4e-4, 4e-4, None, (), 0.1), {"joint2": -1.0})
     assert [m.type for m in shown[-1].markers[1:]] == [Marker.TEXT_VIEW_FACING]
     assert shown[-1].markers[1].text.endswith("ended by: target")
