@@ -56,6 +56,7 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "before",
     ["pass", "import proprio_ros.calibrating", "import proprio_ros.cli, proprio_ros.checking, proprio_ros.api"],
@@ -162,6 +163,7 @@ def test_a_table_where_pandas_is(result: Weighing, monkeypatch: pytest.MonkeyPat
 # --- calibrate, plan -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_calibration_is_used_as_an_object_or_as_its_file(calibration: CalibrationResult, tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
     written = calibrate(EMPTY, output=path)
@@ -188,6 +190,7 @@ def test_a_calibration_that_failed_cannot_be_used() -> None:
         weigh(BALL, calibration=failed)
 
 
+@pytest.mark.long
 def test_plans_are_a_list(calibration: CalibrationResult) -> None:
     plans = plan(0.05, calibration=calibration, count=2)
     assert len(plans) == 2 and plans[0].std_kg[0] <= plans[1].std_kg[0] and plans[0] in list(plans)

@@ -398,6 +398,7 @@ def test_the_table_has_no_circle() -> None:
             del open_rooms[room]
 
 
+@pytest.mark.long
 def test_only_the_command_line_prints() -> None:
     for path in modules():
         calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]

@@ -278,6 +278,7 @@ def test_calibration_and_robot_must_belong_together(written: Path) -> None:
         robot_of(None, "open_manipulator_x")
 
 
+@pytest.mark.long
 def test_from_bags_to_a_mass_by_the_command_line(
     bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -347,6 +348,7 @@ def test_an_older_file_stays_where_nothing_was_learnt(bags: Path, written: Path)
     assert estimate.calibration is None and written.read_text() == before
 
 
+@pytest.mark.long
 def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
     calibrate_from_bags(

@@ -69,6 +69,7 @@ def test_every_link_and_every_file_that_is_named_is_there(path: Path) -> None:
         )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("without_ros", [True, False], ids=["without ROS", "with ROS"])
 def test_generated_pages_are_current(without_ros: bool) -> None:
     if not without_ros:

@@ -89,6 +89,7 @@ WRONG = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("probe", WRONG)
 def test_an_unknown_far_from_its_prior_is_named_and_refused(bags: Path, probe: str) -> None:
     name, baseline, unknown, settings = WRONG[probe]
@@ -245,6 +246,7 @@ def test_nothing_real_is_accepted_and_wrong(shared: Path, tmp_path: Path, noise:
 # --- one model of the noise --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jitter_s", [0.002, 0.003])
 def test_a_run_of_the_calibration_is_weighed_with_its_noise(bags: Path, robot: Robot, jitter_s: float) -> None:
     """Stamps like clockwork, late by what they do not show: calibrating learns it, and weighing has to believe it.
@@ -314,6 +316,7 @@ def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(
     assert weigh(known, stamped_off(bags / BALL, known, off_s), PayloadFacts()).verdict is Verdict.REJECTED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("off_s", "off"), [(-0.1, True), (-0.02, False), (0.0, False), (0.02, False), (0.06, True), (0.1, True)]
 )
@@ -385,6 +388,7 @@ def test_a_place_is_guessed_where_nobody_stated_it(settings: dict[str, Any], gue
     assert payload_facts(Settings(settings), probe_file("payload", ("payload",))["payload"]).com_guessed is guessed
 
 
+@pytest.mark.long
 def test_a_container_that_is_guessed_says_so(bags: Path) -> None:
     guessed = answer(bags, "container", SPHERE, {}, NO_SPHERE)
     stated = answer(bags, "container", SPHERE, BOX, NO_SPHERE)

@@ -188,6 +188,7 @@ def test_torque_constants_that_are_wrong_give_no_wrong_mass(
     assert code == 3 or mass["ci95"][0] < 2.805 < mass["ci95"][1], answer
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factors", [[0.8] * 6, [1.2] * 6, [2.0] * 6, [1.0, 0.7, 1.0, 1.0, 1.0, 1.0]])
 def test_a_real_arm_whose_two_recordings_differ_in_their_unit_is_refused(ur10e: Path, factors: list[float]) -> None:
     robot = load_robot(ur10e)

@@ -308,6 +308,7 @@ SERVOS: Mapping[str, tuple[str, ...]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SERVOS)
 def test_no_real_servo_is_weighed_from_what_is_no_torque(tmp_path: Path, name: str) -> None:
     """With any unit, and however well the file claims to know the torque constant."""

@@ -122,6 +122,7 @@ def test_quantised_recordings_to_half_a_gram(recordings: Path, settings: str | N
     assert np.mean(hits) >= 0.9
 
 
+@pytest.mark.long
 def test_friction_recordings_with_the_true_friction(recordings: Path) -> None:
     errors, hits, refused = [], [], []
     for folder in fixed(recordings, "friction_s00"):
@@ -143,6 +144,7 @@ def test_friction_recordings_with_the_true_friction(recordings: Path) -> None:
 LONG_LEVELS = [pytest.param(level, marks=pytest.mark.long) for level in ("friction_s00", "realistic_s01", "hard_s00")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("level", ["realistic_s00", *LONG_LEVELS])
 def test_without_calibration_the_interval_is_as_wide_as_the_truth_demands(recordings: Path, level: str) -> None:
     hits = []
@@ -283,6 +285,7 @@ def test_semi_implicit_euler_is_biased_as_its_step_says(bags: Path) -> None:
     assert biases[0] / biases[1] == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.long
 def test_profile_paper_on_a_bag(bags: Path) -> None:
     folder = bags / LOADED
     estimate = weighed(folder, {"paper.substeps": 64}, profile="paper")

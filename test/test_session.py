@@ -384,6 +384,7 @@ def test_a_container_stated_to_be_turned_has_its_inertia_turned() -> None:
     assert turned == pytest.approx([yy, xx, zz, 0.0, 0.0, 0.0], abs=1e-12)
 
 
+@pytest.mark.long
 def test_the_command_of_a_container_names_its_baseline_and_gives_the_result_again(
     bags: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -418,6 +419,7 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     assert compiled_in_replay(other) > 0
 
 
+@pytest.mark.long
 def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
     options = ReplayOptions(probe="softness", settings={"block.size": 0.03})
     squeeze.squeeze_law.cache_clear()

@@ -181,6 +181,7 @@ def known(runs: Sequence[Run], masses: Sequence[float]) -> list[LoadedRun]:
     return [LoadedRun(run, KnownLoad(mass, facts())) for run, mass in zip(runs, masses, strict=True)]
 
 
+@pytest.mark.long
 def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
     learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
     assert learnt.verdict is Verdict.ACCEPTED and learnt.calibration is not None

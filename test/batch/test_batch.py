@@ -79,6 +79,7 @@ def same(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> bool:
 # --- data sets -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", ["v3", "v21"])
 def test_an_episode_of_a_data_set_is_the_recording_of_a_bag(fleet: Path, version: str) -> None:
     prepared = prepare(asked(fleet))

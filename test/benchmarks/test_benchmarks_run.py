@@ -21,10 +21,12 @@ def case() -> Any:
     return load()
 
 
+@pytest.mark.long
 def test_our_answer_is_the_recording_s_mass(case: Any) -> None:
     assert case.mass == pytest.approx(0.05, abs=5e-4)
 
 
+@pytest.mark.long
 def test_scipy_finds_our_mass(case: Any) -> None:
     from against_scipy import identify
     from case import AGREEMENT_KG
@@ -33,6 +35,7 @@ def test_scipy_finds_our_mass(case: Any) -> None:
     assert np.abs(masses - case.mass).max() < AGREEMENT_KG
 
 
+@pytest.mark.long
 def test_plain_c_computes_our_numbers(case: Any, tmp_path: Path) -> None:
     if shutil.which("gcc") is None:
         pytest.skip("needs gcc")
@@ -47,6 +50,7 @@ def test_plain_c_computes_our_numbers(case: Any, tmp_path: Path) -> None:
     assert difference(ours, CPass(run, p, dp, str(tmp_path))()) < EQUAL
 
 
+@pytest.mark.long
 def test_plain_c_computes_our_numbers_with_a_sphere(tmp_path: Path) -> None:
     if shutil.which("gcc") is None:
         pytest.skip("needs gcc")

@@ -337,6 +337,7 @@ def test_a_position_below_the_table_is_refused(rig: Rig) -> None:
     assert set(rig.driver.modes.values()) == {"held"}
 
 
+@pytest.mark.long
 def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
     """Both ends are high enough, but one joint arrives before the other."""
     before = {"joint2": -0.23, "joint3": 1.09, "joint4": -1.09}

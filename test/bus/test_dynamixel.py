@@ -102,6 +102,7 @@ def test_whose_arm_it_is(desk: Desk, plain: DynamixelBus) -> None:
     assert other_arm(plain.motors, plain.motors) == ""
 
 
+@pytest.mark.long
 def test_the_wrong_baud_rate(desk: Desk) -> None:
     desk.wire.port_baud = 57600
     bus = desk.bus(baud_rate=57600)
@@ -207,6 +208,7 @@ def test_a_reboot_whose_answer_is_lost(desk: Desk, bus: DynamixelBus) -> None:
     assert bus.read(11, "led") == 0
 
 
+@pytest.mark.long
 def test_reboot_of_a_dead_servo(desk: Desk, bus: DynamixelBus) -> None:
     hang(desk, 11)
     with pytest.raises(BusError, match="no answer"):
@@ -242,6 +244,7 @@ def test_a_hung_servo_is_missing_and_never_zero(desk: Desk, bus: DynamixelBus) -
     assert set(bus.read_states().states) == JOINTS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", ["drop", "corrupt"])
 def test_lost_and_corrupted_answers_are_missing_and_never_wrong(desk: Desk, bus: DynamixelBus, fault: str) -> None:
     setattr(desk.wire.faults, fault, 0.2)
@@ -257,6 +260,7 @@ def test_lost_and_corrupted_answers_are_missing_and_never_wrong(desk: Desk, bus:
     assert [len(bus.read_states().states) for _ in range(3)] == [5, 5, 5], "nothing of it is left"
 
 
+@pytest.mark.long
 def test_single_registers_survive_lost_answers(desk: Desk, bus: DynamixelBus) -> None:
     desk.wire.faults.corrupt = 0.1
     values = []
@@ -431,6 +435,7 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
 # --- the vendor's library
 
 
+@pytest.mark.long
 def test_it_prints_nothing(desk: Desk, capfd: pytest.CaptureFixture[str]) -> None:
     bus = desk.bus()
     bus.open()
@@ -478,6 +483,7 @@ def test_a_reply_that_is_shorter_than_it_says(desk: Desk, plain: DynamixelBus) -
 # --- time
 
 
+@pytest.mark.long
 def test_a_dead_servo_costs_its_timeout_and_no_computing(desk: Desk, bus: DynamixelBus) -> None:
     hang(desk, *IDS)
     # this process also runs the emulated servos: what they need by themselves is taken off
@@ -524,6 +530,7 @@ def test_steps_of_the_system_clock(desk: Desk, bus: DynamixelBus, monkeypatch: p
         assert PATIENCE_S < time.monotonic() - started < 60.0, "nor an hour"
 
 
+@pytest.mark.long
 def test_a_late_answer_is_not_taken_for_the_next(desk: Desk, bus: DynamixelBus) -> None:
     """Nothing in an answer says what was asked: what came after its time has to be thrown away."""
     desk.wire.faults.delay_s = 4.0 * PATIENCE_S  # after the third try

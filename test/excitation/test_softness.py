@@ -99,6 +99,7 @@ def test_moduli_within_their_intervals(seed: int) -> None:
             assert told_ratio.ci95[0] - 0.02 <= ratio <= told_ratio.ci95[1] + 0.02
 
 
+@pytest.mark.long
 def test_a_missing_block_is_reported() -> None:
     robot = calibrated(1)
     machine, runs, _ = played("softness", Hand(1, None))

@@ -110,6 +110,7 @@ def test_a_held_joint_that_moves(calibrated: Robot, lift: Run) -> None:
     assert any("joint2 should be held but moved by 0.050 rad" in reason for reason in estimate.reasons)
 
 
+@pytest.mark.long
 def test_friction_never_reversed(bags: Path, robot: Robot, lift: Run) -> None:
     """Without a calibration, runs that all lift cannot separate friction from weight; one that lowers settles it."""
     again = run_of(bags, "realistic_s00_fixed_heavy_cube_23g_joint3", robot)
@@ -131,6 +132,7 @@ def test_friction_needs_no_reversal_where_it_was_calibrated(calibrated: Robot, l
     assert not any("only ever moved" in reason for reason in weigh(calibrated, [lift]).reasons)
 
 
+@pytest.mark.long
 def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: Robot, robot: Robot, lift: Run) -> None:
     runs = [
         run_of(bags, f"realistic_s00_fixed_{name}", robot)
@@ -144,6 +146,7 @@ def test_contradicting_runs_are_named_with_both_masses(bags: Path, calibrated: R
     assert said == pytest.approx(50.0, abs=2.5) and others == pytest.approx(22.0, abs=2.0)
 
 
+@pytest.mark.long
 def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
     bags: Path, calibrated: Robot, robot: Robot
 ) -> None:

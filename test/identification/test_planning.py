@@ -53,6 +53,7 @@ def plans(calibrated: Robot) -> list[ProbePlan]:
     return plan(calibrated, MASSES, BALL, count=20)
 
 
+@pytest.mark.long
 def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ProbePlan]) -> None:
     assert len(plans) >= 6
     for entry in plans:
@@ -69,6 +70,7 @@ def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ProbePlan]) 
         assert entry.clearance_m >= CLEARANCE_M and entry.kind in ("lift", "lower", "driven") and entry.reason
 
 
+@pytest.mark.long
 def test_the_best_comes_first_and_not_ten_times(plans: list[ProbePlan]) -> None:
     widest = [max(entry.std_kg) for entry in plans]
     assert widest == sorted(widest)
@@ -141,6 +143,7 @@ def test_clearance_of_a_known_pose() -> None:
     )
 
 
+@pytest.mark.long
 def test_the_advised_run_teaches_more_than_a_middling_one(bags: Path) -> None:
     """Calibrated on three runs, then with the advised fourth, and with one of those that were made: both recorded in MuJoCo."""
     from random_arm import EFFECTS_DEFAULT, EMPTY_PROBES, GRIPPER, JOINTS, draw_robot, record

@@ -90,6 +90,7 @@ def weighings(level: Path, robot: Robot, estimate: CalibrationEstimate) -> list[
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("level", "reference", "rms_g", "holds"),
     [
@@ -125,6 +126,7 @@ def test_masses_after_a_calibration(
     assert np.mean(hits) >= holds
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("level", ["realistic_s00", "realistic_s01"])
 def test_the_truth_lies_inside_what_the_calibration_says(
     recordings: Path, learnt: dict[tuple[str, bool], CalibrationEstimate], level: str
@@ -145,6 +147,7 @@ def test_the_truth_lies_inside_what_the_calibration_says(
         assert learnt[level, reference].calibration.stamp_jitter_s == pytest.approx(3e-4, abs=1e-4)
 
 
+@pytest.mark.long
 def test_noise_that_the_file_does_not_know_is_learnt(
     learnt: dict[tuple[str, bool], CalibrationEstimate], quantised: CalibrationEstimate
 ) -> None:
@@ -261,6 +264,7 @@ def test_the_posterior_does_not_depend_on_the_order_of_the_runs(recordings: Path
         assert other.quantities[key].std == pytest.approx(quantity.std, rel=0.02)
 
 
+@pytest.mark.long
 def test_pooled_runs_with_a_calibration(
     recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
 ) -> None:
@@ -280,6 +284,7 @@ def test_pooled_runs_with_a_calibration(
     assert "fixed_light_cube_10g_joint3" in mixed.reasons[0] and "contradicts the other runs" in mixed.reasons[0]
 
 
+@pytest.mark.long
 def test_an_empty_hand_weighs_nothing(
     recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
 ) -> None:

@@ -161,6 +161,7 @@ def test_nothing_swings_where_nobody_says_that_it_was_let_go_of(arm: Arm, tmp_pa
     assert arm.run().success
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lets_go", [True, False])
 def test_a_driver_that_does_not_let_go_is_noticed(arm: Arm, tmp_path: Path, lets_go: bool) -> None:
     swings(arm, tmp_path)
@@ -194,6 +195,7 @@ def test_an_idle_node_rests_between_messages(arm: Arm) -> None:
     assert arm.node.pause_s == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pace", [4.0, 0.5])
 def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(context: Any, tmp_path: Path, pace: float) -> None:
     """The simulation runs faster or slower than the clock on the wall, and pauses before the push and in it."""

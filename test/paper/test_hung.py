@@ -19,6 +19,8 @@ from proprio_ros.virtual.arm import VirtualArm
 from proprio_ros.virtual.objects import Container, HungPayload, Payload
 from proprio_ros.virtual.truth import Truth
 
+pytestmark = pytest.mark.long
+
 SHAPE = PayloadShape.of("sphere", 0.04)
 COM = np.array([0.0, 0.0, -0.06])
 PENDULUM = Hung("universal", np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), COM, SHAPE.second_moment_per_mass)
@@ -73,7 +75,6 @@ def test_sensitivities_against_finite_differences(hung: Hung, swinging: tuple[Ru
         np.testing.assert_allclose(exact[0, 0, :used, place], slope, atol=1e-3 * max(np.abs(slope).max(), 1e-4))
 
 
-@pytest.mark.long
 def test_a_pendulum_is_weighed_on_its_joint_and_not_as_if_it_were_rigid(swinging: tuple[Run, ...]) -> None:
     found = weigh_hung(known_robot(), swinging, PENDULUM)
     assert found.explains and found.low <= 0.05 <= found.high

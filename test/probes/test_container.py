@@ -179,6 +179,7 @@ def test_three_runs_together(
     assert 1e3 * abs(off) < worst_g and hit
 
 
+@pytest.mark.long
 def test_an_empty_container_reads_nothing(realistic: Level) -> None:
     for folder in realistic.folders("container_no_sphere_*"):
         estimate = realistic.find([folder])
@@ -188,6 +189,7 @@ def test_an_empty_container_reads_nothing(realistic: Level) -> None:
         assert any("may as well be empty" in reason for reason in estimate.reasons)
 
 
+@pytest.mark.long
 def test_replay_and_what_it_prints(bags: Path, realistic: Level, tmp_path: Path) -> None:
     """The same through `replay`, with bags and settings as a user gives them; three bags of one sphere are one estimate."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
@@ -215,6 +217,7 @@ def test_neither_baseline_nor_mass(realistic: Level) -> None:
         find_sphere(realistic.robot, realistic.runs(folder), facts)
 
 
+@pytest.mark.long
 def test_the_shells_mass_instead_of_a_baseline(realistic: Level) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     facts = container_facts(Settings({**told(folder), "container.mass": 0.03}), probe_file("container"))
@@ -226,6 +229,7 @@ def test_the_shells_mass_instead_of_a_baseline(realistic: Level) -> None:
     assert estimate.value("sphere_mass").std > with_baseline.value("sphere_mass").std
 
 
+@pytest.mark.long
 def test_a_baseline_that_was_not_empty(realistic: Level) -> None:
     """A sphere in the baseline is found by the container's stated mass, or because it rolls."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
@@ -236,6 +240,7 @@ def test_a_baseline_that_was_not_empty(realistic: Level) -> None:
     assert "baseline was not empty" in estimate.reasons[0]
 
 
+@pytest.mark.long
 def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callable[[Path, str], Level]) -> None:
     level = level_of(recordings / "ideal_s00", "")
     folder = level.folders("container_sphere_random_joint4_030mA")[0]
@@ -247,6 +252,7 @@ def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callabl
     assert "rolling in the container" in estimate.reasons[0] or estimate.reasons[0].code == "far_from_prior"
 
 
+@pytest.mark.long
 def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
     estimate = realistic.find(realistic.folders("container_sphere_12g_joint4_100mA"))
     assert estimate.verdict is Verdict.ACCEPTED
@@ -429,6 +435,7 @@ def test_a_camera_makes_it_surer(realistic: Level) -> None:
     assert Posterior(both, values).whole_covariance()[row, row] < Posterior(alone, values).whole_covariance()[row, row]
 
 
+@pytest.mark.long
 def test_tracks_are_read(tmp_path: Path, realistic: Level) -> None:
     """A CSV file's points are laid beside the run by their stamps; one of another time is refused."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]

@@ -32,6 +32,7 @@ def test_it_is_in_the_registry_behind_the_others(registered: None) -> None:
     assert probe_named("spring").answer == ("spring_stiffness", "N m/rad")
 
 
+@pytest.mark.long
 def test_a_recording_is_replayed_with_it(registered: None, bags: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """There is no spring at this arm: 0 lies in the interval, which the calibration makes narrow."""
     code = main(["replay", *(str(bags / bag) for bag in BAGS), "--probe", "spring", "--json"])
@@ -67,6 +68,7 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
             np.testing.assert_allclose(q[0], 0.18 / stiffness * (1.0 - np.cos(turn * run.sample_times_s)), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_its_part_is_in_the_report(registered: None, bags: Path, tmp_path: Path) -> None:
     estimate = replay([bags / BAGS[0]], ReplayOptions(probe="spring"))
     write_report(estimate, tmp_path / "page.html")
@@ -85,6 +87,7 @@ def test_the_command_line_offers_it(registered: None, capsys: pytest.CaptureFixt
     assert "--mass says nothing about --probe spring" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_identifier_has_a_service_for_it(registered: None) -> None:
     """In a process of its own, as the node is."""
     pytest.importorskip("rclpy")

@@ -38,6 +38,8 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
+pytestmark = pytest.mark.long
+
 SEED = 2026
 WORST = 0.05
 
@@ -88,7 +90,6 @@ def test_where_the_sphere_is_believed_to_be(robot: Robot, number: int) -> None:
     assert np.median(off) < 1.5e-3 and off.max() < 6e-3, off
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("signals", ["joint", "camera", "both"])
 def test_a_camera_beside_the_encoder(robot: Robot, signals: str) -> None:
     """The paper's comparison V-F: from the joint, from a camera's view of the sphere, and from the two together.
@@ -178,7 +179,6 @@ def test_more_than_one_mass(robot: Robot) -> None:
 # --- robots that learn themselves ------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
 def test_intervals_on_robots_that_learnt_themselves() -> None:
     """Three of the robots of ``test/benchmarks/spheres.py``, which says how often intervals hold and how wide they are.
 
@@ -241,7 +241,6 @@ def test_when_masses_contradict_each_other(
     assert container._apart(nothing, data.without([1, 2]), FACTS, ContainerOptions(), 0, together).half is None
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("factor", "accepted"), [(1.02, True), (1.3, False)])
 def test_runs_of_nearly_the_same_sphere(robot: Robot, factor: float, accepted: bool) -> None:
     """Two spheres that differ by 2 % are one answer that covers both; spheres that differ by 30 % are none."""

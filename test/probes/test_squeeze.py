@@ -80,7 +80,7 @@ def of_heavy(recordings: Path, calibrated: Callable[[str], Robot]) -> Estimate:
     # quantised: one of the three is 5 % off; the encoder's steps let gap, armature and modulus trade places
     [
         pytest.param("ideal_s00", 0.02, marks=pytest.mark.long),
-        ("quantised_s00", 0.06),
+        pytest.param("quantised_s00", 0.06, marks=pytest.mark.long),
         pytest.param("friction_s00", 0.05, marks=pytest.mark.long),
         ("realistic_s00", 0.1),
         pytest.param("realistic_s01", 0.1, marks=pytest.mark.long),
@@ -103,6 +103,7 @@ def test_youngs_modulus(recordings: Path, calibrated: Callable[[str], Robot], le
             assert ratio.ci95[0] <= cube_of(folder)[2] <= ratio.ci95[1], name
 
 
+@pytest.mark.long
 def test_squeezes_of_two_blocks_contradict_each_other(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     robot, level = calibrated("friction_s00"), recordings / "friction_s00"
     runs = [*runs_of(level / "squeeze_light", robot), *runs_of(level / "squeeze_heavy", robot)]
@@ -114,6 +115,7 @@ def test_squeezes_of_two_blocks_contradict_each_other(recordings: Path, calibrat
     assert said == pytest.approx([45.2, 201.2], rel=0.05)
 
 
+@pytest.mark.long
 def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     for name in ("light", "random"):
         folder = recordings / "ideal_s00" / f"squeeze_{name}"
@@ -121,6 +123,7 @@ def test_poissons_ratio_where_the_squeeze_is_large(recordings: Path, calibrated:
         assert value.value == pytest.approx(cube_of(folder)[2], abs=0.01)
 
 
+@pytest.mark.long
 def test_a_ratio_at_the_end_of_the_search_is_not_stated(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
     """Two of the recordings press a stiff block by a fifth, too little for a curve; the fit then goes as far as it may."""
     for name in ("heavy", "random"):
@@ -156,6 +159,7 @@ def test_lame_parameters_follow(recordings: Path, of_heavy: Estimate) -> None:
     assert mu.ci95[0] <= cube["k_mu"] <= mu.ci95[1] and lam.ci95[0] <= cube["k_lambda"] <= lam.ci95[1]
 
 
+@pytest.mark.long
 def test_uncalibrated_is_wide_and_says_so(recordings: Path) -> None:
     robot = load_robot("open_manipulator_x")
     folder = recordings / "friction_s00" / "squeeze_heavy"
@@ -208,6 +212,7 @@ def test_facts_from_settings() -> None:
     assert facts.size.tolist() == [0.02] * 3 and facts.contact == "bonded" and facts.area == pytest.approx(4e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("modulus", [2e4, 1e5, 5e5])
 @pytest.mark.parametrize("baseline", [False, True])
 def test_gradient_of_the_cost(

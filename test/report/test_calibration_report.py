@@ -25,6 +25,7 @@ def estimate(bags: Path) -> CalibrationEstimate:
     return calibrate_from_bags([folder / "bag_mcap" for folder in folders], {})
 
 
+@pytest.mark.long
 def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     write_calibration_report(estimate, path, command="proprio calibrate <bag>", sources=["one & two"])
@@ -39,6 +40,7 @@ def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path
     assert "proprio calibrate <bag>" in words and "one & two" in words and "accepted" in words
 
 
+@pytest.mark.long
 def test_names_are_escaped(estimate: CalibrationEstimate, tmp_path: Path) -> None:
     evil = replace(estimate, robot="<script>alert(1)</script>", reasons=("a < b & c",))
     write_calibration_report(evil, tmp_path / "page.html")

@@ -152,6 +152,7 @@ def test_runs_with_and_without_a_fit_find_each_other(estimate: Estimate) -> None
     assert [a is not None for a, _ in paired(replace(estimate, recorded=(namesake, run)))] == [False, True]
 
 
+@pytest.mark.long
 def test_the_search_is_drawn_as_far_as_the_answer(bags: Path, tmp_path: Path) -> None:
     """A block on a gripper that is not calibrated: with the gripper as its file states it the search ends far away."""
     options = ReplayOptions(

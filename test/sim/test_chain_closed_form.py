@@ -90,6 +90,7 @@ def test_pendulum_with_large_swing(amplitude: float) -> None:
     np.testing.assert_allclose(v[0, [2, 4], 0], 0.0, atol=1e-8)
 
 
+@pytest.mark.long
 def test_double_pendulum_against_its_lagrangian() -> None:
     """Error of RK4 at 0.5 ms is about 1e-10 here; the reference's is 1e-11."""
     times = np.linspace(0.05, 2.0, 40)
@@ -182,6 +183,7 @@ def test_payload_on_a_spring_slide() -> None:
     np.testing.assert_allclose(q[0, :, 0], payload * (stretch - y) / (cart + payload), atol=1e-9)
 
 
+@pytest.mark.long
 def test_payload_on_a_universal_joint_circles_as_a_conical_pendulum() -> None:
     """A point at length l on a cone of half angle c circles with W = sqrt(g / (l cos c)); an armature of 1e12 holds the cart."""
     length, cone = 0.15, 0.6

@@ -100,6 +100,7 @@ def assert_same_terms(model: Any, ours: ReducedModel, seed: int, tolerance: floa
 LARGE = [pytest.param(tree, marks=pytest.mark.long) for tree in ("5", "tree of 5", "6", "7")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tree", [*(tree for tree in TREES if len(TREES[tree]) < 5), *LARGE])
 def test_mass_matrix_and_inverse_dynamics(tree: str) -> None:
     for seed in range(5):
@@ -109,6 +110,7 @@ def test_mass_matrix_and_inverse_dynamics(tree: str) -> None:
         assert_same_terms(model, reduced(text), seed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["prismatic", "universal"])
 @pytest.mark.parametrize("frame", ["link_1", "link_base"])
 def test_payload_joint(kind: str, frame: str) -> None:
@@ -128,6 +130,7 @@ def test_payload_joint(kind: str, frame: str) -> None:
     assert_same_terms(spec.compile(), ours, 4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tree", ["3", "fork", "two from the base"])
 def test_acceleration(tree: str) -> None:
     """One step of semi-implicit Euler shows the acceleration: torque, armature, damping and springs as MuJoCo has them."""

@@ -11,6 +11,9 @@ import pytest
 from proprio_ros.robot import ReducedModel, pseudo_inertia, rotation_from_rpy
 from proprio_ros.sim.chain import ChainSimulator, inertial_parameters
 
+pytestmark = pytest.mark.long
+"""Each kernel takes seconds to compile."""
+
 TREES = {"1": (-1,), "2": (-1, 0), "3": (-1, 0, 1), "fork": (-1, 0, 0)}
 SCALES = {
     "torque_constant": 1.7,
@@ -53,9 +56,6 @@ def random_model(tree: str) -> ReducedModel:
         gravity=np.array([1.0, 2.0, -9.5]),
         frames={"base": (-1, np.eye(4))},
     )
-
-
-SHORT = (("1", "semi_implicit"), ("2", "rk4"))
 
 
 @cache
@@ -104,8 +104,6 @@ def scale_of(name: str) -> float:
 
 CASES = [(tree, integrator) for tree in TREES for integrator in ("rk4", "semi_implicit")]
 CASES.remove(("fork", "semi_implicit"))  # kernels take seconds to compile, and each of its two properties has its turn
-# the short set has each tree's size and each integrator, but not with each other
-CASES = [case if case in SHORT else pytest.param(*case, marks=pytest.mark.long) for case in CASES]
 
 
 @pytest.mark.parametrize(("tree", "integrator"), CASES)
@@ -155,7 +153,6 @@ def test_every_parameter_matters() -> None:
     assert silent == {"pi[joint_0][0]"}
 
 
-@pytest.mark.long
 def test_directions_in_blocks_equal_one_at_a_time() -> None:
     """Nineteen directions fill two blocks of eight and part of a third; one alone has a kernel of its own."""
     sim = simulator("2", "rk4")

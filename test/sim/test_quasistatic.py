@@ -86,6 +86,7 @@ def test_first_slope_is_young_s_modulus(law: str) -> None:
     np.testing.assert_allclose(curve.by_squeeze, modulus * EDGE, rtol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("nu", [0.13, 0.258, 0.40])
 def test_bonded_faces_converge_to_second_order_elements(nu: float) -> None:
     """Errors fall with the mesh, about as h^1.5 (the edges of a bonded face are singular); worst of three squeezes up to 30 %."""

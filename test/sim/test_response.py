@@ -49,6 +49,7 @@ def test_between_the_nodes_it_is_the_finite_elements(law: str) -> None:
         np.testing.assert_allclose(5e3 * area / SLAB[0] * slope, curve.by_squeeze, rtol=1e-2)
 
 
+@pytest.mark.long
 def test_its_gradient_is_that_of_its_values(coarse: Response) -> None:
     rng = np.random.default_rng(0)
     s, nu = rng.uniform(0.0, 0.75, 400), rng.uniform(-0.1, 0.6, 400)  # also beyond the table
@@ -89,6 +90,7 @@ def test_kernels_read_the_same(coarse: Response) -> None:
     np.testing.assert_allclose(out.numpy(), coarse(s, nu), rtol=1e-11, atol=1e-11)
 
 
+@pytest.mark.long
 def test_frictionless_faces_need_one_table_for_all_shapes() -> None:
     first = response(CUBE, contact="frictionless")
     second = response(SLAB, contact="frictionless")

@@ -58,6 +58,7 @@ def test_a_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch:
     assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [["replay", "BAG", "--probe", "payload"], ["warmup"]], ids=lambda words: words[0])
 def test_the_command_line_says_so_in_one_line(words: list[str], bags: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
@@ -124,6 +125,7 @@ def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPa
         assert len(compiled_for(monkeypatch, probe, "pendulum")) < 0.7 * len(kernels[probe])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("probe", "bag", "baseline"),
     [

@@ -15,6 +15,8 @@ from proprio_ros.sim.mesh import box
 from proprio_ros.sim.quasistatic import QuasiStatic
 from proprio_ros.sim.softbody import KEEP, SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRollout, SoftRun
 
+pytestmark = pytest.mark.long
+
 EDGE = 0.03
 MASS = 0.023
 TRAVEL = 0.023
@@ -230,7 +232,6 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, result.bytes)
 """
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("keep", KEEP)
 def test_a_second_of_eight_cells_fits_into_a_gibibyte(keep: str) -> None:
     """3840 steps of 2560 tetrahedra with gradients, all of the process."""

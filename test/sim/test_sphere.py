@@ -21,6 +21,8 @@ from proprio_ros.sim.sphere import (
     paper_contact,
 )
 
+pytestmark = pytest.mark.long
+
 ONE = np.zeros(1, dtype=np.int32)
 G = 9.81
 AXIS = np.array([0.2, 0.9, -0.4]) / np.linalg.norm([0.2, 0.9, -0.4])

@@ -11,6 +11,9 @@ from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
 from proprio_ros.sim.sphere import LAWS, SPHERE_INDEX, SPHERE_PARAMETERS, Contact, Enclosure, SphereRun, SphereSimulator
 
+pytestmark = pytest.mark.long
+"""Each kernel takes seconds to compile."""
+
 ONE = np.zeros(1, dtype=np.int32)
 STEPS = (1e-4, 1e-5, 1e-6, 1e-7)
 """Of a difference, relative to the parameter."""
@@ -35,13 +38,7 @@ SCENES = {
 SEMI_IMPLICIT = (("box", "ramped"), ("cylinder", "paper"), ("sphere", "ramped"))
 KERNELS = [(shape, law, "rk4") for shape in INNER for law in LAWS]
 KERNELS += [(shape, law, "semi_implicit") for shape, law in SEMI_IMPLICIT]
-SHORT = [("box", "ramped", "rk4"), ("cylinder", "paper", "rk4")]
-"""Each kernel takes seconds to compile."""
-CASES = [
-    pytest.param(scene, *kernel, id="-".join((scene, *kernel)), marks=() if kernel in SHORT else pytest.mark.long)
-    for kernel in KERNELS
-    for scene in SCENES
-]
+CASES = [pytest.param(scene, *kernel, id="-".join((scene, *kernel))) for kernel in KERNELS for scene in SCENES]
 
 
 def unit(*values: float) -> np.ndarray:

@@ -92,6 +92,7 @@ def point(seed: int) -> np.ndarray:
     return p
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
@@ -115,6 +116,7 @@ def test_sensitivities_against_central_differences(
         np.testing.assert_allclose(difference, exact[..., row], atol=tolerance * scale, err_msg=name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
@@ -130,6 +132,7 @@ def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int
     np.testing.assert_array_equal(tape.gradient(weights), gradient)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bend", BENDS)
 def test_against_another_integrator_and_the_closed_form(sliding: Response, bend: tuple[float, float]) -> None:
     """scipy's DOP853 with the free block's force solved by hand, in place of table and RK4."""
@@ -164,6 +167,7 @@ def test_against_another_integrator_and_the_closed_form(sliding: Response, bend:
     np.testing.assert_allclose(q, exact, atol=2e-2 * COUNT)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("modulus", "ratio", "mass", "counts"), [(1694.6, 0.130, 0.010, 0.015), (12824.6, 0.258, 0.023, 0.1)]
 )
@@ -197,6 +201,7 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
     assert rms < counts
 
 
+@pytest.mark.long
 def test_it_rests_where_the_table_says(bonded: Response) -> None:
     run = squeeze_run(bonded, np.array([20.0]), 0.05, step_s=1e-3, fine_step_s=1e-3)
     sim = SqueezeSimulator([run])

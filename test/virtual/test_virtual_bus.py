@@ -406,6 +406,7 @@ def test_instructions_nobody_knows() -> None:
     assert line.ask(BROADCAST_ID, Code.FAST_SYNC_READ, sync_read(126, 65000)) == []
 
 
+@pytest.mark.long
 def test_drop_corrupt_and_delay_happen_as_often_as_asked() -> None:
     counts = {}
     for name, faults in (

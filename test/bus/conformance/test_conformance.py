@@ -228,6 +228,7 @@ def test_header_bytes_within_the_data(bench: Bench) -> None:
 # --- who answers, and when
 
 
+@pytest.mark.long
 def test_status_return_levels(bench: Bench) -> None:
     bench.raw_write("status_return_level", b"\x01")  # whether this one is answered is not laid down
     time.sleep(0.03)
