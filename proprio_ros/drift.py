@@ -51,6 +51,10 @@ class Drift:
         by_time = getattr(self, f"{name}_per_sqrt_h") * math.sqrt(hours)
         return float(np.hypot(by_time, getattr(self, f"{name}_per_K") * max(abs(warmer_K) - READ_TO_K, 0.0)))
 
+    def described(self) -> str:
+        """As a file states it."""
+        return "`{" + ", ".join(f"{field.name}: {getattr(self, field.name):g}" for field in fields(self)) + "}`"
+
 
 FORMS: Mapping[str, Number] = {field.name: Number("relative", "", 0.0, 1.0) for field in fields(Drift)}
 
