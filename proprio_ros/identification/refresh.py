@@ -17,6 +17,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
+from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings, screen_run, unusable
 from proprio_ros.identification.planning import weighable
 from proprio_ros.identification.posterior import Posterior, run_fits
@@ -80,9 +81,10 @@ def refresh(
     problem = Problem(robot, usable, PayloadFacts(), robot_unknowns(robot, usable, Role.FREE))
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     solution = solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
-    values = problem.all_values(problem.coordinates.physical(solution.internal[solution.best][None]))[0]
-    posterior = Posterior(problem, values)
-    chi2 = float(posterior.residual @ posterior.residual) / len(posterior.residual)
+    ended = FitResult.of(problem, solution)
+    values, chi2 = ended.values, ended.reduced_chi2
+    # as in a weighing: runs that are not quite explained count for less
+    posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
     stds = np.sqrt(np.diag(posterior.covariance))
     rows = tuple(
         UnknownRow(u.kind, u.role.value, u.value, u.std, float(values[row]), float(stds[f]), scope=u.scope)

@@ -180,7 +180,7 @@ def markers(
     return MarkerArray(markers=array)
 
 
-def planned(stamp_ns: int, frame: str, place_m: Sequence[float], words: str, path_m: np.ndarray | None) -> MarkerArray:
+def planned(stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None) -> MarkerArray:
     """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
 
     Args:
