@@ -1,4 +1,4 @@
-"""What could ending a push early save? The most that anybody could, who knew beforehand how each push turns out.
+"""What could ending a push early save? About the most that anybody could, who knew beforehand how each push turns out.
 
 Random robots (in MuJoCo, see `until_sure.py`) weigh objects with chosen pushes until they are sure. Every push is then cut short in
 hindsight: of all ends from 0.2 s on that is taken which saves most time, less the time that it takes to learn what was cut off in
