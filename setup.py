@@ -61,6 +61,8 @@ setup(
         "batch": ["pyarrow>=15"],
         # one engine of batches; heavy
         "ray": ["ray[data]>=2.40", "pyarrow>=15"],
+        # one row of the speed table of `proprio paper`
+        "newton": ["newton>=1.8,<2"],
         "test": [
             "meshio>=5.3",
             "pyarrow>=15",

@@ -44,6 +44,8 @@ STILL_TRIES = 3
 """So many pushes in a row that move nothing: then the joint sticks, or what it holds is too heavy."""
 HEAVIER = 2.5
 """What may be in the hand is taken to be so many times more after a push that moved nothing."""
+NEAR_RAD = 0.4
+"""No further push begins so near where one has ended at a limit."""
 SHOWN_AT_MOST = 5
 MISFIT_RUNS = 3
 """From so many runs on, a fit that does not explain them ends it."""
@@ -133,6 +135,7 @@ class UntilSure:
         self._unknown_kg = UNKNOWN_KG
         self._runs = self._still = 0
         self._stuck: dict[str, int] = {}
+        self._ended_at: list[tuple[str, float]] = []
         self._widening = 0.0
         self._last: Push | None = None
 
@@ -197,7 +200,7 @@ class UntilSure:
         inner = max(target**2 - self._widening**2, 0.0) ** 0.5 / Z95
         time_of = _time_of(self._robot, self._sequence, pose)
         ranked = self.catalogue.rank(self._known, time_of, inner, self._unknown_kg)
-        ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2]
+        ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)]
         if not ranked:
             return end("nothing", "no push of any joint stays inside the limits with what the hand may hold")
         in_time = [push for push in ranked if elapsed_s + push.time_s <= self._until.at_most_s]
@@ -226,6 +229,14 @@ class UntilSure:
             took = time.perf_counter() - began
             return Decision(run, reason, "", self._known.mass, half, promised, push, others, took)
         return end("nothing", "no way to any start keeps the clearance: move the arm to a higher pose")
+
+    def leave_out(self, decision: Decision) -> None:
+        """No push from near where this one's joint was to start: it ended at a limit, or too low."""
+        if decision.push is not None:
+            self._ended_at.append((decision.push.joint, decision.push.start[decision.push.joint]))
+
+    def _left_out(self, push: Push) -> bool:
+        return any(push.joint == joint and abs(push.start[joint] - place) < NEAR_RAD for joint, place in self._ended_at)
 
     def sequence_of(self, run: ProbeRun) -> ProbeSequence:
         """A sequence of one push, which stays where it ends."""

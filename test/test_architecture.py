@@ -312,7 +312,9 @@ ROS = {
 }
 # heavy or special libraries, and the only rooms that may import them
 ONLY_IN = {
-    "warp": {"sim"},
+    # the paper's room for Newton only, whose models and gradients are Warp's
+    "warp": {"sim", "paper"},
+    "newton": {"paper"},
     "rosbags": {"bags"},
     "mujoco": {"virtual", "paper"},
     "dynamixel_sdk": {"bus"},

@@ -272,3 +272,22 @@ def test_pushes_are_chosen_until_it_is_nearly_as_good_as_new(yesterday: Path) ->
     assert now > 1.1 * then and 1 <= len(runs) <= 8
     check_sequence(replace(sequence, runs=tuple(runs)), fresh)
     assert aged_robot(fresh, Moment(made_s + 60.0)) is fresh
+
+
+def test_the_benchmark_draws_what_is_stated() -> None:
+    import sys
+
+    sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
+    from drift import drifted
+    from random_arm import HiddenRobot
+
+    rng = np.random.default_rng(1)
+    hidden = HiddenRobot(coulomb=(0.05,) * 4)
+    warmer = [0.0, 11.0, -11.0, 0.0]
+    drawn = [drifted(hidden, DRIFT, 25.0, warmer, rng) for _ in range(2000)]
+    constants = np.array([robot.torque_constant for robot in drawn]) / hidden.torque_constant[0]
+    friction = np.array([robot.coulomb for robot in drawn]) / 0.05
+    grown = growth(25.0, {"joint2": 11.0, "joint3": -11.0})
+    # joint2 and joint3 are the second and the third
+    assert np.cov(constants[:, 1], constants[:, 2]) == pytest.approx(grown[np.ix_([0, 2], [0, 2])], rel=0.1)
+    assert np.std(friction[:, 1]) == pytest.approx(np.sqrt(grown[1, 1]), rel=0.1)

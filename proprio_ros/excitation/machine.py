@@ -493,7 +493,7 @@ class ExcitationMachine:
             if off <= guards.follow_error_rad:
                 self._off_since_s.pop(name, None)
             elif now_s - self._off_since_s.setdefault(name, now_s) >= guards.follow_time_s:
-                return "follow", f"{name} does not follow: is something in its way, or torque off?"
+                return "follow", f"{name} does not follow: is something in its way, its load too heavy, or torque off?"
         return None
 
     def _watch_held(self) -> _Problem | None:

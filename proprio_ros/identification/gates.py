@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import PreparedRun, joints_of
+from proprio_ros.identification.problem import PreparedRun, Problem, joints_of
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.quantity import shown
-from proprio_ros.robot import Robot
+from proprio_ros.robot import DriveTrain, Robot
 
 MIN_USED = 5
 STUCK_TRAVEL = 0.1
@@ -28,6 +28,11 @@ MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
 CONTRADICTION = 2.5
 """Reduced chi-square with which the other runs may predict a run: beyond it, and beyond chance, the run contradicts them."""
+
+STEADY = 0.1
+"""Part of itself by which the current of a push may change."""
+STILL_SIGMAS = 3.0
+"""So many standard deviations more than is known may hold a joint that stands still."""
 
 
 @dataclass
@@ -167,6 +172,51 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
                 )
             )
     return sentences
+
+
+def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Sequence[PreparedRun], mass: float) -> str:
+    """A sentence about the first run whose joint stood still and should not have; empty where there is none.
+
+    No simulation follows a joint that friction holds, so such a run is not part of the fit. But what holds it is at most its dry
+    friction, and a current that leaves more than that over would have moved it.
+
+    Args:
+        robot: of the runs.
+        problem: of the fit.
+        values: of its unknowns, shape (N,).
+        still: runs that are of no use because the joint hardly moved.
+        mass: what the hand holds by the fit [kg].
+    """
+    for run in still:
+        joint, drive = run.run.joint, run.drive
+        driving = run.run.input_current_A[run.run.input_times_s < run.run.times_s[-1]]
+        steady = len(driving) > 0 and np.ptp(driving) <= STEADY * np.abs(driving).max()
+        if not steady or robot.model.joint(joint).kind == "prismatic":
+            continue
+
+        def fitted(term: str, joint: str = joint, drive: DriveTrain = drive) -> float:
+            row = problem.index.get((term, joint))
+            return float(getattr(drive, term).value if row is None else values[row])
+
+        current = float(driving.mean())
+        motor = fitted("torque_constant") * current
+        arm_weight = robot.arm_scale.value * problem.weight_at_rest(run, run.coefficients.arm)
+        per_kg = problem.per_kg(run)
+        held = mass if run.load is None else run.load.mass
+        net = motor - arm_weight - held * problem.weight_at_rest(run, per_kg)
+        dry = max(fitted("coulomb"), drive.coulomb.value) + max(fitted("load_friction"), 0.0) * abs(motor)
+        at_rest = 1.0 + max(fitted("stribeck"), drive.stribeck.value)
+        open_stds = (*problem.torque_stds(run), drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
+        over = abs(net) - at_rest * dry - STILL_SIGMAS * float(np.hypot.reduce(open_stds))
+        inertia = run.coefficients.arm[0] + held * per_kg[0] + drive.armature.value + 2.0 * drive.armature.std
+        lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
+        if 0.5 * over / float(inertia) * lasted_s**2 >= LITTLE_TRAVEL:
+            return Reason(
+                "stood_still",
+                f"{run.run.name}: {joint} stood still with {shown('A', current)}, where {shown('kg', held)} would leave "
+                f"{shown('N m', abs(net))} to move it, more than its friction can hold: it sticks, or leans on something",
+            )
+    return ""
 
 
 def contradicting(posterior: Posterior) -> int | None:

@@ -833,8 +833,18 @@ class Problem:
 
     def load_per_mass(self, run: PreparedRun) -> float:
         """Gravity load of 1 kg in the hand on the driven joint at the run's start [N m/kg]."""
+        return self.weight_at_rest(run, self.per_kg(run))
+
+    def per_kg(self, run: PreparedRun) -> np.ndarray:
+        """Inertia and gravity load of 1 kg in the hand, shape (4,); see ``Coefficients``."""
         per_mass = payload_parameters(np.ones(1), self.facts.com[None], self.facts.shape.second_moment_per_mass)[0]
-        _, cos, sin, constant = run.coefficients.payload @ per_mass
+        per_kg: np.ndarray = run.coefficients.payload @ per_mass
+        return per_kg
+
+    @staticmethod
+    def weight_at_rest(run: PreparedRun, coefficients: np.ndarray) -> float:
+        """What gravity puts on the driven joint at the run's start [N m], of ``coefficients`` of shape (4,)."""
+        _, cos, sin, constant = coefficients
         return float(cos * np.cos(run.rest.value) + sin * np.sin(run.rest.value) + constant)
 
     def torque_stds(self, run: PreparedRun) -> np.ndarray:

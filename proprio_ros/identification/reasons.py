@@ -6,6 +6,7 @@ CODES = {
     "few_samples": "a run has too few usable samples",
     "stuck": "the joint hardly moved, so friction and not the load decides where it is",
     "left_out_samples": "samples at the end of a run were left out",
+    "stood_still": "a joint stood still where the answer says that it should have moved",
     "short_travel": "the joint moved, but less than a trustworthy result needs",
     "starts_at_limit": "the joint starts at its limit, where the stop may carry part of the weight",
     "current_above_limit": "more current was commanded than the motor's limit lets flow",

@@ -383,6 +383,7 @@ class ExcitationNode(ManagedNode):
             "fraction": round(machine.fraction, 4),
             "good_runs": sum(outcome.used for outcome in machine.outcomes),
             "reason": machine.abort_reason,
+            "aborted_by": machine.aborted_by,
         }
         level = "error" if machine.phase is Phase.ABORTED else "ok"
         self._status.publish(messages.status(level, "excitation", machine.message, values))

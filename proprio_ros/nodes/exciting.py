@@ -123,7 +123,7 @@ class Excitation:
             self._asking = False
             self._lease.publish(Bool(data=False))
         if values.get("phase") == "aborted":
-            raise JobError(f"the probe was aborted: {values.get('reason')}")
+            raise JobError(f"the probe was aborted: {values.get('reason')}", values.get("aborted_by", ""))
 
     def _stop(self, number: str) -> None:
         """Abort a sequence and see it end."""

@@ -20,7 +20,15 @@ WEIGH = "weigh"
 
 
 class JobError(ProprioError):
-    """Why a job ended without a result, in one sentence."""
+    """Why a job ended without a result, in one sentence.
+
+    Attributes:
+        aborted_by: What ended a probe, such as "limit"; empty where none was ended.
+    """
+
+    def __init__(self, sentence: str, aborted_by: str = "") -> None:
+        super().__init__(sentence)
+        self.aborted_by = aborted_by
 
 
 @dataclass

@@ -60,6 +60,9 @@ CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 
 HEARD_S = 1.0
 """A run has ended when the excitation node says so; what was measured of it may still be on its way."""
+AT_AN_END, AT_AN_END_TRIES = ("limit", "clearance"), 2
+"""Where the arm ends when the object is heavier than was thought: it sags, or the current does not hold it. So often another push
+is chosen then."""
 
 
 def choice_of(decision: Decision) -> Choice:
@@ -379,7 +382,7 @@ class Jobs:
         def begun() -> None:
             pass
 
-        live, began = self._inputs.live, time.monotonic()
+        live, began, tries = self._inputs.live, time.monotonic(), AT_AN_END_TRIES
         assert live is not None
         runs: Sequence[Run] = ()
         if chooser.first_runs:
@@ -400,6 +403,11 @@ class Jobs:
             try:
                 self._excitation.make(job, chosen, begun)
             except JobError as error:
+                if error.aborted_by in AT_AN_END and tries > 0:
+                    tries, runs = tries - 1, self._heard_runs(live, len(runs))
+                    chooser.leave_out(decision)
+                    self._node.say("info", f"{error}; another push is chosen")
+                    continue
                 if job.cancelled.is_set() or not runs:
                     raise
                 job.reason = f"no further push: {error}"  # what was recorded says something all the same

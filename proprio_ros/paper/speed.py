@@ -1,8 +1,8 @@
 """The speed table: one recording, one problem, five first guesses, and who needs how long to find the mass.
 
 The recording is one that comes with the package, of a robot without friction in MuJoCo, so that general tools need no law of
-friction: 50 g at the elbow. For ours, scipy and ``mujoco.sysid`` unknown are the mass and where and how fast the joint began, under
-the same priors; the paper's way knows the mass only. Each has its library loaded and its kernels compiled.
+friction: 50 g at the elbow. Unknown are the mass and where and how fast the joint began, under the same priors for everyone; the
+paper's way knows the mass only. Each has its library loaded and its kernels compiled.
 """
 
 from __future__ import annotations
@@ -10,18 +10,19 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run
+from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run, reduced_model
 from proprio_ros.identification.solvers import levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.hand import stated_robot
 from proprio_ros.paper.ways import Answer, answered, paper_mass, timed
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.resources import share_directory
 from proprio_ros.sim.joint import INDEX
@@ -71,9 +72,7 @@ def speed(seed: int) -> dict[str, Any]:
         rows.append(Answer(mass, seconds=seconds).row(way=way, truth=TRUE_KG))
     rows.append(paper_mass(case.robot, case.run, case.facts).row(way="the paper's way", truth=TRUE_KG))
     rows.append(_sysid_row(case))
-    # its solver is known by name only here: nothing that could not be run is timed
-    if find_spec("newton") is None:
-        rows.append(Answer(None, why="not installed").row(way="Newton", truth=TRUE_KG))
+    rows.extend(_newton_rows(case))
     return {"rows": rows}
 
 
@@ -243,6 +242,163 @@ def welded(case: _Case, step_s: float) -> Any:
 
 def set_mass(body: Any, mass: float, case: _Case) -> None:
     """Give the payload body a mass [kg], and the inertia that goes with it."""
-    spread = case.facts.shape.second_moment_per_mass
     body.mass = mass
-    body.inertia = mass * np.diag(np.trace(spread) * np.eye(3) - spread)
+    body.inertia = mass * np.diag(_inertia(case.facts.shape.second_moment_per_mass))
+
+
+# --- Newton ----------------------------------------------------------------------------------------------------------
+
+
+def _newton_rows(case: _Case) -> list[dict[str, Any]]:
+    """With what comes before the search, which is needed once for every recording, and without."""
+    try:
+        from newton.solvers import SolverFeatherstone  # noqa: F401
+    except ImportError:
+        why = "not installed: pip install 'proprio_ros[newton]'"
+        return [Answer(None, why=why).row(way="Newton", truth=TRUE_KG)]
+    step_s = last_frame_loss(case.robot, case.run, case.facts, PaperOptions()).step_s  # the paper's way has it, too
+    arm, before = timed(lambda: NewtonArm(case, step_s))
+    mass, seconds = timed(newton_search(case, arm), lambda: arm(case.problem.coordinates.prior_mean))
+    return [
+        Answer(mass, seconds=before + seconds).row(way="Newton: recording its steps, and the search", truth=TRUE_KG),
+        Answer(mass, seconds=seconds).row(way="Newton: the search alone", truth=TRUE_KG),
+    ]
+
+
+class NewtonArm:
+    """The misfit of a recording in Newton, and its gradient through Newton's differentiable solver.
+
+    ``SolverFeatherstone``: reduced coordinates, semi-implicit Euler, single precision, and no dry friction of joints. What the
+    driven joint moves is one body, the payload another, on a fixed joint. All steps, and their adjoints by ``wp.Tape``, are
+    recorded once into two graphs, which are played again for each guess: launched one by one from Python they take some 70
+    times as long.
+
+    Args:
+        case: recording and problem.
+        step_s: of the integrator.
+
+    Raises:
+        ImportError: Newton is not installed.
+    """
+
+    def __init__(self, case: _Case, step_s: float) -> None:
+        import newton
+
+        prepared, self._prior = case.prepared, case.problem.coordinates
+        locked = reduced_model(case.robot, case.run, {})
+        pseudo = locked.pseudo_inertia[0]
+        mass, com = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
+        second, spread = pseudo[:3, :3] - mass * np.outer(com, com), case.facts.shape.second_moment_per_mass
+        self._inertia_per_kg = _inertia(spread)
+        builder = newton.ModelBuilder(gravity=tuple(locked.gravity))
+        moved = builder.add_link(mass=mass, com=tuple(com), inertia=wp.mat33(_inertia(second)))
+        self._payload = builder.add_link(
+            mass=STARTS_KG[0], com=tuple(case.facts.com), inertia=wp.mat33(STARTS_KG[0] * self._inertia_per_kg)
+        )
+        nothing = dict.fromkeys(("damping", "stiffness", "target_ke", "target_kd", "friction"), 0.0)
+        placement, axis = _transform(locked.placement[0]), tuple(locked.axes[0])
+        armature = prepared.drive.armature.value
+        hinge = builder.add_joint_revolute(-1, moved, parent_xform=placement, axis=axis, armature=armature, **nothing)
+        weld = builder.add_joint_fixed(
+            moved, self._payload, parent_xform=_transform(locked.frames[case.robot.payload_frame][1])
+        )
+        builder.add_articulation([hinge, weld])
+        self._model = model = builder.finalize(device="cpu", requires_grad=True)
+        self._solver = newton.solvers.SolverFeatherstone(model)
+        self._control = model.control()
+        self._control.joint_f.fill_(prepared.drive.torque_constant.value * float(case.run.input_current_A[0]))
+
+        instants = np.maximum(prepared.times_s - case.robot.delay.value, 0.0) / step_s
+        steps = math.ceil(instants[-1] - 1e-6)
+        self._row = np.clip(np.floor(instants).astype(int), 0, steps - 1)
+        self._share = instants - self._row
+        self._position, self._sigma = prepared.position, prepared.sigma
+        self._states = [model.state() for _ in range(steps + 1)]
+        # a sample lies between two steps: the misfit's slope with respect to these goes into the tape
+        self._slopes = {
+            row: wp.zeros(1, dtype=wp.float32, device="cpu") for row in np.union1d(self._row, self._row + 1)
+        }
+
+        def play() -> None:
+            # the payload's mass has changed
+            self._solver.notify_model_changed(newton.ModelFlags.BODY_INERTIAL_PROPERTIES)
+            for before, after in zip(self._states[:-1], self._states[1:], strict=True):
+                self._solver.step(before, after, self._control, None, step_s)
+
+        play()  # what it compiles and allocates is no part of a graph
+        tape = wp.Tape()
+        with wp.ScopedCapture(device="cpu") as forward, tape:
+            play()
+        into = {self._states[row].joint_q: slope for row, slope in self._slopes.items()}
+        tape.backward(grads=into)  # before, the tape does not know what it has to set to zero
+        with wp.ScopedCapture(device="cpu") as backward:
+            tape.zero()
+            tape.backward(grads=into)
+        self._tape, self._forward, self._backward = tape, forward.graph, backward.graph
+
+    def __call__(self, values: np.ndarray) -> tuple[float, np.ndarray]:
+        """Cost, half the sum of squares, and its gradient with respect to mass, position and velocity at the start, shape (3,)."""
+        off = (self.positions(values) - self._position) / self._sigma
+        slopes = np.zeros(len(self._states))
+        np.add.at(slopes, self._row, (1.0 - self._share) * off / self._sigma)
+        np.add.at(slopes, self._row + 1, self._share * off / self._sigma)
+        for row, slope in self._slopes.items():
+            slope.fill_(slopes[row])
+        wp.capture_launch(self._backward)
+        model, first = self._model, self._states[0]
+        by_mass = model.body_mass.grad.numpy()[self._payload]
+        by_inertia = model.body_inertia.grad.numpy()[self._payload]
+        gradient = np.array(
+            [
+                by_mass + np.sum(by_inertia * self._inertia_per_kg),
+                first.joint_q.grad.numpy()[0],
+                first.joint_qd.grad.numpy()[0],
+            ]
+        )
+        further = values - self._prior.prior_mean
+        pull = self._prior.prior_precision @ further
+        return 0.5 * float(off @ off + further @ pull), gradient + pull
+
+    def positions(self, values: np.ndarray) -> np.ndarray:
+        """Of the joint at the samples [rad], shape (T,), for a mass, a position and a velocity at the start."""
+        mass, q0, v0 = values
+        self._model.body_mass[self._payload : self._payload + 1].fill_(mass)
+        self._model.body_inertia[self._payload : self._payload + 1].fill_(wp.mat33(mass * self._inertia_per_kg))
+        self._states[0].joint_q.fill_(q0)
+        self._states[0].joint_qd.fill_(v0)
+        wp.capture_launch(self._forward)
+        way = np.array([state.joint_q.numpy()[0] for state in self._states], dtype=np.float64)
+        found: np.ndarray = (1.0 - self._share) * way[self._row] + self._share * way[self._row + 1]
+        return found
+
+
+def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:
+    """scipy's L-BFGS-B on Newton's gradient, from all starts."""
+    from scipy.optimize import Bounds, minimize
+
+    coordinates = case.problem.coordinates
+    low, high = (coordinates.internal(np.array([mass, 0.0, 0.0]))[0] for mass in (1e-4, 2.0))
+    bounds = Bounds([low, -np.inf, -np.inf], [high, np.inf, np.inf])
+
+    def cost(scaled: np.ndarray) -> tuple[float, np.ndarray]:
+        internal = scaled * coordinates.natural
+        value, gradient = arm(coordinates.physical(internal))
+        return value, gradient * coordinates.slope(internal) * coordinates.natural
+
+    def solve() -> float:
+        first = case.starts / coordinates.natural
+        ends = [minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in first]
+        best = min(ends, key=lambda end: float(end.fun))
+        return float(case.masses(best.x[None] * coordinates.natural)[0])
+
+    return solve
+
+
+def _inertia(second: np.ndarray) -> np.ndarray:
+    """Rotational inertia, shape (3, 3), of a second moment of mass (3, 3)."""
+    found: np.ndarray = np.trace(second) * np.eye(3) - second
+    return found
+
+
+def _transform(matrix: np.ndarray) -> Any:
+    return wp.transform(wp.vec3(*matrix[:3, 3]), wp.quat_from_matrix(wp.mat33(matrix[:3, :3])))

@@ -580,7 +580,10 @@ def test_a_joint_that_does_not_follow(phase: Phase) -> None:
         assert not ready.tick(joint1=goal + 0.16).current_A
         late += 1
     assert 50 <= late <= 52  # 0.5 s
-    assert "joint1 does not follow: is something in its way, or torque off?" in ready.machine.abort_reason
+    assert (
+        "joint1 does not follow: is something in its way, its load too heavy, or torque off?"
+        in ready.machine.abort_reason
+    )
     assert all(outcome.used for outcome in ready.machine.outcomes)
 
 

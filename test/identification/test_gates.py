@@ -61,6 +61,18 @@ def test_stuck(calibrated: Robot, lift: Run) -> None:
     assert "so friction and not the weight decides where it is" in estimate.reasons[0]
 
 
+@pytest.mark.parametrize(("share", "moves"), [(1.0, True), (0.7, False), (0.0, True)])
+def test_a_joint_that_stands_still_where_the_others_say_it_moves(
+    calibrated: Robot, lift: Run, share: float, moves: bool
+) -> None:
+    """Beside the current that lifts and none at all, 0.7 of it is within friction of what holds 20 g."""
+    still = replace(shrunk(lift, 1e-3), name="still", input_current_A=share * lift.input_current_A)
+    estimate = weigh(calibrated, [lift, still])
+    said = [reason for reason in estimate.reasons if "still: joint3 stood still with" in reason]
+    assert (estimate.verdict is Verdict.REJECTED, bool(said)) == (moves, moves)
+    assert not said or "it sticks, or leans on something" in said[0]
+
+
 def test_little_travel(bags: Path, calibrated: Robot, robot: Robot) -> None:
     slow = run_of(bags, "realistic_s00_fixed_heavy_ball_50g_joint3", robot)  # 0.22 rad
     estimate = weigh(calibrated, [slow])

@@ -31,6 +31,7 @@ from proprio_ros.identification.fit import (
 )
 from proprio_ros.identification.gates import (
     LITTLE_TRAVEL,
+    MIN_USED,
     MISFIT_LIMIT,
     MOVING_START,
     Contradiction,
@@ -39,6 +40,7 @@ from proprio_ros.identification.gates import (
     contradiction,
     never_reversed,
     screen_run,
+    stood_still,
     unusable,
 )
 from proprio_ros.identification.judge import (
@@ -122,12 +124,15 @@ def weigh(
     options = options or WeighingOptions()
     found = Findings()
     usable: list[PreparedRun] = []
+    still: list[PreparedRun] = []
     weighing = 0
     for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
         prepared = prepare_run(robot, run, load, facts)
         problem = unusable(prepared)
         if problem:
             found.reasons.append(of_run(run.name, problem))
+            if prepared.used >= MIN_USED:
+                still.append(prepared)
         else:
             usable.append(prepared)
             weighing += load is None
@@ -148,7 +153,7 @@ def weigh(
                 "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, "
                 "under its priors"
             )
-    return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs), drift)
+    return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs), drift, still=still)
 
 
 def _weigh_swings(
@@ -256,6 +261,7 @@ def _conclude(
     run_count: int,
     drift: str,
     misfit_of_swing: str = "",
+    still: Sequence[PreparedRun] = (),
 ) -> Estimate:
     known = robot.is_calibrated(joints_of(runs))
     swings = runs[0].run.free
@@ -302,6 +308,8 @@ def _conclude(
                 "swings of two known loads (calibrate --reference BAG=KG --reference BAG=KG)",
             )
         yield from contradicted(apart)
+        if sticks := stood_still(robot, fit.problem, fit.values, still, mass):
+            yield rejected("stood_still", "a joint stood still that should have moved", sticks)
         if on_bound(fit):
             yield rejected(
                 "on_bound",
