@@ -14,7 +14,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
-from proprio_ros.bags import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, RawMessage
+from proprio_ros.bags import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES, RawMessage
+from proprio_ros.calibration import Moment
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
@@ -64,7 +65,7 @@ class Inputs:
         self.driven = self.swings = False
         self.by_goals = ""
         self._joints: list[bytes] = []
-        self._motors = b""
+        self._motors = self._temperatures = b""
         self._state_at_s = self._effort_at_s = -1e9
         self.stamp_ns = 0
         """Of the newest joint state."""
@@ -119,6 +120,8 @@ class Inputs:
             node.listen(JointState, JOINT_COMMAND, listener, STREAM, raw=True, together=lambda: True)
         self._motors_topic = node.resolve_topic_name("motors")
         node.create_subscription(DiagnosticStatus, "motors", self.on_motors, LATCHED, raw=True)
+        self._temperatures_topic = node.resolve_topic_name(TEMPERATURES)
+        node.create_subscription(Float64MultiArray, TEMPERATURES, self.on_temperatures, LATCHED, raw=True)
         # latched, but only what changes while a recording is under way belongs to it
         torque = partial(self._on_torque_enabled, node.resolve_topic_name("torque_enabled"))
         node.create_subscription(Bool, "torque_enabled", torque, LATCHED, raw=True)
@@ -199,6 +202,24 @@ class Inputs:
         """Said once, when the driver finds them."""
         self._motors = bytes(data)
 
+    def on_temperatures(self, data: bytes) -> None:
+        """Said once a second."""
+        self._temperatures, session = bytes(data), self.session
+        if session is not None:
+            now_ns = self._node.get_clock().now().nanoseconds
+            session.add(self._temperatures_topic, _type_of(Float64MultiArray), now_ns, self._temperatures)
+
+    def moment(self) -> Moment:
+        """Now, as a recording will have it."""
+        return Moment(1e-9 * self.stamp_ns, self.temperatures_C())
+
+    def temperatures_C(self) -> dict[str, float]:
+        """How warm the motors are, as far as their driver says it, by joint."""
+        if not self._temperatures or not self._node.count_publishers(self._temperatures_topic):
+            return {}
+        found = messages.by_joint(deserialize_message(self._temperatures, Float64MultiArray), ())
+        return {} if isinstance(found, str) else found
+
     def _on_torque_enabled(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
         """It has no stamp: when it was sent counts, since a busy computer may have us hear it after the joint was caught."""
         session = self.session
@@ -214,7 +235,11 @@ class Inputs:
         if not self._motors or not self._node.count_publishers(self._motors_topic):
             return []
         now_ns = self._node.get_clock().now().nanoseconds
-        return [RawMessage(self._motors_topic, _type_of(DiagnosticStatus), now_ns, self._motors)]
+        told = [RawMessage(self._motors_topic, _type_of(DiagnosticStatus), now_ns, self._motors)]
+        if self._temperatures and self._node.count_publishers(self._temperatures_topic):
+            kind = _type_of(Float64MultiArray)
+            told.append(RawMessage(self._temperatures_topic, kind, now_ns, self._temperatures))
+        return told
 
     # --- whether it comes ---------------------------------------------------------------------------------------------
 
