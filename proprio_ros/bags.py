@@ -63,6 +63,8 @@ BOOL = "std_msgs/msg/Bool"
 BATTERY = "sensor_msgs/msg/BatteryState"
 TORQUE_ENABLED = "torque_enabled"
 """Topic that says whether the motors' torque is on."""
+TEMPERATURES = "motor_temperatures"
+"""Topic of how warm each motor is."""
 JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
 """Topics of the goals of position servos, and of their supply."""
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
@@ -1327,6 +1329,31 @@ def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
         entries = [entry for topic in topics for _, message in bag.messages(topic) for entry in message.values]
     motors = {one_line(str(entry.key)): MotorIdentity.from_text(str(entry.value)) for entry in entries}
     return {joint: motor for joint, motor in motors.items() if motor is not None}
+
+
+def read_temperatures(path: str | Path, state_topic: str | None = None) -> dict[str, float]:
+    """How warm the motors were on average, as the driver of a bag's joint states said on ``motor_temperatures`` [deg C].
+
+    Returns:
+        By joint; empty where it did not.
+
+    Raises:
+        RecordingError: The bag cannot be read.
+    """
+    heard: dict[str, list[float]] = {}
+    with _open(Path(path)) as bag:
+        try:
+            namespace = _state_topic(bag, state_topic, None).name.rpartition("/")[0]
+        except RecordingError:
+            return {}
+        wanted = (f"{namespace}/{TEMPERATURES}", FLOAT_ARRAYS[0])
+        for topic in (t for t in bag.topics if t.size and (t.name, t.msgtype) == wanted):
+            for _, message in bag.messages(topic):
+                labels = ",".join(str(dimension.label) for dimension in message.layout.dim).split(",")
+                for joint, value in zip(labels, message.data, strict=False):
+                    if joint and -273.0 < value < 1000.0:
+                        heard.setdefault(one_line(joint), []).append(float(value))
+    return {joint: float(np.mean(values)) for joint, values in heard.items()}
 
 
 def read_description(path: str | Path) -> str:

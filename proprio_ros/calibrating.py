@@ -20,13 +20,14 @@ from proprio_ros import __version__
 from proprio_ros.bags import read_motors
 from proprio_ros.calibration import Calibration
 from proprio_ros.datasets import episode_of
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
 from proprio_ros.identification.motion_estimate import calibrate_motions
 from proprio_ros.identification.one_joint_estimate import best_delay, calibrate_joint, torque_left_over
 from proprio_ros.identification.planning import plan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
+from proprio_ros.identification.refresh import refresh
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.joint_calibration import FEWEST_RUNS, JointCalibration
 from proprio_ros.motion_calibration import MotionCalibration
@@ -34,13 +35,17 @@ from proprio_ros.motions import Motion
 from proprio_ros.motors import MotorIdentity, other_arm
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.quantity import Quantity
+from proprio_ros.reading import text_of, yaml_of
 from proprio_ros.replay import (
     DEFAULT_ROBOT,
     Recordings,
     ReplayOptions,
+    aged_robot,
     bag_recording,
+    bag_runs,
     bag_runs_or_motion,
     held_positions,
+    moment_of,
     robot_of,
     runs_or_motion,
 )
@@ -125,7 +130,8 @@ def calibrate_from_bags(
     else:
         estimate = calibrate(robot, runs, progress=progress)
     if estimate.calibration is not None:
-        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors))
+        made = moment_of([each.run for each in runs], [path for path, _ in loads], options.state_topic)
+        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
     written = None
     learnt = estimate.calibration or estimate.motion or estimate.joint
     if output is not None and learnt is not None and estimate.verdict.value == "accepted":
@@ -140,6 +146,61 @@ def calibrate_from_bags(
     used = {fit.name for fit in estimate.run_fits}
     unused = tuple(recorded_run(robot, each.run) for each in runs if each.run.name not in used)
     return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin, unused=unused)
+
+
+@one_blas_thread
+def refresh_from_bags(
+    paths: str | Path | Sequence[str | Path],
+    options: ReplayOptions,
+    output: str | Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    force: bool = False,
+) -> CalibrationEstimate:
+    """Bring a calibration up to date by a few runs with nothing in the hand, and write it as another file.
+
+    Args:
+        paths: the bags.
+        options: its ``calibration`` is the old one; what concerns the probe is not used.
+        output: the new file, written where the outcome is accepted.
+        progress: called with what is going on.
+        force: whether an older file of that name may be replaced.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+    """
+    paths, old = paths_of(paths), options.calibration
+    if old is None:
+        raise ConfigurationError("nothing to bring up to date: name the old calibration")
+    if output is not None:
+        check_new_yaml(Path(output), force)
+    started = time.perf_counter()
+    options.check_driver()
+    if not paths:
+        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
+    settings = Settings(options.settings)
+    robot = robot_of(options.robot, old, {})
+    held = held_positions(robot, settings)
+    settings.refuse_rest()
+    if robot.calibration is None:
+        raise ConfigurationError(f"{old} was made from motions; only a calibration of runs can be brought up to date")
+    once = Recordings(paths)
+    motors = _motors_of([Path(path) for path in paths], options)
+    runs = [run for path in paths for run in once.checked(path, bag_runs(Path(path), robot, options, held))]
+    now = moment_of(runs, paths, options.state_topic)
+    fresh = robot.calibration
+    robot = aged_robot(robot, now)
+    read = time.perf_counter()
+    estimate = refresh(robot, [LoadedRun(run) for run in runs], progress)
+    if (learnt := estimate.calibration) is not None:
+        learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
+        estimate = replace(estimate, calibration=learnt)
+    written = None
+    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
+        said = "" if estimate.weighable is None else estimate.weighable.sentence()
+        write_calibration(Path(output), robot, learnt, said=said, like=Path(old))
+        written = calibration_used(Path(output))
+    origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old), "calibration": written}
+    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
 
 
 def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, MotorIdentity]:
@@ -199,6 +260,7 @@ def write_calibration(
     calibration: Calibration | MotionCalibration | JointCalibration,
     overrides: Mapping[str, Any] | None = None,
     said: str = "",
+    like: Path | None = None,
 ) -> None:
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
@@ -208,6 +270,7 @@ def write_calibration(
         calibration: what was learnt.
         overrides: dotted robot settings that were in force, so that they come back with the file.
         said: what can be weighed with it, for the file's comment.
+        like: an older calibration, whose place this one takes: all else stands as it does there.
 
     Raises:
         ConfigurationError: the file cannot be written.
@@ -215,6 +278,8 @@ def write_calibration(
     settings = calibration.as_settings()
     section = CommentedMap(settings)
     section["runs"] = [_on_one_line(run) for run in settings["runs"]]
+    if "made" in settings:
+        section["made"] = _on_one_line(settings["made"])
     if "unknowns" in settings:
         section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
     for name in ("correlation", "deviations", "without"):
@@ -223,8 +288,14 @@ def write_calibration(
     if isinstance(calibration, MotionCalibration):
         section["torque_scale"] = _on_one_line(settings["torque_scale"])
         section["joints"] = [_on_one_line(joint) for joint in settings["joints"]]
-    content = CommentedMap(nested_settings(robot.model, overrides or {}))
-    content.insert(0, "extends", _reference_to(robot.source, path))
+    if like is None:
+        content = CommentedMap(nested_settings(robot.model, overrides or {}))
+        content.insert(0, "extends", _reference_to(robot.source, path))
+    else:
+        content = CommentedMap(yaml_of(text_of(like, RobotError)))
+        below = like.resolve().parent / str(content.get("extends", ""))
+        if below.is_file():
+            content["extends"] = _reference_to(below, path)
     if isinstance(calibration, Calibration):
         content["calibrated"] = True
     content["model_fingerprint"] = robot.model.fingerprint()

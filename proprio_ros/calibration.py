@@ -12,6 +12,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       torque_disturbance_N_m: 0.0004     # what differs from run to run
       motors:                            # whose arm it is, where the recordings say so; without this section nothing is compared
         joint3: {model: 1020, id: 13, firmware: 46, homing_offset: 0, drive_mode: 0, moving_threshold: 10}
+      made: {time_s: 1760000009.8, temperature_C: {joint3: 34.0}}   # when, by the clock of the recordings; see `drift`
       start_velocity_rad_s: 0.003        # how still the held joint is when its probe begins; all numbers have ranges, see `RANGES`
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
@@ -71,6 +72,8 @@ _RUN: dict[str, Form] = {
     "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
     "samples": Whole(lowest=0, highest=10**9),
 }
+_TIME = Number("since 1970", "s", lowest=0.0, highest=1e11)
+_TEMPERATURE = Number("of a motor", "deg C", lowest=-273.0, highest=1e3)
 TERMS = (
     "torque_constant", "coulomb", "viscous", "load_friction", "armature", "zero", "stribeck", "stribeck_velocity",
 )  # fmt: skip
@@ -79,6 +82,39 @@ _LEAST_STD = 1e-10  # of any unknown, in its unit: below it, a covariance loses 
 _FARTHEST = 5.0  # times the nominal torque constant, or that part of it
 _MOST_STDS = 10.0
 _SMALLEST_EIGENVALUE = 1e-12  # of a correlation matrix: below it, rounding has made it no covariance
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When something was recorded, and how warm the motors were.
+
+    Attributes:
+        time_s: Mean over its runs, by the clock of the recording [s].
+        temperature_C: Of the motors that say it, by joint.
+    """
+
+    time_s: float
+    temperature_C: Mapping[str, float] = field(default_factory=dict)
+
+    def as_settings(self) -> dict[str, Any]:
+        """Plain numbers."""
+        warmth = {joint: short(t, 4) for joint, t in self.temperature_C.items()}
+        return {"time_s": round(self.time_s, 1), **({"temperature_C": warmth} if warmth else {})}
+
+    @classmethod
+    def from_settings(cls, given: Any, where: str) -> Moment:
+        """The reverse of ``as_settings``.
+
+        Raises:
+            RobotError: It is none.
+        """
+        if not isinstance(given, Mapping) or not {"time_s"} <= set(given) <= {"time_s", "temperature_C"}:
+            raise RobotError(f"{where}: expected time_s and perhaps temperature_C, got {shortly(given)}")
+        warmth = part_of(given, "temperature_C", Mapping, where) if "temperature_C" in given else {}
+        return cls(
+            read_as(given["time_s"], _TIME, f"{where}: time_s"),
+            {str(j): read_as(t, _TEMPERATURE, f"{where}: temperature_C: {shortly(j)}") for j, t in warmth.items()},
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +133,7 @@ class Calibration:
         swing_error: Error of simulated free swings, see `Robot.swing_error` [rad].
         runs: One mapping per run used: name, joint, current_A, load_kg, samples.
         motors: Of the arm, by joint, where its recordings say so.
+        made: When it was made, or since when it counts (see `drift`); None where the recordings do not say it.
     """
 
     keys: tuple[Key, ...]
@@ -110,6 +147,7 @@ class Calibration:
     motors: Motors = field(default_factory=dict)
     friction_spread: float = 0.0
     swing_error: float = 0.0
+    made: Moment | None = None
 
     @functools.cached_property
     def names(self) -> tuple[str, ...]:
@@ -171,6 +209,7 @@ class Calibration:
             "stamp_jitter_s": short(self.stamp_jitter_s),
             "torque_disturbance_N_m": short(self.torque_disturbance),
             "start_velocity_rad_s": short(self.start_velocity),
+            **({"made": self.made.as_settings()} if self.made is not None else {}),
             **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
             **(
                 {"friction_spread": short(self.friction_spread), "swing_error_rad": short(self.swing_error)}
@@ -234,6 +273,7 @@ class Calibration:
             motors,
             friction_spread,
             swing_error,
+            Moment.from_settings(section["made"], f"{where}: made") if "made" in section else None,
         )
 
 

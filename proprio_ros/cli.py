@@ -173,6 +173,11 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument(
         "--output", required=True, metavar="FILE.yaml", help="the calibration, for `replay --calibration`"
     )
+    calibrate.add_argument(
+        "--refresh",
+        metavar="OLD.yaml",
+        help="bring this calibration up to date: what drift has left of it is the prior, so that a few empty-hand runs are enough",
+    )
     calibrate.add_argument("--force", action="store_true", help="replace an older file of that name")
     _add_robot(calibrate)
     _add_set(calibrate)
@@ -463,24 +468,24 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         if not path:
             raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
         references[path] = known
-    from proprio_ros.calibrating import calibrate_from_bags
+    from proprio_ros.calibrating import calibrate_from_bags, refresh_from_bags
     from proprio_ros.replay import ReplayOptions
 
-    estimate = calibrate_from_bags(
-        options.bags,
-        references,
-        ReplayOptions(
-            robot=options.robot,
-            settings=settings,
-            driver=options.driver,
-            state_topic=options.state_topic,
-            command_topic=options.command_topic,
-            effort_unit=options.effort_unit,
-        ),
-        options.output,
-        _progress,
-        force=options.force,
+    about = ReplayOptions(
+        robot=options.robot,
+        settings=settings,
+        calibration=options.refresh,
+        driver=options.driver,
+        state_topic=options.state_topic,
+        command_topic=options.command_topic,
+        effort_unit=options.effort_unit,
     )
+    if options.refresh is not None and references:
+        raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
+    if options.refresh is not None:
+        estimate = refresh_from_bags(options.bags, about, options.output, _progress, force=options.force)
+    else:
+        estimate = calibrate_from_bags(options.bags, references, about, options.output, _progress, force=options.force)
     accepted = estimate.verdict.value == "accepted"
     if options.json:
         written = {"output": str(options.output) if accepted else None}
@@ -784,11 +789,12 @@ def _calibration_as_text(estimate: Any) -> str:
     if estimate.empty_hand is not None:
         lines.append(f"  empty hand: {estimate.empty_hand.sentence()}")
     of_runs = estimate.motion is None  # a motion's are some hundred, and none has a meaning alone
+    source = "before" if "refreshed" in estimate.origin else "file"
     listed = [row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"]
     for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit
         lines.append(
-            f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   (file: {row.prior:.5f} +- {row.prior_std:.5f})"
+            f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   ({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
         )
     if len(listed) < len(estimate.unknowns):
         lines.append(

@@ -19,10 +19,13 @@ from proprio_ros.bags import (
     read_drive_signals,
     read_motors,
     read_recording,
+    read_temperatures,
     read_text_recording,
     without_jumps,
 )
+from proprio_ros.calibration import Moment
 from proprio_ros.datasets import episode_of, read_episode
+from proprio_ros.drift import aged, said
 from proprio_ros.drivers import Driver, load_driver
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate
@@ -217,6 +220,7 @@ def read_for(prepared: Prepared, paths: Sequence[str | Path]) -> tuple[Robot, Re
         )
     if (swings := [run.name for run in runs if run.free]) and not probe.takes_swings:
         raise RecordingError(f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives")
+    robot = aged_for(robot, runs, paths, options.state_topic)
     baseline: list[Run] = []
     baseline_motions: list[Motion] = []
     for path in baseline_paths:
@@ -249,7 +253,37 @@ def identify(prepared: Prepared, robot: Robot, read: Recorded, paths: Sequence[s
     }
     recorded = [*(recorded_run(robot, run) for run in runs), *(recorded_run(robot, run, True) for run in baseline)]
     notes = (*estimate.notes, *_guessed_frame(robot, options.settings))
+    fresh = prepared.robot.calibration
+    if fresh is not None and robot.calibration is not None:
+        notes += tuple(filter(None, (said(fresh, robot.drift, robot.calibration.made),)))
     return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded))
+
+
+def aged_for(robot: Robot, runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None) -> Robot:
+    """The robot, of whose calibration as much is known as was left when some runs were recorded (see `drift`)."""
+    if robot.calibration is None or robot.calibration.made is None or not runs:
+        return robot
+    return aged_robot(robot, moment_of(runs, paths, state_topic))
+
+
+def aged_robot(robot: Robot, now: Moment) -> Robot:
+    """The robot, of whose calibration as much is known as is left by now."""
+    if robot.calibration is None:
+        return robot
+    calibration = aged(robot.calibration, robot.drift, now)
+    return robot if calibration is robot.calibration else robot.with_calibration(calibration)
+
+
+def moment_of(runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None) -> Moment:
+    """When runs were recorded, and how warm the motors were in the bags that say it."""
+    heard: dict[str, list[float]] = {}
+    for path in paths:
+        if is_text_recording(path) or episode_of(Path(path)) is not None:
+            continue
+        for joint, degrees in read_temperatures(path, state_topic).items():
+            heard.setdefault(joint, []).append(degrees)
+    warmth = {joint: float(np.mean(values)) for joint, values in heard.items()}
+    return Moment(1e-9 * float(np.mean([run.onset_ns for run in runs])), warmth)
 
 
 def _guessed_frame(robot: Robot, settings: Mapping[str, Any]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from proprio_ros.identification.sequential import (
     MAX_TRAVEL,
     SHAKE_PERIOD_S,
     UNKNOWN_KG,
+    UNKNOWN_STD_KG,
     WORTH,
     Catalogue,
     Known,
@@ -88,6 +89,17 @@ class Decision:
             if push is not None:
                 entries[name] = f"{push.words}, {push.time_s:.1f} s, +-{half_of(push.std):.2e} kg"
         return entries
+
+
+def words_of(decision: Decision) -> str:
+    """What is known, and what comes next, in two short lines."""
+    known = f"{shown('kg', decision.mass, spec='.1f')} +- {shown('kg', decision.half, spec='.2f')}"
+    if decision.half > 0.99 * half_of(UNKNOWN_STD_KG):
+        known = "not weighed yet"
+    if decision.push is None:
+        return f"{known}\nended by: {decision.ended_by}"
+    push = f"{decision.push.joint} {shown('A', decision.push.current_A, spec='+.0f')}"
+    return f"{known}\nnext: {push}, then +-{shown('kg', decision.promised, spec='.2f')}"
 
 
 class UntilSure:
@@ -321,18 +333,64 @@ def chosen_known(
     """
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
     catalogue = Catalogue(robot)
-    # weighings that are foreseen: without their own noise nothing would be worth learning
-    known = replace(catalogue.nothing_known(), mass=weighed_kg)
+    known, _ = _foreseen_weighing(catalogue, weighed_kg, sequence)
+    return _chosen(catalogue, known, half_interval, at_most_s, sequence, reference_kg)
+
+
+def chosen_refresh(
+    fresh: Robot, aged: Robot, at_most_s: float, sequence: ProbeSequence
+) -> tuple[list[ProbeRun], float, float]:
+    """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
+
+    Args:
+        fresh: With the calibration as it was made.
+        aged: With what is left of it (see `drift`).
+        at_most_s: For all of them.
+        sequence: Whose ways, rest and brake count.
+
+    Returns:
+        The pushes, none where a tenth at most is missing; half the 95 % interval of a foreseen weighing of `WEIGHED_KG` when the
+        calibration was made, and by now [kg].
+    """
+    catalogue = Catalogue(fresh)
+    then, pushes = _foreseen_weighing(catalogue, WEIGHED_KG, sequence)
+    # of the same weighing: where it is pushed does not depend on how well the robot is known
+    catalogue = Catalogue(aged)
+    known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
+    for push in pushes:
+        known = replace(catalogue.foreseen(known, push), mass=WEIGHED_KG)
+    half, now = half_of(then.std), half_of(known.std)
+    return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
+
+
+def _foreseen_weighing(catalogue: Catalogue, weighed_kg: float, sequence: ProbeSequence) -> tuple[Known, list[Push]]:
+    """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
+    robot = catalogue.robot
+    known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
     for _ in range(WEIGHED_PUSHES):
         push = max(catalogue.rank(known, _time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain)
         known = replace(catalogue.foreseen(known, push), mass=weighed_kg)
+        pushes.append(push)
+    return known, pushes
+
+
+def _chosen(
+    catalogue: Catalogue,
+    known: Known,
+    half_interval: float,
+    at_most_s: float,
+    sequence: ProbeSequence,
+    load_kg: float,
+) -> list[ProbeRun]:
+    """Pushes with a known load, one after the other, for the sake of a foreseen weighing."""
+    robot, weighed_kg = catalogue.robot, known.mass
     machine = ExcitationMachine(robot)
     here, elapsed_s = bent_pose(robot), 0.0
     for run in sequence.runs:
         here |= run.start
     chosen: list[ProbeRun] = []
     while half_of(known.std) > half_interval:
-        ranked = catalogue.rank(known, _time_of(robot, sequence, here), half_interval / Z95, load_kg=reference_kg)
+        ranked = catalogue.rank(known, _time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg)
         for push in ranked:
             run = run_of(push, robot)
             if elapsed_s + push.time_s <= at_most_s and _passes(machine, sequence, run, here):
@@ -340,7 +398,7 @@ def chosen_known(
         else:
             break
         elapsed_s += push.time_s
-        known = replace(catalogue.foreseen(known, push, reference_kg), mass=weighed_kg)
+        known = replace(catalogue.foreseen(known, push, load_kg), mass=weighed_kg)
         # where it ends
         here = {**push.start, push.joint: push.start[push.joint] + push.travel}
         chosen.append(run)

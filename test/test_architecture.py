@@ -30,8 +30,11 @@ ROOMS: dict[str, set[str]] = {
     # whose arm it is
     "motors": {"forms"},
     "calibration": {"errors", "quantity", "kinds", "forms", "motors"},
+    # what a calibration is worth some time later
+    "drift": {"calibration", "forms"},
     # a bag may hold the robot's description
     "robot": {
+        "drift",
         "errors",
         "resources",
         "quantity",
@@ -100,6 +103,8 @@ ROOMS: dict[str, set[str]] = {
     },
     "replay": {
         "errors",
+        "calibration",
+        "drift",
         "motors",
         "schema",
         "threads",
@@ -122,6 +127,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "calibrating": {
         "errors",
+        "reading",
         "bags",
         "datasets",
         "motors",
@@ -263,6 +269,7 @@ ROOMS: dict[str, set[str]] = {
     "virtual": {"errors", "records", "robot", "realtime", "bus"},
     "excitation": {"errors", "reading", "records", "resources", "robot"},
     "nodes": {
+        "calibration",
         "errors",
         "motions",
         "motors",

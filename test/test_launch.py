@@ -144,7 +144,7 @@ def test_the_launch_files_are_there() -> None:
     assert [path.name for path in LAUNCH] == ["calibration.launch.py", "display.launch.py"]
     view = YAML(typ="safe", pure=True).load((REPOSITORY / "config" / "proprio.rviz").read_text())
     topics = [display["Topic"]["Value"] for display in view["Visualization Manager"]["Displays"] if "Topic" in display]
-    assert topics == ["/identifier/markers"]
+    assert topics == ["/identifier/markers", "/identifier/next_push"]
 
 
 def test_the_manifest_names_what_launch_files_need() -> None:

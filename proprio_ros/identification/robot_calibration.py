@@ -231,7 +231,7 @@ def calibrate(
     if bound := _delay_on_bound(fitted):
         verdict = Verdict.REJECTED
         found.reasons.insert(0, bound)
-    hand = _empty_hand(fitted)
+    hand = empty_hand(fitted.problem, fitted.values, fitted.posterior)
     if hand is not None and abs(hand.pull) > NOT_EMPTY:
         verdict = Verdict.REJECTED
         found.reasons.insert(0, Reason("hand_not_empty", hand.contradiction()))
@@ -319,12 +319,11 @@ def _said_left_out(joints: Sequence[str]) -> Reason:
     return Reason("not_separated", f"{', '.join(joints)} {stays} uncalibrated, because {its} driven one way only")
 
 
-def _empty_hand(fitted: _Fitted) -> EmptyHand | None:
+def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior) -> EmptyHand | None:
     """The mass with which the hand of all empty runs would fit best: one step from the fit, everything else moving with it.
 
     A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
     """
-    problem, posterior = fitted.problem, fitted.posterior
     empty = [
         (run.load is None or run.load.mass == 0.0) and bool(run.coefficients.payload.any()) for run in problem.runs
     ]
@@ -336,7 +335,7 @@ def _empty_hand(fitted: _Fitted) -> EmptyHand | None:
     ]
     loaded = Problem(problem.robot, runs, problem.facts, problem.unknowns)
     some = problem.free[:1]
-    change = loaded.simulate(fitted.values[None], some)[0] - problem.simulate(fitted.values[None], some)[0]
+    change = loaded.simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
     seen = problem.weight > 0.0
     slope = change[0][seen] / HIDDEN_STEP_KG * problem.weight[seen]
     across = posterior.sensitivity.T @ slope
@@ -636,16 +635,18 @@ def _as_calibration(fitted: _Fitted) -> Calibration:
         fitted.noise.stamp_jitter_s,
         fitted.noise.torque_disturbance,
         fitted.noise.start_velocity,
-        tuple(
-            {
-                "name": run.run.name,
-                "joint": run.run.joint,
-                "current_A": float(run.run.input_current_A[0]),
-                "load_kg": run.load.mass if run.load else 0.0,
-                "samples": run.used,
-            }
-            for run in problem.runs
-        ),
+        tuple(map(entry_of, problem.runs)),
         friction_spread=fitted.noise.friction_spread if fitted.noise.swing_error > 0.0 else 0.0,
         swing_error=fitted.noise.swing_error,
     )
+
+
+def entry_of(run: PreparedRun) -> dict[str, object]:
+    """A run, as a calibration lists it."""
+    return {
+        "name": run.run.name,
+        "joint": run.run.joint,
+        "current_A": float(run.run.input_current_A[0]),
+        "load_kg": run.load.mass if run.load else 0.0,
+        "samples": run.used,
+    }

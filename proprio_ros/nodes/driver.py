@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+from proprio_ros.bags import TEMPERATURES
 from proprio_ros.bus.driver import ArmDriver, ArmSample, BusState, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
 from proprio_ros.errors import ConfigurationError
@@ -115,6 +116,7 @@ class DriverNode(ManagedNode):
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._told_motors = {}  # a new publisher has told nobody
         self._motors = self.create_publisher(DiagnosticStatus, "motors", LATCHED)
+        self._temperatures = self.create_publisher(Float64MultiArray, TEMPERATURES, LATCHED)
         self._senders = {"current_command": Senders(), "position_command": Senders()}
         self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
         self.create_subscription(Float64MultiArray, "position_command", self._on_position, FROM_MANY)
@@ -275,6 +277,8 @@ class DriverNode(ManagedNode):
             name = f"{self._diagnosed}: motors"
             self._motors.publish(messages.status("ok", name, "whose arm this is", values, self._hardware_id))
         self._diagnostics.publish(messages.diagnostics(self.get_clock().now().nanoseconds, statuses))
+        if driver.health:
+            self._temperatures.publish(messages.labelled({n: h.temperature_C for n, h in driver.health.items()}))
 
     def _statuses(self, driver: ArmDriver) -> list[DiagnosticStatus]:
         late = list(self._pacer.lateness_s)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from proprio_ros.nodes.job import REFRESH, WEIGH
 from proprio_ros.nodes.job import ROBOT as ROBOT_JOB
-from proprio_ros.nodes.job import WEIGH
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Probe
@@ -14,7 +14,7 @@ from proprio_ros.probes.base import Probe
 
 def services() -> dict[str, str]:
     """Kind of job and its service: the robot's, and of each probe one to identify and one to record its baseline."""
-    found = {ROBOT_JOB: "calibrate_robot", WEIGH: "weigh"}
+    found = {ROBOT_JOB: "calibrate_robot", REFRESH: "refresh_robot", WEIGH: "weigh"}
     for probe in all_probes():
         found[probe.name] = f"calibrate_{probe.name}"
         if probe.baseline is not None:

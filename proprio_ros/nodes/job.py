@@ -13,6 +13,8 @@ from proprio_ros.until import Decision
 
 ROBOT = "robot"
 """The job that calibrates the robot."""
+REFRESH = "refresh"
+"""The job that brings its calibration up to date."""
 WEIGH = "weigh"
 """The job that needs no excitation: whoever moves the arm, moves it."""
 

@@ -27,8 +27,9 @@ from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.keeping import Keeping
 from proprio_ros.nodes.exciting import READY_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
-from proprio_ros.nodes.job import ROBOT, WEIGH, Job, JobError
+from proprio_ros.nodes.job import REFRESH, ROBOT, WEIGH, Job, JobError
 from proprio_ros.nodes.parameters import value_of
+from proprio_ros.nodes.refreshing import refresh_robot
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.nodes.weighing import Weighing
@@ -36,7 +37,7 @@ from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, replay, write_report
+from proprio_ros.replay import ReplayOptions, aged_robot, replay, write_report
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices
 from proprio_ros.robot import Robot
@@ -111,6 +112,9 @@ class Jobs:
         self.await_others()
         if job.kind == ROBOT:
             return self._calibrate(job)
+        if job.kind == REFRESH:
+            ways, results = self._value("robot_sequence"), self._results
+            return refresh_robot(job, self._keeping, self._inputs, results, ways, self.record, self._keep)
         name = job.kind.removesuffix("_baseline")
         if name != job.kind and name in (probe.name for probe in all_probes()):
             return self._record_baseline(job, probe_named(name))
@@ -143,6 +147,7 @@ class Jobs:
             baseline = self._keeping.find_baseline(probe, self._value(f"{probe.name}_baseline"))
         stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
         setting = self._keeping.setting(probe, stated, baseline)
+        setting = replace(setting, robot=aged_robot(setting.robot, self._inputs.moment()))
         self._results.link = setting.robot.payload_frame
         if baseline is None and probe.baseline is not None and probe.needs_baseline(setting.facts):
             raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
@@ -238,7 +243,8 @@ class Jobs:
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
         stays = self._keeping.keep_calibration(output)
-        said = f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+        on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
+        said = f"robot calibrated on {on}; calibration: {output}"
         return True, f"{said}; {stays}" if stays else said
 
     def _chosen(
@@ -390,6 +396,7 @@ class Jobs:
             self._results.tell(job.kind, decision.reason, entries)
             self._node.say("info", f"{decision.reason} (decided in {1e3 * decision.decided_s:.0f} ms)")
             job.decisions.append(decision)
+            self._results.choice(chooser.catalogue.robot, decision, live.position())
             if decision.run is None:
                 job.reason = decision.reason
                 return
@@ -437,7 +444,7 @@ class Jobs:
             self._inputs.heard = None
         for note in notes:
             self._node.say("info", note)
-        if not self._inputs.has_effort:
+        if not self._inputs.has_effort and not self._inputs.by_goals:
             self._node.say(
                 "warning",
                 "no applied_effort: the times at which a current began are those at which its command was heard",

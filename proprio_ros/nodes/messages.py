@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import InertiaStamped
+from geometry_msgs.msg import InertiaStamped, Point
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from visualization_msgs.msg import Marker, MarkerArray
@@ -176,6 +176,39 @@ def markers(
             if not accepted:
                 spec = spec_for(unit, std)
                 marker.text = shown(unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to ")
+        array.append(marker)
+    return MarkerArray(markers=array)
+
+
+def planned(stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None) -> MarkerArray:
+    """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
+
+    Args:
+        stamp_ns: of the message.
+        frame: of the root link.
+        place_m: of the hand, shape (3,).
+        words: to be read.
+        path_m: of the hand, shape (N, 3); None: no push comes.
+    """
+    array = list(no_markers().markers)
+    kinds = [(Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.025))]
+    if path_m is not None:
+        kinds += [(Marker.LINE_STRIP, (0.004, 0.0, 0.0)), (Marker.SPHERE, (0.012, 0.012, 0.012))]
+    for number_, (kind, size) in enumerate(kinds):
+        marker = Marker(ns="next push", id=number_, type=kind, action=Marker.ADD)
+        marker.header.stamp, marker.header.frame_id = time_message(stamp_ns), frame
+        marker.pose.orientation.w = 1.0
+        marker.scale.x, marker.scale.y, marker.scale.z = size
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = *AMBER, 1.0
+        if kind == Marker.LINE_STRIP and path_m is not None:
+            marker.points = [Point(x=x, y=y, z=z) for x, y, z in path_m.tolist()]
+        else:  # the words above where the hand is, a ball where the push ends
+            at = place_m if kind == Marker.TEXT_VIEW_FACING or path_m is None else path_m[-1]
+            x, y, z = (float(value) for value in at)
+            above = 0.12 if kind == Marker.TEXT_VIEW_FACING else 0.0
+            marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = x, y, z + above
+        if kind == Marker.TEXT_VIEW_FACING:
+            marker.text = words
         array.append(marker)
     return MarkerArray(markers=array)
 

@@ -26,7 +26,9 @@ from proprio_ros.nodes.runtime import LATCHED, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Probe
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import hand_path, zero_pose
 from proprio_ros.session import Setting
+from proprio_ros.until import Decision, words_of
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class Results:
         self._estimate = node.create_publisher(DiagnosticArray, "~/estimate", LATCHED)
         self._load = node.create_publisher(InertiaStamped, "~/payload", LATCHED)
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
+        self._planned = node.create_publisher(MarkerArray, "~/next_push", LATCHED)
         self._numbers = {
             name: node.create_publisher(Float64, f"~/{name}", LATCHED)
             for name in dict.fromkeys(topic for probe in all_probes() for topic in probe.numbers)
@@ -95,6 +98,21 @@ class Results:
         """The same, and a line of the log."""
         self._node.say("info", message)
         self.tell(doing, message)
+
+    def choice(self, robot: Robot, decision: Decision, pose: Mapping[str, float]) -> None:
+        """What is known after a push, and the way of the hand in the next.
+
+        Args:
+            robot: That is pushed.
+            decision: What comes next.
+            pose: Where it stands [rad or m].
+        """
+        push, here = decision.push, {**zero_pose(robot), **pose}
+        path = None if push is None else hand_path(robot, push.joint, push.start, push.travel)
+        place = robot.model.frame_transform(robot.payload_frame, here)[:3, 3] if path is None else path[0]
+        frame = self._node.values["frame_prefix"] + robot.model.root
+        self._planned.publish(messages.planned(self._now_ns(), frame, place, words_of(decision), path))
+        self._standing["choice"] = partial(self._planned.publish, messages.no_markers())
 
     # --- estimates ----------------------------------------------------------------------------------------------------
 

@@ -86,6 +86,24 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
     return np.array(links), np.array([plane @ at[driven.child][:3, 3] for at in frames])
 
 
+def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20) -> np.ndarray:
+    """Where the hand is while one joint moves [m], in the frame of the root link, shape (points, 3).
+
+    Args:
+        robot: the arm.
+        joint: that moves.
+        start: positions of all independent joints before [rad or m].
+        travel: how far it goes, signed [rad or m].
+        points: how many.
+
+    Raises:
+        RobotError: a position is missing.
+    """
+    places = np.linspace(start[joint], start[joint] + travel, points).tolist()
+    at = [robot.model.frame_transform(robot.payload_frame, {**start, joint: place}) for place in places]
+    return np.array([frame[:3, 3] for frame in at])
+
+
 def bent_pose(robot: Robot) -> dict[str, float]:
     """A pose of all independent joints in which no lever happens to vanish [rad or m]."""
     model = robot.model

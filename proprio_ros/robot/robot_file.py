@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration import NOISE, RANGES, TERMS, Calibration, check_complete
+from proprio_ros.drift import FORMS, Drift
 from proprio_ros.errors import RobotError, one_line
 from proprio_ros.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
 from proprio_ros.joint_calibration import JointCalibration
@@ -50,6 +51,7 @@ class Robot:
             sample must have so that independent ones weigh as much [rad]. Calibrations and swings themselves show it.
         link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
             relative mass, each coordinate of its centre of mass [m], relative inertia about it.
+        drift: How fast a calibration ages.
         residual_scale: Residuals of a calibration over what encoder and stamps explain.
         calibration: What is known about this very arm, with all correlations; None when the file's numbers stand alone.
         motion_calibration: What motions with an empty hand say about this very arm; it is for motions alone.
@@ -85,6 +87,7 @@ class Robot:
     calibration: Calibration | None = None
     motion_calibration: MotionCalibration | None = None
     joint_calibration: JointCalibration | None = None
+    drift: Drift = field(default_factory=Drift)
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -210,6 +213,10 @@ def _drive(value: Any, where: str) -> Drive:
     return kind(**_section(given, fields, where))
 
 
+def _drift(value: Any, where: str) -> Drift:
+    return Drift(**_section(value, {key: _Field(form, getattr(Drift(), key)) for key, form in FORMS.items()}, where))
+
+
 def _quantity(form: Number) -> _Nested:
     """A number that is known exactly, or its value and standard deviation."""
 
@@ -291,6 +298,7 @@ _ROBOT = {
     "friction_velocity_rad_s": _Field(
         Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
     ),
+    "drift": _Field(_Nested("how fast a calibration ages: four relative standard deviations", nested=_drift), Drift()),
     "calibrated": _Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": _Field(Text("of the URDF that a calibration was made with"), None),
     "calibration": _Field(_Nested("what `proprio calibrate` learnt", nested=Calibration.from_settings), None),
@@ -633,6 +641,7 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         settings=settings,
         motion_calibration=motion,
         joint_calibration=of_joint,
+        drift=given["drift"],
     )
     if calibration is None:
         return robot

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -24,9 +25,10 @@ from std_msgs.msg import Bool, Float64MultiArray, String
 from visualization_msgs.msg import Marker
 
 from proprio_ros.at_work import current_A
-from proprio_ros.bags import RawMessage, read_motors, write_messages
+from proprio_ros.bags import RawMessage, read_motors, read_temperatures, write_messages
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.identification.sequential import Push
 from proprio_ros.motors import MotorIdentity
 from proprio_ros.nodes import driver, identifier, jobs, messages
 from proprio_ros.nodes.job import WEIGH, Job, JobError
@@ -34,7 +36,9 @@ from proprio_ros.probes import probe_named
 from proprio_ros.replay import ReplayOptions
 from proprio_ros.resources import resource
 from proprio_ros.robot import load_robot
-from proprio_ros.session import setting_of
+from proprio_ros.robot.kinematics import zero_pose
+from proprio_ros.session import Session, setting_of
+from proprio_ros.until import Decision
 
 BOX = {"container.inner_size": [0.06, 0.04, 0.04], "sphere.radius": 0.01}
 
@@ -181,6 +185,50 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
     assert read_motors(tmp_path / "bag") == {"joint3": elbow}
 
 
+def test_how_warm_the_motors_are_is_part_of_a_recording(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = nodes.identifier("arm1", data_directory=tmp_path)
+    node._inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {}, "")))
+    node._inputs.on_temperatures(serialize_message(messages.labelled({"joint2": 31.0, "joint3": 35.0})))
+    assert node._inputs.temperatures_C() == {}  # no driver of ours runs
+    monkeypatch.setattr(node, "count_publishers", lambda topic: int(topic.startswith("/arm1/motor")))
+    assert node._inputs.temperatures_C() == {"joint2": 31.0, "joint3": 35.0}
+    session = node._inputs.session = Session(tmp_path, "payload")
+    node._inputs.on_temperatures(serialize_message(messages.labelled({"joint2": 33.0, "joint3": 35.0})))
+    assert len(session) == 1
+    state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
+    session.add("/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state))
+    bag, _ = session.save()
+    assert read_temperatures(bag) == {"joint2": 33.0, "joint3": 35.0}
+    node._inputs.session = None
+
+
+def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none", frame_prefix="arm1/")
+    results, robot = node._results, load_robot("open_manipulator_x")
+    results._planned = shown = Published()
+    start = zero_pose(robot) | {"joint2": -1.0, "joint3": 0.5}
+    push = Push("joint3", start, -0.34, 0.0, 0.5, 3.4, 2e-4, 0.1, -0.6)
+    results.choice(robot, Decision(None, "", "", 0.05, 8e-4, 4e-4, push, (), 0.1), {"joint2": -1.0})
+    first, words, line, end = shown[-1].markers
+    assert first.action == Marker.DELETEALL and {m.header.frame_id for m in (words, line, end)} == {"arm1/link1"}
+    assert words.text == "50.0 g +- 0.80 g\nnext: joint3 -340 mA, then +-0.40 g"
+    way = np.array([[p.x, p.y, p.z] for p in line.points])
+    # the elbow lifts the hand
+    assert line.type == Marker.LINE_STRIP and len(way) == 20 and way[-1, 2] > way[0, 2] + 0.05
+    for place, pose in ((0, start), (-1, start | {"joint3": -0.1})):
+        np.testing.assert_allclose(way[place], robot.model.frame_transform(robot.payload_frame, pose)[:3, 3])
+    assert (end.pose.position.x, end.pose.position.z) == (way[-1, 0], way[-1, 2])
+    results.choice(robot, Decision(None, "", "", 0.06, 0.2, 4e-3, push, (), 0.1), {})
+    assert shown[-1].markers[1].text.startswith("not weighed yet\nnext: joint3")
+    results.choice(robot, Decision(None, "sure", "target", 0.05, 4e-4, 4e-4, None, (), 0.1), {"joint2": -1.0})
+    assert [m.type for m in shown[-1].markers[1:]] == [Marker.TEXT_VIEW_FACING]
+    assert shown[-1].markers[1].text.endswith("ended by: target")
+    results.withdraw()
+    assert [m.action for m in shown[-1].markers] == [Marker.DELETEALL]
+
+
 def test_what_cannot_be_recorded_is_said_before_anything_moves(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,6 +281,11 @@ def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     assert "nobody publishes /applied_effort or listens to /current_command" in node._inputs.missing()
     assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._inputs.missing()
+    servos = nodes.identifier(data_directory=tmp_path, calibration="none", robot="so101")
+    assert "nobody publishes where the servos are sent, /joint_command" in servos._inputs.missing()
+    servos.create_publisher(JointState, "/joint_command", 1)
+    assert servos._inputs.missing() == ""
+    assert {"/joint_command", "/battery_state"} <= {each.topic_name for each in servos.subscriptions}
 
 
 def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_path: Path) -> None:

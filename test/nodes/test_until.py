@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import time
 from dataclasses import replace
@@ -18,19 +19,27 @@ pytest.importorskip("mujoco")
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import free_domain
-from live import Client, replayed_alike, running
+from live import HEARD, Client, replayed_alike, running
+from visualization_msgs.msg import Marker, MarkerArray
 
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibrating import calibrate_from_bags
+from proprio_ros.calibration import Calibration, Moment
 from proprio_ros.excitation.plans import ProbeRun, load_sequence
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.nodes import jobs
-from proprio_ros.nodes.job import Job
+from proprio_ros.keeping import Keeping
+from proprio_ros.nodes import jobs, refreshing
+from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.messages import labelled
 from proprio_ros.replay import ReplayOptions
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth
 
+BAGS = Path(__file__).parents[2] / "bags"
 OBJECT_KG, TARGET_KG = 0.1, 0.03
+
+
+def bag_of(number: int) -> Path:
+    return BAGS / f"realistic_s00_empty_0{number}_joint3" / "bag_mcap"
 
 
 def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
@@ -57,6 +66,51 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     assert [run.duration_s for run in sequence.runs] == [0.5] and sequence.until is None and sequence.hand == "empty"
 
 
+def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of the job but the arm: what is pushed was recorded before."""
+    old, bag = tmp_path / "old.yaml", tmp_path / "refresh" / "bag"
+    bag.parent.mkdir()
+    made = calibrate_from_bags([bag_of(n) for n in (0, 1, 4)], {}, output=old)
+    assert made.verdict is Verdict.ACCEPTED
+    shutil.copytree(bag_of(3), bag)
+    keeping, said, made_s = Keeping(tmp_path, "open_manipulator_x"), [], 1760000010.0
+    results: Any = SimpleNamespace(
+        tell=lambda *words: None, tell_and_log=lambda _, words: said.append(words), calibration=lambda *_: None
+    )
+    inputs: Any = SimpleNamespace(live=None, moment=lambda: Moment(made_s))
+    recorded: list[str] = []
+    monkeypatch.setattr(refreshing, "chosen_refresh", lambda *_: ([ProbeRun("joint3", -0.3, 0.5)], 8e-4, 2e-3))
+
+    def refreshed() -> tuple[bool, str]:
+        job = Job("refresh", "refresh_robot")
+        return refreshing.refresh_robot(
+            job,
+            keeping,
+            inputs,
+            results,
+            "empty_hand",
+            lambda *given: recorded.append(given[2]) or bag,
+            lambda write: write(),
+        )
+
+    with pytest.raises(JobError, match="call ~/calibrate_robot first"):
+        refreshed()
+    keeping.calibration = old
+    success, words = refreshed()
+    assert success and words.startswith("up to date: made less than ten minutes ago") and not recorded
+    made_s += 5 * 86400.0
+    success, words = refreshed()
+    assert success and "brought up to date by 1 of 1 runs" in words, words
+    assert keeping.calibration == bag.parent / "calibration.yaml" == keeping.newest_calibration.resolve()
+    assert said == [
+        "pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"
+    ]
+    (asked,) = recorded
+    sequence = load_sequence(asked, load_robot("open_manipulator_x"))
+    assert sequence.hand == "empty" and len(sequence.runs) == 1 and sequence.approach_velocity == 1.2
+    assert (bag.parent / "report.html").exists()
+
+
 @pytest.mark.long
 def test_a_virtual_arm_weighs_until_it_is_sure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
@@ -65,8 +119,12 @@ def test_a_virtual_arm_weighs_until_it_is_sure(tmp_path: Path, monkeypatch: pyte
     path.write_text(json.dumps({"excitation": {"hand": "payload", "approach_velocity": 1.2, "until": until}}))
     identifier = {"payload_sequence": str(path), "settings": ["payload.com=[0,0,0]"], "live_period": 0.0}
     with running(tmp_path, virtual={"object": OBJECT_KG, "seed": -1}, identifier=identifier) as (_, client):
+        shown: list[MarkerArray] = []
+        client.node.create_subscription(MarkerArray, "/identifier/next_push", shown.append, HEARD)
         answer = client.call("/identifier/calibrate_payload", 600.0)
         assert answer.success, answer.message
+        assert Marker.LINE_STRIP in {marker.type for message in shown for marker in message.markers}
+        assert "ended by: target" in shown[-1].markers[1].text
         assert "sure: +-" in answer.message
         assert client.excitation["probe"] == "chosen"
     (result,) = (tmp_path / "data").glob("*_payload/estimate.json")

@@ -1,0 +1,155 @@
+"""An old calibration brought up to date by a few runs whose load is known: the old one, aged, is the prior of the new.
+
+Nothing is learnt from scratch: the noise stays as it was calibrated, and what the runs do not touch follows by its correlations.
+That is one step of a Kalman filter, linearised where the fit ends.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from proprio_ros.calibration import RANGES, Calibration
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification import solvers
+from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
+from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.gates import MISFIT_LIMIT, Findings, screen_run, unusable
+from proprio_ros.identification.planning import weighable
+from proprio_ros.identification.posterior import Posterior, run_fits
+from proprio_ros.identification.problem import Problem, prepare_run, robot_unknowns
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.robot_calibration import LoadedRun, empty_hand, entry_of
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+TOO_FAR = 5.0
+"""Standard deviations of its aged prior by which a number may have moved: beyond that it is not the stated drift."""
+ITERATIONS = 40
+
+
+def refresh(
+    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None, look_ahead: bool = True
+) -> CalibrationEstimate:
+    """Bring a calibration up to date.
+
+    Args:
+        robot: With its calibration, aged to when the runs were made.
+        runs: Mostly with an empty hand.
+        progress: Called with what is going on.
+        look_ahead: Whether to say what can be weighed with the outcome.
+
+    Raises:
+        ConfigurationError: The robot has no calibration of driven runs, or a run is one of those that it was made of.
+        RecordingError: A run cannot be related to the robot at all.
+    """
+    old = robot.calibration
+    if old is None or not old.driven:
+        raise ConfigurationError(
+            f"{robot.source.name} holds no calibration of driven runs that could be brought up to date: calibrate from the start"
+        )
+    started = time.perf_counter()
+    found = Findings()
+    usable = []
+    for loaded in runs:
+        prepared = prepare_run(robot, loaded.run, loaded.load)
+        why = unusable(prepared)
+        if not why and (loaded.run.free or loaded.run.joint not in old.driven):
+            why = f"{loaded.run.joint} was not driven when the robot was calibrated"
+        if why:
+            found.notes.append(f"{loaded.run.name} was left out: {why}")
+            continue
+        if entry_of(prepared) in old.runs:
+            raise ConfigurationError(
+                f"{loaded.run.name} is one of the runs that the calibration was made of: it would count twice"
+            )
+        usable.append(prepared)
+        alone = Findings()
+        screen_run(robot, prepared, alone)
+        found.notes.extend([*alone.reasons, *alone.notes])
+    if not usable:
+        reasons = ("no run can be used: a calibrated joint must move by at least 0.1 rad inside its limits",)
+        return CalibrationEstimate(
+            robot.name, Verdict.NOT_IDENTIFIABLE, reasons, len(runs), None, notes=tuple(found.notes)
+        )
+    progress(f"fitting {len(usable)} runs")
+    problem = Problem(robot, usable, PayloadFacts(), robot_unknowns(robot, usable, Role.FREE))
+    start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
+    solution = solvers.levenberg_marquardt(problem, start, None, iterations=ITERATIONS)
+    ended = FitResult.of(problem, solution)
+    values, chi2 = ended.values, ended.reduced_chi2
+    # as in a weighing: runs that are not quite explained count for less
+    posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
+    stds = np.sqrt(np.diag(posterior.covariance))
+    rows = tuple(
+        UnknownRow(u.kind, u.role.value, u.value, u.std, float(values[row]), float(stds[f]), scope=u.scope)
+        for f, row in enumerate(problem.free)
+        if (u := problem.unknowns[row]).shared
+    )
+    verdict = Verdict.ACCEPTED
+    moved = [
+        f"{u.label} ({abs(float(values[row]) - u.value) / u.std:.1f})"
+        for row in problem.free
+        if (u := problem.unknowns[row]).shared and abs(float(values[row]) - u.value) > TOO_FAR * u.std
+    ]
+    if chi2 > MISFIT_LIMIT or moved:
+        verdict = Verdict.REJECTED
+        what = f"{', '.join(moved[:3])} standard deviations off" if moved else f"reduced chi-square {chi2:.1f}"
+        found.reasons.append(
+            Reason(
+                "drift",
+                f"the calibration no longer fits, not even with the drift that the robot file states ({what}): was the hand empty, "
+                "and did anything touch the arm? If not, calibrate anew",
+            )
+        )
+    hand = empty_hand(problem, values, posterior)
+    if hand is not None and abs(hand.pull) > NOT_EMPTY:
+        verdict = Verdict.REJECTED
+        found.reasons.insert(0, Reason("hand_not_empty", hand.contradiction()))
+    calibration = _updated(old, problem, values, posterior)
+    fits, rms, expected = run_fits(problem, values, usable)
+    solved = time.perf_counter()
+    can_weigh = None
+    if look_ahead and verdict is Verdict.ACCEPTED:
+        progress("looking at what can be weighed")
+        can_weigh = weighable(robot.with_calibration(calibration), calibration.joints)
+    return CalibrationEstimate(
+        robot=robot.name,
+        verdict=verdict,
+        reasons=tuple(found.reasons),
+        runs=len(runs),
+        calibration=calibration,
+        fit=Fit(rms, expected, chi2, condition=posterior.condition),
+        run_fits=fits,
+        unknowns=rows,
+        notes=tuple(found.notes),
+        weighable=can_weigh,
+        empty_hand=hand,
+        timing_s={"solve": solved - started, "advice": time.perf_counter() - solved},
+    )
+
+
+def _updated(old: Calibration, problem: Problem, values: np.ndarray, posterior: Posterior) -> Calibration:
+    """The calibration after the fit; what the runs do not touch moves along as it is correlated with what they do."""
+    place = {key: row for row, key in enumerate(old.keys)}
+    free = [(f, row) for f, row in enumerate(problem.free) if problem.unknowns[row].key in place]
+    of_fit, rows = [f for f, _ in free], [row for _, row in free]
+    own = [place[problem.unknowns[row].key] for row in rows]
+    prior = old.covariance[np.ix_(own, own)]
+    scale = 1.0 / np.sqrt(np.diag(prior))
+    inverse = np.linalg.inv(prior * scale[:, None] * scale) * scale[:, None] * scale
+    follows = old.covariance[:, own] @ inverse
+    after = posterior.covariance[np.ix_(of_fit, of_fit)]
+    new = old.values + follows @ (values[rows] - old.values[own])
+    forms = [RANGES[key if isinstance(key, str) else key[0]] for key in old.keys]
+    new = np.clip(
+        new, [form.lowest for form in forms], [form.highest for form in forms]
+    )  # a rise of friction that was zero
+    covariance = old.covariance - follows @ (prior - after) @ follows.T
+    runs = (*old.runs, *map(entry_of, problem.runs))
+    return replace(old, values=new, covariance=0.5 * (covariance + covariance.T), runs=runs)

@@ -1,0 +1,126 @@
+"""What could ending a push early save? About the most that anybody could, who knew beforehand how each push turns out.
+
+Random robots (in MuJoCo, see `until_sure.py`) weigh objects with chosen pushes until they are sure. Every push is then cut short in
+hindsight: of all ends from 0.2 s on that is taken which saves most time, less the time that it takes to learn what was cut off in
+later pushes, at the rate at which the whole weighing learns. Whoever decides while a push is under way can only save less.
+
+    python test/benchmarks/early_end.py --robots 8
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from dataclasses import dataclass, replace
+from multiprocessing import Pool
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from coverage import DIAMETER_M, facts_of
+from random_arm import EFFECTS_DEFAULT, SPREAD, ball, draw_robot
+from until_sure import MASSES_KG, Bench, calibrated
+
+from proprio_ros.excitation.plans import Until, load_sequence
+from proprio_ros.records import Run
+from proprio_ros.until import UntilSure
+
+EARLIEST_S, STEP_S = 0.2, 0.1
+
+
+@dataclass(frozen=True)
+class Case:
+    """One weighing: what it took, for how long a joint was driven, and what ending pushes early would have saved [s]."""
+
+    time_s: float
+    driven_s: float
+    saved_s: float
+    pushes: int
+
+
+def cut(run: Run, end_s: float) -> Run:
+    """The run, had its current ended earlier."""
+    kept, begun = run.times_s <= end_s, run.input_times_s < end_s
+    count = len(run.before_times_s) + int(kept.sum())
+    return replace(
+        run,
+        times_s=run.times_s[kept],
+        position=run.position[kept],
+        input_times_s=run.input_times_s[begun],
+        input_current_A=run.input_current_A[begun],
+        duration_s=end_s,
+        reported_effort=None if run.reported_effort is None else run.reported_effort[kept],
+        held_position={joint: values[:count] for joint, values in run.held_position.items()},
+        after_times_s=np.zeros(0),
+        after_position=np.zeros(0),
+    )
+
+
+def one_robot(job: tuple[int, Until]) -> list[Case]:
+    seed, until = job
+    rng = np.random.default_rng(seed)
+    hidden = draw_robot(rng, EFFECTS_DEFAULT, SPREAD)
+    robot = calibrated(hidden, "shipped", rng)
+    if robot is None:
+        return []
+    cases = []
+    for mass in MASSES_KG:
+        load = ball(mass, DIAMETER_M)
+        sequence = replace(load_sequence("payload", robot), runs=(), until=until)
+        bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass)]))
+        chooser = UntilSure(robot, facts_of(load), sequence)
+        runs: list[Run] = []
+        states, ends, times = [chooser.known], [], []
+        while (decision := chooser.next(runs, bench.pose, bench.time_s)).run is not None:
+            if runs:
+                states.append(chooser.known)
+            runs += bench.push(decision.run, load)
+            ends.append(len(runs))
+            times.append(bench.time_s)
+        states.append(chooser.known)
+        # after the first push, before which nothing is known and of which nobody would spare anything
+        if len(ends) < 2:
+            continue
+        rate = np.log(states[1].std / states[-1].std) / (times[-1] - times[0])
+        saved = 0.0
+        for number in range(1, len(ends)):
+            last = runs[ends[number] - 1]
+            best = 0.0
+            for end_s in np.arange(EARLIEST_S, last.duration_s - 1e-6, STEP_S):
+                shorter = [*runs[: ends[number] - 1], cut(last, float(end_s))]
+                std = chooser.catalogue.known(shorter).std
+                lost = max(float(np.log(std / states[number + 1].std)), 0.0)
+                best = max(best, float(last.duration_s - end_s) - lost / max(rate, 1e-6))
+            saved += best
+        cases.append(Case(bench.time_s, sum(run.duration_s for run in runs), saved, len(ends)))
+    return cases
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", type=int, default=8)
+    parser.add_argument("--first", type=int, default=4000, help="first seed")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--half", type=float, default=0.5e-3, help="target [kg]")
+    parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
+    options = parser.parse_args()
+    until = Until(options.half, "kg", options.at_most)
+    with Pool(options.jobs) as pool:
+        jobs = [(seed, until) for seed in range(options.first, options.first + options.robots)]
+        cases = [case for found in pool.imap(one_robot, jobs) for case in found]
+    time_s, driven_s, saved_s = (np.array([getattr(c, n) for c in cases]) for n in ("time_s", "driven_s", "saved_s"))
+    print(
+        f"{len(cases)} weighings of two pushes or more, median {np.median([c.pushes for c in cases]):.0f} pushes and "
+        f"{np.median(time_s):.1f} s, of which a joint is driven for {100 * driven_s.sum() / time_s.sum():.0f} %; ending pushes "
+        f"early saves at most {np.median(saved_s):.2f} s (median) and {100 * saved_s.sum() / time_s.sum():.1f} % of all time"
+    )
+
+
+if __name__ == "__main__":
+    main()
