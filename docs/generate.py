@@ -49,6 +49,10 @@ ABOUT = {
     "zero lets go of a joint only after a push",
     "/forward_effort_controller/commands": "with an effort controller, instead of those above: efforts in `effort_unit`, in the "
     "order of `controller_joints`",
+    "/position_controller/commands": "with a position controller: goals [rad, m], likewise",
+    "/joint_command": "with a position controller: the goals that were sent [rad, m], by name; the identifier records them where "
+    "the robot file says that servos follow goals",
+    "/battery_state": "supply voltage, where voltages drive the motors",
     "/position_command": "goal positions [rad, m], labelled likewise; above the table, one publisher at a time",
     "/driver/status": "`state`: running, stopped, released, disconnected, inactive; at once when it changes",
     "/motor_temperatures": "how warm each motor is, labelled by joint [deg C]; a calibration ages by it",
@@ -57,7 +61,8 @@ ABOUT = {
     "/excitation/lease": "true, again and again: the sequence is wanted, and ends after 1.5 s of silence; false: no more",
     "/excitation/run": "make the sequence named by the parameter `probe`",
     "/excitation/abort": "end it; the driven joint is braked and held",
-    "/excitation/release": "let go of an arm that efforts hold: they are zero, and it comes down; the driver's arm stays as it is",
+    "/excitation/release": "let go of an arm that efforts hold: they are zero, and it comes down; servos stay at their last "
+    "goals, the driver's arm as it is, and where controllers are switched the arm is handed back",
     "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
     "/driver/torque": "torque on or off",
     "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "

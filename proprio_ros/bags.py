@@ -10,10 +10,11 @@ from __future__ import annotations
 import csv
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,6 +42,7 @@ from proprio_ros.records import (
     JointRecord,
     PointTrack,
     Recording,
+    Span,
     TimeArray,
 )
 
@@ -211,6 +213,7 @@ class _Bag:
         self.path = path
         self.notes: list[str] = []
         self._readers = readers
+        self._between: tuple[int | None, int | None] = None, None  # recorder's times that are read [ns]
         if len(files) > 1:
             self.notes.append(f"There is no metadata.yaml; {len(files)} storage files were read as one bag.")
         for log in sorted(path.glob("*.db3-wal")) if path.is_dir() else [path.with_name(f"{path.name}-wal")]:
@@ -226,52 +229,132 @@ class _Bag:
                 counts[key] = counts.get(key, 0) + connection.msgcount
         self.topics = [_Topic(name, msgtype, count) for (name, msgtype), count in sorted(counts.items())]
 
+    def cut(self, states: _Topic, span: Span | None) -> None:
+        """Read only a part from now on, of every topic.
+
+        Raises:
+            RecordingError: The part is behind the last joint state.
+        """
+        if span is None:
+            return
+        first_ns = min(self._recorded_ns(states))
+        self._between = first_ns + span[0] if span[0] else None, None if span[1] is None else first_ns + span[1]
+        if next(self._read(states), None) is None:
+            until = "its end" if span[1] is None else f"{1e-9 * span[1]:g} s"
+            raise RecordingError(f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}")
+
+    def _recorded_ns(self, topic: _Topic) -> Iterator[int]:
+        """The recorder's time of the first message in each file [ns]."""
+        for reader, wanted in self._wanted(topic):
+            for _, time_ns, _ in reader.messages(connections=wanted):
+                yield time_ns
+                break
+
+    def parts(self, states: _Topic, most: int) -> list[Span]:
+        """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
+        count = -(-states.size // most)
+        if count < 2:
+            return [(0, None)]
+        size, begins, last_ns = -(-states.size // count), list[int](), 0
+        try:
+            for number, message in enumerate(_in_order(self._read(states))):
+                last_ns = message[0]
+                if number % size == 0:
+                    begins.append(last_ns)
+        except _OutOfOrder:  # files of one bag that overlap
+            times = sorted(time_ns for time_ns, _ in self._read(states))
+            begins, last_ns = times[::size], times[-1]
+        ends = sorted({begin_ns - begins[0] for begin_ns in begins})
+        return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
+
     def messages(self, topic: _Topic) -> list[tuple[int, Any]]:
-        """Recorder's time [ns] and message, of one topic, in the order of time; at least one."""
+        """Recorder's time [ns] and message, of one topic, in the order of time; at least one, unless the bag was cut."""
         return [(time_ns, _deserialise(raw, topic.msgtype)) for time_ns, raw in self._raw(topic)]
 
-    def _raw(self, topic: _Topic, most: int | None = None) -> list[tuple[int, bytes]]:
-        """The same with the messages as they were recorded, of at most so many bytes each."""
-        messages: list[tuple[int, bytes]] = []
-        most, size = most or MOST_BYTES_OF_ONE, 0
+    def _wanted(self, topic: _Topic) -> Iterator[tuple[Reader, list[Connection]]]:
+        """The files that have a topic, with its connections."""
         for reader in self._readers:
             wanted = [c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)]
             if not wanted:
                 continue  # rosbags reads every topic when it is given none
             for connection in wanted:
                 _require_cdr(self.path, connection)
-            for _, time_ns, raw in reader.messages(connections=wanted):
-                size += len(raw)
-                if len(raw) > most or size > MOST_BYTES or len(messages) == MOST_MESSAGES:
-                    raise RecordingError(
-                        f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
-                        f"{MOST_BYTES / 1e6:g} MB together and {most / 1e3:g} kB each; cut the bag with "
-                        "`ros2 bag convert`"
-                    )
-                messages.append((time_ns, bytes(raw)))
-        if not messages:
-            raise RecordingError(f"{self.path}: {topic.name} should hold {topic.size} messages but holds none")
-        if len(messages) < topic.size:
-            self.notes.append(f"{topic.name}: the bag promises {topic.size} messages but holds {len(messages)}.")
-        return sorted(messages, key=lambda message: message[0])
+            yield reader, wanted
 
-    def rows(self, topic: _Topic) -> Iterator[_Rows]:
+    def _read(self, topic: _Topic) -> Iterator[tuple[int, bytes]]:
+        """Recorder's time [ns] and message as it was recorded, file by file."""
+        start_ns, stop_ns = self._between
+        for reader, wanted in self._wanted(topic):
+            for _, time_ns, raw in reader.messages(connections=wanted, start=start_ns, stop=stop_ns):
+                yield time_ns, bytes(raw)
+
+    def _limited(self, topic: _Topic, most: int | None = None) -> Iterator[tuple[int, bytes]]:
+        """The same, of at most so many bytes each, at least one unless the bag was cut."""
+        most, size, count = most or MOST_BYTES_OF_ONE, 0, 0
+        for time_ns, raw in self._read(topic):
+            size += len(raw)
+            if len(raw) > most or size > MOST_BYTES or count == MOST_MESSAGES:
+                raise RecordingError(
+                    f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
+                    f"{MOST_BYTES / 1e6:g} MB together and {most / 1e3:g} kB each; cut the bag with `ros2 bag convert`, or give a "
+                    "part of it, --span FROM:TO"
+                )
+            count += 1
+            yield time_ns, raw
+        if self._between != (None, None):
+            return
+        if not count:
+            raise RecordingError(f"{self.path}: {topic.name} should hold {topic.size} messages but holds none")
+        if count < topic.size:
+            self.notes.append(f"{topic.name}: the bag promises {topic.size} messages but holds {count}.")
+
+    def _raw(self, topic: _Topic, most: int | None = None) -> list[tuple[int, bytes]]:
+        """All of them in the order of time."""
+        return sorted(self._limited(topic, most), key=lambda message: message[0])
+
+    def rows(self, topic: _Topic) -> list[_Rows]:
         """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
-        messages = self._raw(topic)
-        start = 0
-        while start < len(messages):
-            block = messages[start : start + _TOGETHER]
-            first = _deserialise(block[0][1], topic.msgtype)
-            numbers = _numbers_of(first)
-            layout = _layout(block[0][1], first, numbers)
-            count, stamps, values = 1, None, {key: np.asarray(data, np.float64)[None] for key, data in numbers.items()}
-            if layout is not None:
-                count, stamps, values = layout.read([raw for _, raw in block])
-            elif hasattr(first, "header"):
-                stamps = np.array([first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec])
-            times = np.array([time_ns for time_ns, _ in block[:count]], dtype=np.int64)
-            yield _Rows(times, np.zeros_like(times) if stamps is None else stamps, first, values)
-            start += count
+        try:
+            found = list(_in_rows(_in_order(self._limited(topic)), topic.msgtype))
+        except _OutOfOrder:  # files of one bag that overlap
+            found = list(_in_rows(self._raw(topic), topic.msgtype))
+        if not found:
+            raise RecordingError(f"{self.path}: {topic.name} holds no messages in this part of the recording")
+        return found
+
+
+class _OutOfOrder(Exception):
+    """Messages do not come in the order of time."""
+
+
+def _in_order(messages: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """The same messages; Raises `_OutOfOrder` where one is earlier than that before it."""
+    last_ns: int | None = None
+    for message in messages:
+        if last_ns is not None and message[0] < last_ns:
+            raise _OutOfOrder
+        last_ns = message[0]
+        yield message
+
+
+def _in_rows(messages: Iterable[tuple[int, bytes]], msgtype: str) -> Iterator[_Rows]:
+    """Numbers of messages in the order of time; no more than `_TOGETHER` messages are held as they were recorded."""
+    coming, waiting = iter(messages), list[tuple[int, bytes]]()
+    while True:
+        waiting += islice(coming, _TOGETHER - len(waiting))
+        if not waiting:
+            return
+        first = _deserialise(waiting[0][1], msgtype)
+        numbers = _numbers_of(first)
+        layout = _layout(waiting[0][1], first, numbers)
+        count, stamps, values = 1, None, {key: np.asarray(data, np.float64)[None] for key, data in numbers.items()}
+        if layout is not None:
+            count, stamps, values = layout.read([raw for _, raw in waiting])
+        elif hasattr(first, "header"):
+            stamps = np.array([first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec])
+        times = np.array([time_ns for time_ns, _ in waiting[:count]], dtype=np.int64)
+        yield _Rows(times, np.zeros_like(times) if stamps is None else stamps, first, values)
+        del waiting[:count]
 
 
 class _Rows(NamedTuple):
@@ -603,7 +686,7 @@ def _joint_state_columns(
     bag: _Bag, topic: _Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
 ) -> _Columns:
     """Columns of a JointState topic; the first quantity must be there in every message."""
-    rows = list(bag.rows(topic))
+    rows = bag.rows(topic)
     named = [conventions.renamed(part.message.name) for part in rows]
     names = tuple(dict.fromkeys(name for part in named for name in part))
     theirs: dict[str, str] = {}
@@ -660,7 +743,7 @@ def _array_columns(
     A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
     the push.
     """
-    parts = list(bag.rows(topic))
+    parts = bag.rows(topic)
     notes: dict[str, None] = {}
     stated = conventions.renamed(means.joints)
     labelled: list[Sequence[str]] = []
@@ -994,6 +1077,7 @@ def read_recording(
     current_per_count_A: float = CURRENT_PER_COUNT_A,
     states_only: bool = False,
     conventions: Conventions = OUR_DRIVER,
+    span: Span | None = None,
 ) -> Recording:
     """Read joint states and input currents from a ROS 2 bag.
 
@@ -1012,6 +1096,7 @@ def read_recording(
         current_per_count_A: Current of one raw count [A].
         states_only: Whether to leave the input out, whatever there is of it.
         conventions: Of the driver that published.
+        span: The part that is read, by the recorder's times; None: all. A command that was given before it is not known.
 
     Returns:
         The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
@@ -1028,6 +1113,7 @@ def read_recording(
     notes: list[str] = []
     with _open(path) as bag:
         state = _state_topic(bag, state_topic, command_topic, conventions)
+        bag.cut(state, span)
         command = None if states_only else _input_topic(bag, command_topic, state, conventions)
         columns = _joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
         notes += columns.notes
@@ -1067,8 +1153,32 @@ def read_recording(
     return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
 
 
+def parts_of(
+    path: str | Path, most: int, *, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER
+) -> list[Span]:
+    """Parts of a bag with about as many joint states each, of which none has more than ``most``.
+
+    Args:
+        path: The bag.
+        most: Joint states of a part.
+        state_topic: As for `read_recording`.
+        conventions: As for `read_recording`.
+
+    Returns:
+        From the first joint state to the last, without a gap.
+
+    Raises:
+        RecordingError: The bag cannot be read.
+    """
+    with _open(Path(path)) as bag:
+        return bag.parts(_state_topic(bag, state_topic, None, conventions), most)
+
+
 def read_drive_signals(
-    path: str | Path, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER
+    path: str | Path,
+    state_topic: str | None = None,
+    conventions: Conventions = OUR_DRIVER,
+    span: Span | None = None,
 ) -> DriveSignals:
     """Read goals (positions of /joint_command) and supply voltage (/battery_state), as far as they are there.
 
@@ -1076,12 +1186,14 @@ def read_drive_signals(
         path: The bag.
         state_topic: As for `read_recording`.
         conventions: As for `read_recording`; goals have the names and units of the joint states.
+        span: As for `read_recording`.
 
     Raises:
         RecordingError: The bag cannot be read, or several topics may be meant.
     """
     with _open(Path(path)) as bag:
         state = _state_topic(bag, state_topic, None, conventions)
+        bag.cut(state, span)
         namespace = state.name.rpartition("/")[0]
 
         def found(name: str, msgtype: str) -> _Topic | None:

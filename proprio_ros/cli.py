@@ -143,6 +143,11 @@ def _parser() -> argparse.ArgumentParser:
         help="paper: the paper's own method",
     )
     _add_topics(replay)
+    replay.add_argument(
+        "--span",
+        metavar="FROM:TO",
+        help="only this part of each recording, in seconds since its first joint state was recorded (FROM: to the end)",
+    )
     _add_output(replay)
     replay.set_defaults(command=_replay)
 
@@ -304,6 +309,13 @@ def _parser() -> argparse.ArgumentParser:
         help="calibrate the arm with the episodes whose column of this name is nowhere zero: the hand is known to be empty there",
     )
     batch.add_argument(
+        "--empty-first",
+        type=float,
+        metavar="SECONDS",
+        help="calibrate the arm with the first seconds of episodes: the hand is known to be empty then, and what it holds later is "
+        "asked",
+    )
+    batch.add_argument(
         "--engine",
         default="local",
         choices=("local", "ray"),
@@ -426,6 +438,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
             state_topic=options.state_topic,
             command_topic=options.command_topic,
             effort_unit=options.effort_unit,
+            span=_span(options.span),
         ),
     )
     if options.json:
@@ -581,6 +594,20 @@ def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
     return EXIT_OK
 
 
+def _span(text: str | None) -> tuple[int, int | None] | None:
+    """From when to when [ns], of the words of ``--span``."""
+    if text is None:
+        return None
+    begin, colon, end = text.partition(":")
+    try:
+        seconds = [float(word) for word in (begin or "0", end or "inf")]
+    except ValueError:
+        seconds = []
+    if not colon or not seconds or not 0.0 <= seconds[0] < min(seconds[1], 1e9):
+        raise ConfigurationError(f"--span {one_line(text, 40)}: expected FROM:TO in seconds, such as 600:1200 or 600:")
+    return round(1e9 * seconds[0]), None if seconds[1] > 1e9 else round(1e9 * seconds[1])
+
+
 def _warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = parse_settings(options.set)
     from proprio_ros.replay import ReplayOptions, compile_for
@@ -647,6 +674,7 @@ def _batch(options: argparse.Namespace, given: Sequence[str]) -> int:
         bars=sys.stderr is not None and sys.stderr.isatty(),
         command=shlex.join(["proprio", *given]),
         empty=options.empty,
+        empty_first_s=options.empty_first,
     )
     if options.json:
         content = {

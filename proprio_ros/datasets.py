@@ -29,12 +29,17 @@ from proprio_ros.records import (
     InputRecord,
     JointRecord,
     Recording,
+    Span,
     TimeArray,
 )
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
 POSITION_UNITS = ("rad", "deg")
+CLOCK = ("timestamp", "frame_index")
+"""Columns that say when a frame was; the first that is there counts."""
+FRAMES, BUFFER = 8192, 1 << 20
+"""Frames, and bytes of a column, that are held at once where a part of an episode is read."""
 _EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")
 _SUFFIX = re.compile(r"\.(pos|vel|torque|effort|current|load)$")
 _LONGEST_META = 64_000_000
@@ -214,13 +219,14 @@ def _groups(file: Path, _changed_ns: int) -> tuple[Any, FloatArray, FloatArray]:
     return opened, low, high
 
 
-def read_columns(data: DataSet, index: int, columns: Sequence[str]) -> dict[str, FloatArray]:
+def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span | None = None) -> dict[str, FloatArray]:
     """Columns of one episode.
 
     Args:
         data: The data set.
         index: Of the episode.
         columns: Their names; one that the data set lacks is left out.
+        span: The part that is read, since the first frame; for one, `CLOCK` must be among the columns.
 
     Returns:
         By name: numbers, shape (T,) or (T, K).
@@ -239,19 +245,64 @@ def read_columns(data: DataSet, index: int, columns: Sequence[str]) -> dict[str,
         opened, low, high = _groups(file, file.stat().st_mtime_ns)
         there = [column for column in columns if column in opened.schema_arrow.names]
         groups = [int(group) for group in np.flatnonzero((low <= index) & (high >= index))]
-        table = opened.read_row_groups(groups, columns=[*there, "episode_index"], use_threads=False)
-        table = table.filter(arrow().compute.equal(table["episode_index"], index))
-        found = {column: _numbers(table[column], len(table)) for column in there}
-    if len(table) != episode.length:
+        if span is None:
+            table = opened.read_row_groups(groups, columns=[*there, "episode_index"], use_threads=False)
+            table = table.filter(arrow().compute.equal(table["episode_index"], index))
+            found, count = {column: _numbers(table[column], len(table)) for column in there}, len(table)
+        else:
+            found, count = _columns_within(groups, there, data, index, span)
+            if not all(map(len, found.values())):
+                raise RecordingError(f"{name}: no frames in this part of the recording; it has {count} in all")
+    if count != episode.length:
         raise RecordingError(
-            f"{name}: {episode.length} frames by meta, {len(table)} in {episode.file}: the data set is not whole"
+            f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole"
         )
     return found
 
 
+def _columns_within(
+    groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: Span
+) -> tuple[dict[str, FloatArray], int]:
+    """Columns of a part of an episode, read some frames at a time; and how many frames the whole episode has."""
+    parts: dict[str, list[FloatArray]] = {column: [] for column in columns}
+    first: dict[str, FloatArray] = {}
+    count = 0
+    # an episode is one row group: without a buffer all of its columns would be read first
+    opened = arrow().parquet.ParquetFile(data.folder / data.episodes[index].file, buffer_size=BUFFER)
+    batches = opened.iter_batches(FRAMES, row_groups=groups, columns=[*columns, "episode_index"], use_threads=False)
+    for table in batches:
+        table = table.filter(arrow().compute.equal(table["episode_index"], index))
+        if not len(table):
+            continue
+        read = {column: _numbers(table[column], len(table)) for column in columns}
+        first = first or {column: read[column][:1].copy() for column in CLOCK if column in read}
+        times_ns = _times(data, read, first.get("timestamp"), count)
+        within = (times_ns >= span[0]) & (times_ns < (np.inf if span[1] is None else span[1]))
+        for column in columns:
+            parts[column].append(read[column][within])
+        count += len(table)
+    return {column: np.concatenate(found) if found else np.empty(0) for column, found in parts.items()}, count
+
+
+def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
+    """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    data = open_data_set(folder)
+    known = data.episodes.get(index)
+    count = 1 if known is None else -(-known.length // most)
+    if count < 2:
+        return [(0, None)]
+    times_ns = _times(data, read_columns(data, index, CLOCK, (0, None)))
+    begins = sorted({int(time_ns) for time_ns in times_ns[:: -(-len(times_ns) // count)]})
+    return list(zip(begins, [*begins[1:], int(times_ns.max()) + 1], strict=True))
+
+
 def _numbers(column: Any, count: int) -> FloatArray:
     """A column of numbers or of vectors that are all alike."""
-    whole = column.combine_chunks()
+    whole = column.combine_chunks() if hasattr(column, "combine_chunks") else column
     if not count:
         return np.empty(0)
     if (
@@ -276,6 +327,7 @@ def read_episode(
     effort_unit: str | None,
     nominal_torque_constants: Mapping[str, float],
     limits: Mapping[str, tuple[float, float]],
+    span: Span | None = None,
 ) -> Recording:
     """One episode as a recording; times count from its first frame.
 
@@ -288,6 +340,7 @@ def read_episode(
         effort_unit: What the effort is, one of `EFFORT_UNITS`; None: nobody says it, and it is left out.
         nominal_torque_constants: By joint [N m/A or N/A].
         limits: Lowest and highest position of each joint [rad or m], for those in percent.
+        span: The part that is read, since the first frame; None: all. Times then count from the first frame of the part.
 
     Raises:
         RecordingError: It cannot be read, or lacks positions.
@@ -297,7 +350,7 @@ def read_episode(
         raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
     data = open_data_set(folder)
     called = f"{Path(folder).name}#{index}"
-    read = read_columns(data, index, [columns.position, columns.effort, columns.goal, "timestamp", "frame_index"])
+    read = read_columns(data, index, [columns.position, columns.effort, columns.goal, *CLOCK], span)
     if columns.position not in read:
         raise RecordingError(f"{called}: no column {columns.position}; there are: {', '.join(data.features)}")
     notes: list[str] = []
@@ -421,12 +474,22 @@ def _effort(
     return {_SUFFIX.sub("", name): column for name, column in named.items()}
 
 
-def _times(data: DataSet, read: Mapping[str, FloatArray]) -> TimeArray:
-    """Of the frames since the first [ns]."""
+def _times(
+    data: DataSet, read: Mapping[str, FloatArray], first_s: FloatArray | None = None, before: int = 0
+) -> TimeArray:
+    """Of the frames since the first [ns].
+
+    Args:
+        data: The data set.
+        read: Its columns.
+        first_s: Timestamp of the first frame, where that is not among them, shape (1,).
+        before: How many frames are before them.
+    """
     if "timestamp" in read:
-        return np.asarray(np.rint(1e9 * (read["timestamp"] - read["timestamp"][:1])), dtype=np.int64)
+        first_s = read["timestamp"][:1] if first_s is None else first_s
+        return np.asarray(np.rint(1e9 * (read["timestamp"] - first_s)), dtype=np.int64)
     count = len(next(iter(read.values())))
-    frames = read.get("frame_index", np.arange(count, dtype=np.float64))
+    frames = read.get("frame_index", before + np.arange(count, dtype=np.float64))
     return np.asarray(np.rint(1e9 * frames / data.rate_hz), dtype=np.int64)
 
 

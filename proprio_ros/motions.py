@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class Motion:
         source: Where the currents come from.
         notes: What a reader of the result should know, one sentence each.
         begin_ns: Stamp of the first sample [ns]; 0: not known.
+        beside: Position of every other joint that was recorded, at the same times [rad or m], shape (T,) each.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Motion:
     source: str
     notes: tuple[str, ...] = ()
     begin_ns: int = 0
+    beside: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def moved(self) -> tuple[str, ...]:
@@ -78,6 +80,8 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         )
     times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
     columns = [record.column(joint) for joint in joints]
+    others = [number for number, other in enumerate(record.names) if other not in joints]
+    beside = record.position[:, others]
     notes = list(recording.notes)
     measured = None if record.current is None else record.current[:, columns]
     if measured is not None and np.isfinite(measured).any(axis=0).all():
@@ -88,6 +92,7 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         if not complete.all():
             notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
         times_s, position, current = times_s[complete], record.position[complete][:, columns], current[complete]
+        beside = beside[complete]
     elif recording.inputs is not None:
         inputs = recording.inputs
         absent = [joint for joint in joints if joint not in inputs.names]
@@ -144,6 +149,7 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         source=source,
         notes=(*notes, *_repeats_command(recording, joints, source)),
         begin_ns=int(record.times_ns[0]),
+        beside={record.names[number]: column for number, column in zip(others, beside.T, strict=True)},
     )
     if not motion.moved:
         raise RecordingError(f"{name}: no joint moved by more than {MOVED_RAD} rad")

@@ -19,6 +19,8 @@ from proprio_ros.errors import RecordingError, one_line, printable
 FloatArray = NDArray[np.float64]
 TimeArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Span = tuple[int, int | None]
+"""From when until before when a recording is read [ns], since its first joint state was recorded; None: to its end."""
 
 MEASURED_EFFORT = "measured effort"
 """`InputRecord.source` when no command was recorded and the input is the current that the motors reported."""

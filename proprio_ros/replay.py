@@ -37,7 +37,7 @@ from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe, Recorded
 from proprio_ros.published import published_robot, published_run
 from proprio_ros.reading import path_problem
-from proprio_ros.records import InputRecord, Recording, Run
+from proprio_ros.records import InputRecord, Recording, Run, Span
 from proprio_ros.report import write_page
 from proprio_ros.resources import paths_of
 from proprio_ros.robot import Robot, is_description, load_robot, with_recorded_torque
@@ -62,6 +62,7 @@ class ReplayOptions:
         baseline: recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
             empty container.
         driver: profile of the driver that published; topics and unit that are stated beside it win.
+        span: the part of each recording that is read; of a baseline all is.
     """
 
     probe: str = "payload"
@@ -75,6 +76,7 @@ class ReplayOptions:
     command_topic: str | None = None
     effort_unit: str | None = None
     driver: str | Path | None = None
+    span: Span | None = None
 
     @property
     def publisher(self) -> Driver | None:
@@ -179,8 +181,11 @@ def read_for(prepared: Prepared, paths: Sequence[str | Path]) -> tuple[Robot, Re
         RecordingError, ConfigurationError: One cannot be read, or they do not fit together or the probe.
     """
     options, probe, robot, held = prepared.options, prepared.probe, prepared.robot, prepared.held
+    whole = replace(options, span=None)
     baseline_paths = paths_of(options.baseline)
     texts = [Path(path) for path in paths if is_text_recording(path)]
+    if texts and options.span is not None:
+        raise ConfigurationError(f"--span: {texts[0]} is a text recording, which is read whole; leave it out")
     once = Recordings([*paths, *baseline_paths])
     runs: list[Run] = []
     sources: list[Path] = []  # of each run
@@ -220,9 +225,9 @@ def read_for(prepared: Prepared, paths: Sequence[str | Path]) -> tuple[Robot, Re
     baseline_motions: list[Motion] = []
     for path in baseline_paths:
         if motions:
-            baseline_motions.append(once.checked_motion(path, bag_motion(Path(path), robot, options, held)))
+            baseline_motions.append(once.checked_motion(path, bag_motion(Path(path), robot, whole, held)))
         else:
-            baseline.extend(once.checked(path, bag_runs(Path(path), robot, options, held)))
+            baseline.extend(once.checked(path, bag_runs(Path(path), robot, whole, held)))
     return robot, Recorded(runs, baseline, sources, text, motions, baseline_motions)
 
 
@@ -541,10 +546,13 @@ def bag_recording(path: Path, robot: Robot, options: ReplayOptions) -> Recording
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         joint_order=list(robot.drive_trains),
         states_only=len(by_voltage) == len(robot.drive_trains),
+        span=options.span,
     )
     recording = without_jumps(recording, list(robot.drive_trains))
     if by_voltage:
-        recording = replace(recording, signals=read_drive_signals(path, options.state_topic, options.conventions))
+        recording = replace(
+            recording, signals=read_drive_signals(path, options.state_topic, options.conventions, options.span)
+        )
         recording = with_stall_currents(recording, robot)
     notes = recording.notes + check_motors(path, robot, options.state_topic)
     if profile is not None:
@@ -582,6 +590,7 @@ def _episode_recording(path: Path, folder: Path, index: int, robot: Robot, optio
         effort_unit=options.stated_unit,
         nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
         limits={name: (joint.lower, joint.upper) for name, joint in joints.items()},
+        span=options.span,
     )
     recording = without_jumps(recording, list(robot.drive_trains))
     if voltage_driven(robot):

@@ -6,21 +6,32 @@ They gain nothing from several, and beside other work the threads wait for each 
 from __future__ import annotations
 
 import functools
+import threading
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+_here = threading.local()
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
 
 def one_blas_thread(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-    """Decorates the calls that do the work, so that a script, a notebook and the command line all have it."""
+    """Decorates the calls that do the work, so that a script, a notebook and the command line all have it.
+
+    One within another costs nothing: looking for the libraries takes as long as a tenth of an episode.
+    """
 
     @functools.wraps(function)
     def limited(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
-        with threadpool_limits(1, user_api="blas"):
+        if getattr(_here, "limited", False):
             return function(*arguments, **named)
+        with threadpool_limits(1, user_api="blas"):
+            _here.limited = True
+            try:
+                return function(*arguments, **named)
+            finally:
+                _here.limited = False
 
     return limited

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,14 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from proprio_ros.bags import is_text_recording, read_recording, read_text_recording, without_jumps, write_recording
+from proprio_ros.bags import (
+    is_text_recording,
+    parts_of,
+    read_recording,
+    read_text_recording,
+    without_jumps,
+    write_recording,
+)
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
 from proprio_ros.runs import cut_runs
@@ -175,6 +183,28 @@ def test_storage_files_without_metadata_are_read_as_one_bag(tmp_path: Path) -> N
     recording = read(folder)
     assert recording.joints.times_ns.tolist() == times()
     assert recording.notes == ("There is no metadata.yaml; 2 storage files were read as one bag.",)
+
+
+@pytest.mark.parametrize("storage", [*STORAGES, "two files"])
+def test_parts_cover_a_recording(tmp_path: Path, storage: str) -> None:
+    """Each once, none larger than asked, whatever the files; two of one bag overlap."""
+    messages = states() + commands()
+    path = write_bag(tmp_path / "bag", messages, "mcap" if storage == "two files" else storage)
+    if storage == "two files":
+        shutil.rmtree(path)
+        path.mkdir()
+        for part, half in enumerate((messages[1::2], messages[::2])):
+            shutil.copy(write_bag(tmp_path / f"part{part}", half) / f"part{part}.mcap", path)
+    whole = read(path)
+    most = len(whole.joints.times_ns) // 3
+    spans = parts_of(path, most)
+    assert len(spans) > 2 and all(end == begin for (_, end), (begin, _) in pairwise(spans))
+    parts = [read(path, span=span, states_only=True).joints for span in spans]
+    assert max(len(part.times_ns) for part in parts) <= most
+    assert np.array_equal(np.concatenate([part.times_ns for part in parts]), whole.joints.times_ns)
+    assert np.array_equal(np.concatenate([part.position for part in parts]), whole.joints.position)
+    with refused("no joint states between 1e\\+06 s and 2e\\+06 s"):
+        read(path, span=(10**15, 2 * 10**15))
 
 
 @pytest.mark.parametrize("storage", STORAGES)

@@ -1,7 +1,8 @@
-"""Within an episode: from when to when the hand held something, and how heavy it was.
+"""Within an episode: from when to when the hand held something, how heavy it was, and what became of it.
 
 The running estimate goes through the motion and says when the load changed. Between two changes the load is one thing: the answer
-is the estimate that had all of that stretch behind it. The gripper's position is not looked at.
+is the estimate that had all of that stretch behind it. Where the recording has the gripper's joint, whether it moved then tells
+what was put down from what fell. Which way it opens need not be known.
 """
 
 from __future__ import annotations
@@ -12,11 +13,18 @@ import numpy as np
 
 from proprio_ros.identification.running import RunningEstimate
 from proprio_ros.motions import Motion
+from proprio_ros.records import FloatArray
 from proprio_ros.replay import Prepared
 from proprio_ros.robot import Robot
 
 LEAST_S = 0.5
 """A stretch with less motion than this says nothing [s]."""
+GRIPPERS = ("gripper", "finger", "jaw")
+"""A joint with one of these in its name moves the fingers, and so does one that slides."""
+BEFORE_S, AFTER_S = 1.0, 0.5
+"""A gripper that lets go or takes hold does so within this of the change of the load, whose instant is known to some tenths [s]."""
+MOVED_SHARE = 0.05
+"""Of its range; a gripper that moves less stands still: an object gives way, and motors have play."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +37,9 @@ class Grasp:
         mass_kg, std_kg, ci95_kg: Of what was held.
         known: Whether the interval is narrow enough to be called a mass.
         code: ``held``; ``empty``: the interval holds zero; ``slipped``: the load fell, but not to nothing; ``released``: it fell to
-            nothing.
+            nothing; ``dropped``: it did while the gripper stood still.
         what: The same as a sentence.
+        gripper: Its mean position [rad or m]; None where it was not recorded.
     """
 
     start_s: float
@@ -42,49 +51,131 @@ class Grasp:
     known: bool
     code: str
     what: str
+    gripper: float | None = None
 
 
-def grasps_of(prepared: Prepared, robot: Robot, motion: Motion) -> list[Grasp]:
-    """The stretches of a motion, in the order of time; those with an empty hand among them.
+def gripper_joint(robot: Robot, motion: Motion) -> str | None:
+    """The joint that opens and closes the hand; None where the recording has none."""
+    for name in (*motion.beside, *motion.joints):
+        slides = name in robot.model.independent_joints and robot.model.joint(name).kind == "prismatic"
+        if slides or any(word in name.lower() for word in GRIPPERS):
+            return name
+    return None
+
+
+class Grasps:
+    """Finds the stretches of a motion that comes in parts.
 
     Args:
         prepared: Whose probe is ``at_work``.
         robot: With a calibration of motions.
-        motion: Of its joints.
+        first: The first part; where its other joints stand they count as standing throughout.
 
     Raises:
         RobotError: The calibration is of another arm.
     """
-    running = prepared.probe.running(robot, prepared.facts, dict(motion.held))
-    columns = [motion.joints.index(name) for name in running.joints]
-    last: dict[float, RunningEstimate] = {}
-    position, current = motion.position[:, columns], motion.current_A[:, columns]
-    for row, time_s in enumerate(motion.times_s):
-        if running.add(float(time_s), position[row].tolist(), current[row].tolist()):
-            estimate = running.estimate()
-            if estimate is not None and estimate.motion_s >= LEAST_S:
-                # a change whose instant is refined moves a little: it is still the same stretch
-                same = next((at for at in last if abs(at - estimate.since_s) < LEAST_S), estimate.since_s)
-                last[same] = estimate
-    found = []
-    starts = sorted(last)
-    for number, start in enumerate(starts):
-        end = starts[number + 1] if number + 1 < len(starts) else float(motion.times_s[-1])
-        estimate = last[start]
-        before = last[starts[number - 1]] if number else None
-        code, what = _said(before, estimate)
-        within = int(np.sum((motion.times_s >= start) & (motion.times_s < end)))
-        found.append(
-            Grasp(start, end, within, estimate.mass_kg, estimate.std_kg, estimate.ci95_kg, estimate.known, code, what)
-        )
-    return found
+
+    def __init__(self, prepared: Prepared, robot: Robot, first: Motion) -> None:
+        self.robot = robot
+        self._running = prepared.probe.running(robot, prepared.facts, dict(first.held))
+        self._gripper = gripper_joint(robot, first)
+        self._last: dict[float, RunningEstimate] = {}
+        self._times: list[FloatArray] = []
+        self._positions: list[FloatArray] = []
+        self._begin = 0.0, 0
+
+    def add(self, motion: Motion, start_s: float = 0.0) -> None:
+        """A part, later than those before.
+
+        Args:
+            motion: The part.
+            start_s: When it begins; where both have stamps, these say how long after the first.
+        """
+        if not self._times:
+            self._begin = start_s, motion.begin_ns
+        if motion.begin_ns and self._begin[1]:
+            start_s = self._begin[0] + 1e-9 * (motion.begin_ns - self._begin[1])
+        columns = [motion.joints.index(name) for name in self._running.joints]
+        position, current = motion.position[:, columns], motion.current_A[:, columns]
+        times_s = start_s + motion.times_s
+        for row, time_s in enumerate(times_s):
+            if self._running.add(float(time_s), position[row].tolist(), current[row].tolist()):
+                estimate = self._running.estimate()
+                if estimate is not None and estimate.motion_s >= LEAST_S:
+                    # a change whose instant is refined moves a little: it is still the same stretch
+                    same = next((at for at in self._last if abs(at - estimate.since_s) < LEAST_S), estimate.since_s)
+                    self._last[same] = estimate
+        self._times.append(times_s)
+        if self._gripper is not None:
+            beside = motion.beside.get(self._gripper)
+            self._positions.append(motion.position[:, motion.joints.index(self._gripper)] if beside is None else beside)
+
+    def found(self) -> list[Grasp]:
+        """The stretches in the order of time; those with an empty hand among them."""
+        times_s = np.concatenate(self._times)
+        gripper = np.concatenate(self._positions) if self._positions else None
+        grasps = []
+        starts = sorted(self._last)
+        for number, start in enumerate(starts):
+            end = starts[number + 1] if number + 1 < len(starts) else float(times_s[-1])
+            estimate = self._last[start]
+            before = self._last[starts[number - 1]] if number else None
+            within = (times_s >= start) & (times_s < end)
+            moved, stands = None, None
+            if gripper is not None:
+                moved = self._moved(gripper, (times_s >= start - BEFORE_S) & (times_s <= start + AFTER_S))
+                stands = float(gripper[within].mean()) if within.any() else None
+            code, what = _said(before, estimate, moved)
+            grasps.append(
+                Grasp(
+                    start,
+                    end,
+                    int(within.sum()),
+                    estimate.mass_kg,
+                    estimate.std_kg,
+                    estimate.ci95_kg,
+                    estimate.known,
+                    code,
+                    what,
+                    stands,
+                )
+            )
+        return grasps
+
+    def _moved(self, gripper: FloatArray, near: np.ndarray) -> bool:
+        """Whether the gripper moved where the load changed."""
+        name = self._gripper
+        assert name is not None
+        reach = 0.0
+        if name in self.robot.model.independent_joints:
+            joint = self.robot.model.joint(name)
+            reach = joint.upper - joint.lower
+        if not 0.0 < reach < np.inf:
+            reach = float(np.ptp(gripper))
+        return bool(near.any() and np.ptp(gripper[near]) > max(MOVED_SHARE * reach, 1e-4))
 
 
-def _said(before: RunningEstimate | None, now: RunningEstimate) -> tuple[str, str]:
+def _said(before: RunningEstimate | None, now: RunningEstimate, gripper_moved: bool | None) -> tuple[str, str]:
+    """What became of the load, as a code and as a sentence.
+
+    Args:
+        before: Of the stretch before; None: this is the first.
+        now: Of this stretch.
+        gripper_moved: Whether it did where one became the other; None: nobody knows.
+    """
     empty = now.ci95_kg[0] <= 0.0
     heavy = f"{1e3 * now.mass_kg:.0f} g ({1e3 * now.ci95_kg[0]:.0f} to {1e3 * now.ci95_kg[1]:.0f})"
     if before is not None and before.ci95_kg[0] > 0.0 and now.mass_kg < before.mass_kg:
+        less = f"{heavy} after {1e3 * before.mass_kg:.0f} g"
+        if empty and gripper_moved is None:
+            return "released", f"put down or lost: {less}"
         if empty:
-            return "released", f"put down or lost: {heavy} after {1e3 * before.mass_kg:.0f} g"
-        return "slipped", f"slipped in part: {heavy} after {1e3 * before.mass_kg:.0f} g"
+            return (
+                ("released", f"put down, the gripper moved: {less}")
+                if gripper_moved
+                else ("dropped", f"lost, the gripper stood still: {less}")
+            )
+        if gripper_moved:
+            return "held", f"less is held after the gripper moved: {less}"
+        return "slipped", f"slipped in part: {less}"
     return ("empty", f"nothing that can be told from zero: {heavy}") if empty else ("held", f"held: {heavy}")

@@ -7,19 +7,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from proprio_ros.bags import is_text_recording
+from proprio_ros.batch.drift import drift_of, evenly, readable, write_drift
 from proprio_ros.batch.episodes import Episode, episodes_of
 from proprio_ros.batch.local import CHUNK, processors, run_local
 from proprio_ros.batch.on_ray import ray_or_refuse, run_ray
-from proprio_ros.batch.page import COLUMNS, MOST_REPORTS, odd, path_of, write_batch_page
-from proprio_ros.batch.rows import Job
+from proprio_ros.batch.page import COLUMNS, MOST_REPORTS, named, odd, path_of, span_of, write_batch_page
+from proprio_ros.batch.rows import GRASP, Job
 from proprio_ros.batch.store import Store
 from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.datasets import marked, open_data_set
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
+from proprio_ros.motions import SHORTEST_S
 from proprio_ros.replay import ReplayOptions, prepare, replay, write_report
 
 MOST_EMPTY = 20
 """Episodes that calibrate an arm."""
+LEAST_FIRST_S = SHORTEST_S
+"""Of each episode, where its first seconds are those of an empty hand."""
 ENGINES = ("local", "ray")
 
 
@@ -53,6 +58,7 @@ def run_batch(
     bars: bool = False,
     command: str = "",
     empty: str | None = None,
+    empty_first_s: float | None = None,
 ) -> Outcome:
     """Do what is not done yet of all episodes of the sources.
 
@@ -68,6 +74,8 @@ def run_batch(
         bars: Whether Ray shows its progress bars.
         command: The command line, for the page.
         empty: Column of the data sets that is not zero where the hand is known to be empty: such episodes calibrate the arm.
+        empty_first_s: In every episode the hand is known to be empty for so long [s]: these seconds calibrate the arm, and what is
+            asked is what it holds later.
 
     Raises:
         ConfigurationError, RobotError: An option is wrong; found before any episode is read.
@@ -75,10 +83,17 @@ def run_batch(
     if engine not in ENGINES:
         raise ConfigurationError(f"--engine {engine}: choose one of {', '.join(ENGINES)}")
     job = replace(job, options=_located(job.options))
-    if empty is None:
+    option = "--empty" if empty is not None else "--empty-first"
+    if empty is None and empty_first_s is None:
         prepare(job.options)  # what is wrong for every episode is said once
     elif job.options.calibration is not None:
-        raise ConfigurationError("--empty makes a calibration, and --calibration names one: give one of them")
+        raise ConfigurationError(f"{option} makes a calibration, and --calibration names one: give one of them")
+    elif empty is not None and empty_first_s is not None:
+        raise ConfigurationError("--empty and --empty-first both say when the hand is empty: give one of them")
+    if empty_first_s is not None and empty_first_s < LEAST_FIRST_S:
+        raise ConfigurationError(
+            f"--empty-first {empty_first_s:g}: {LEAST_FIRST_S:g} s of motion with an empty hand are the least that say anything"
+        )
     if engine == "ray":
         ray_or_refuse()
     episodes = episodes_of(sources)
@@ -88,8 +103,19 @@ def run_batch(
             "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
             "lerobot_openarm, lerobot_rad, or your own file with columns"
         )
+    plain, empties = job.options, list[Episode]()
     if empty is not None:
-        job = replace(job, options=self_calibrated(episodes, job.options, empty, Path(out), tell))
+        empties = [each for each in episodes if each.index is not None and _marked(each, empty)]
+        if not empties:
+            raise ConfigurationError(
+                f"--empty {empty}: no episode of a data set has anything but zero there throughout"
+            )
+    elif empty_first_s is not None:
+        empties = [each for each in episodes if not each.problem and not is_text_recording(each.path)]
+        plain = replace(plain, span=(0, round(1e9 * empty_first_s)))
+        job = replace(job, empty_first_s=empty_first_s)
+    if empty is not None or empty_first_s is not None:
+        job = replace(job, options=self_calibrated(empties, plain, option, Path(out), tell))
     store = Store(Path(out), job)
     try:
         done = store.done()
@@ -98,7 +124,10 @@ def run_batch(
         tell(f"{len(episodes)} episodes, {before} of them done before")
         if missing:
             _run(missing, job, store, engine, processes, address, tell, chunk, bars)
-        write_batch_page(store, store.folder / "batch.html", command, _reports(store, job))
+        periods = drift_of(empties, _stamps(store), plain, tell) if empties else []
+        if periods:
+            write_drift(periods, store.folder / "drift.csv")
+        write_batch_page(store, store.folder / "batch.html", command, _reports(store, job), periods)
         return Outcome(len(episodes), before, store.verdicts(), store.folder)
     finally:
         store.close()
@@ -122,37 +151,47 @@ def _run(
 
 
 def self_calibrated(
-    episodes: Sequence[Episode], options: ReplayOptions, column: str, out: Path, tell: Callable[[str], Any]
+    empty: Sequence[Episode], options: ReplayOptions, option: str, out: Path, tell: Callable[[str], Any]
 ) -> ReplayOptions:
     """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
     Args:
-        episodes: Of data sets and others; only the former have columns.
-        options: Without a calibration.
-        column: Not zero in every frame of an empty episode.
+        empty: Those episodes.
+        options: Without a calibration; their span is what of each is empty.
+        option: Of the command line, for what is said.
         out: The calibration becomes ``calibration.yaml`` there.
         tell: Hears with how many.
 
+    Returns:
+        Options for all of each episode.
+
     Raises:
-        ConfigurationError: No episode is empty, or they do not calibrate the arm.
+        ConfigurationError: They do not calibrate the arm.
     """
     path = out.resolve() / "calibration.yaml"
     if not path.exists():
-        empty = [each.path for each in episodes if each.index is not None and _marked(each, column)]
-        if not empty:
-            raise ConfigurationError(
-                f"--empty {column}: no episode of a data set has anything but zero there throughout"
-            )
+        prepared = prepare(options)
         # evenly over all of them: an arm drifts
-        chosen = empty[:: -(-len(empty) // MOST_EMPTY)]
-        tell(f"calibrating with {len(chosen)} of {len(empty)} episodes that are marked as empty")
+        chosen = [
+            each for each in evenly(empty, MOST_EMPTY) if readable([each], 1, prepared.robot, options, prepared.held)
+        ]
+        if not chosen:
+            raise ConfigurationError(f"{option}: no motion of an empty hand can be read; is anything moving there?")
+        what = "episodes that are marked as empty" if options.span is None else "episodes, whose hand is empty at first"
+        tell(f"calibrating with {len(chosen)} of {len(empty)} {what}")
         path.parent.mkdir(parents=True, exist_ok=True)
-        estimate = calibrate_from_bags(chosen, {}, options, path, lambda words: None)
+        estimate = calibrate_from_bags([each.path for each in chosen], {}, options, path, lambda words: None)
         if estimate.verdict.value != "accepted":
             raise ConfigurationError(
-                f"--empty {column}: {next(iter(estimate.reasons), 'the arm cannot be calibrated with them')}"
+                f"{option}: {next(iter(estimate.reasons), 'the arm cannot be calibrated with them')}"
             )
-    return replace(options, calibration=str(path), robot=None)
+    return replace(options, calibration=str(path), robot=None, span=None)
+
+
+def _stamps(store: Store) -> dict[str, int | None]:
+    """When each episode was recorded [ns], by its path."""
+    rows = store.table(["source", "episode", "episode_index", "segment", "recorded_ns"]).to_pylist()
+    return {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
 
 
 def _marked(episode: Episode, column: str) -> bool:
@@ -168,17 +207,17 @@ def _marked(episode: Episode, column: str) -> bool:
 
 
 def _reports(store: Store, job: Job) -> dict[str, str]:
-    """Write the reports of the rows that look odd; returns their places beside the page, by episode."""
+    """Write the reports of the rows that look odd; returns their places beside the page, by what `named` calls the row."""
     found: dict[str, str] = {}
-    rows = [row for row in store.table(COLUMNS).to_pylist() if row["segment"] == 0]
+    rows = [row for row in store.table(COLUMNS).to_pylist() if row["kind"] != GRASP]
     for number, row in enumerate(odd(rows)[:MOST_REPORTS]):
-        path, place = path_of(row), f"reports/{number:02d}.html"
+        path, place, options = path_of(row), f"reports/{number:02d}.html", replace(job.options, span=span_of(row))
         (store.folder / "reports").mkdir(exist_ok=True)
         try:
-            write_report(replay(path, job.options), store.folder / place, sources=[path])
+            write_report(replay(path, options), store.folder / place, sources=[named(row)])
         except ProprioError:  # the recording has gone since
             continue
-        found[path] = place
+        found[named(row)] = place
     return found
 
 

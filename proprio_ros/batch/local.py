@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import Job, failed_row, rows_of
+from proprio_ros.batch.rows import Job, failed_row, rows_of_all
 from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, source_name, write_rows
 
 CHUNK = 64
@@ -40,13 +40,13 @@ def processors() -> int:
 
 
 def chunk_size(episodes: int, workers: int, most: int = CHUNK) -> int:
-    """Small enough that every worker has several."""
-    return max(1, min(most, episodes // (4 * workers)))
+    """Small enough that every worker has many, so that none works long after the others have ended."""
+    return max(1, min(most, episodes // (16 * workers)))
 
 
 def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:
     """Rows of a chunk, written; returns how many episodes failed."""
-    rows = [row for episode in episodes for row in rows_of(episode, job)]
+    rows = rows_of_all(episodes, job)
     write_rows(Path(folder) / f"part-{chunk_id(episodes)}.parquet", rows)
     return sum(row["kind"] == "failed" for row in rows)
 
@@ -86,6 +86,7 @@ def run_local(
                     tell(
                         f"{finished} of {len(episodes)} episodes, {failed} failed ({told - began:.0f} s, about {left:.0f} s left)"
                     )
+            pool.shutdown()  # its processes end, and their locks with them
         except BrokenProcessPool:
             tell("a process died; its episodes are done again")
             for chunk in _again(list(running.values())):

@@ -11,16 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.batch.rows import EPISODE, FAILED, GRASP
+from proprio_ros.batch.drift import Period, drift_parts
+from proprio_ros.batch.rows import EPISODE, FAILED, GRASP, PART
 from proprio_ros.batch.store import Store
 from proprio_ros.quantity import shown
+from proprio_ros.records import Span
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import bars, document, framed, provenance, table
 from proprio_ros.resources import write_in_one_step
 
 COLUMNS = (
     "source_name", "source", "episode", "episode_index", "segment", "kind", "recorded_ns", "quantity", "unit", "value", "std",
-    "low", "high", "verdict", "reasons", "reason_codes", "robot", "calibration",
+    "low", "high", "verdict", "reasons", "reason_codes", "robot", "calibration", "start_s", "end_s",
 )  # fmt: skip
 MOST_POINTS, MOST_ROWS, MOST_REPORTS = 4000, 40, 12
 """Points of a plot; rows of a table; reports that are written beside the page."""
@@ -28,25 +30,29 @@ ODD_SIGMAS = 5.0
 """So far from the source's median, by the spread of the rest and its own standard deviation, a value is listed."""
 
 
-def write_batch_page(store: Store, path: Path, command: str, reports: Mapping[str, str]) -> None:
+def write_batch_page(
+    store: Store, path: Path, command: str, reports: Mapping[str, str], drift: Sequence[Period] = ()
+) -> None:
     """Write the page.
 
     Args:
         store: With all rows.
         path: The HTML file.
         command: That makes it again.
-        reports: File names beside the page, by the path of the episode that each is of.
+        reports: File names beside the page, by what `named` calls the row that each is of.
+        drift: How the arm changed.
 
     Raises:
         ConfigurationError: The file cannot be written.
     """
     rows = store.table(COLUMNS).to_pylist()
     rows.sort(key=lambda row: (row["source"], _order(row), row["segment"]))
-    whole = [row for row in rows if row["segment"] == 0]
+    whole = [row for row in rows if row["kind"] != GRASP]
     parts = ["<h1>Many recordings</h1>", *_summary(whole), *_masses(whole), *_refused(whole), *_odd(whole, reports)]
     grasps = [row for row in rows if row["kind"] == GRASP]
     if grasps:
         parts += _grasps(grasps)
+    parts += drift_parts(drift)
     parts += provenance(command, sorted({row["source"] for row in whole}), {})
     write_in_one_step(path, document("Many recordings", parts), "--out")
 
@@ -60,6 +66,23 @@ def path_of(row: Mapping[str, Any]) -> str:
     return f"{row['source']}{'/' if row['episode_index'] is None else '#'}{row['episode']}"
 
 
+def span_of(row: Mapping[str, Any]) -> Span | None:
+    """The part of its recording that a row is of; None: all of it."""
+    begin_s, end_s = row["start_s"], row["end_s"]
+    if begin_s is None or (row["kind"] == EPISODE and not begin_s):
+        return None
+    return round(1e9 * begin_s), None if row["kind"] == EPISODE or end_s is None else round(1e9 * end_s)
+
+
+def named(row: Mapping[str, Any]) -> str:
+    """How to name it on the command line."""
+    span = span_of(row)
+    if span is None:
+        return shlex.quote(path_of(row))
+    words = ["" if end is None else f"{1e-9 * end:.9f}".rstrip("0").rstrip(".") for end in span]
+    return f"{shlex.quote(path_of(row))} --span {':'.join(words)}"
+
+
 def _summary(whole: Sequence[Mapping[str, Any]]) -> list[str]:
     verdicts = Counter(row["verdict"] for row in whole)
     robots = Counter((row["robot"] or "?", row["calibration"] or "none", row["source_name"]) for row in whole)
@@ -70,8 +93,10 @@ def _summary(whole: Sequence[Mapping[str, Any]]) -> list[str]:
         unit = next((row["unit"] for row in own if row["unit"]), "")
         middle = shown(unit, float(np.median(accepted))) if accepted and unit else "-"
         found.append((source, robot, calibration, str(count), str(len(accepted)), middle))
+    episodes = len({(row["source"], row["episode"]) for row in whole})
+    parts = "" if episodes == len(whole) else f" in {len(whole)} parts"
     return [
-        f"<p>{len(whole)} episodes: "
+        f"<p>{episodes} episodes{parts}: "
         + escape(", ".join(f"{count} {name}" for name, count in verdicts.most_common()))
         + "</p>",
         table(("source", "robot", "calibration", "episodes", "accepted", "median"), found, (3, 4, 5)),
@@ -124,7 +149,7 @@ def odd(whole: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     found: list[tuple[float, Mapping[str, Any]]] = []
     by_source: dict[str, list[Mapping[str, Any]]] = {}
     for row in whole:
-        if row["kind"] == EPISODE and row["value"] is not None and row["verdict"] == "accepted":
+        if row["kind"] in (EPISODE, PART) and row["value"] is not None and row["verdict"] == "accepted":
             by_source.setdefault(row["source_name"], []).append(row)
     for own in by_source.values():
         values = np.array([row["value"] for row in own])
@@ -147,11 +172,11 @@ def _odd(whole: Sequence[Mapping[str, Any]], reports: Mapping[str, str]) -> list
         "<ul>",
     ]
     for row in rows:
-        path = path_of(row)
+        path = named(row)
         said = row["verdict"] if row["value"] is None else f"{shown(row['unit'], row['value'])}, {row['verdict']}"
         link = f" <a href='{escape(reports[path])}'>report</a>" if path in reports else ""
         why = f": {(row['reasons'] or [''])[0]}" if row["reasons"] else ""
-        parts.append(f"<li><code>{escape(shlex.quote(path))}</code> {escape(said + why)}{link}</li>")
+        parts.append(f"<li><code>{escape(path)}</code> {escape(said + why)}{link}</li>")
     return [*parts, "</ul>"]
 
 

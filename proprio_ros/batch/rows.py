@@ -5,26 +5,34 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from proprio_ros import __version__
+from proprio_ros.bags import is_text_recording, parts_of
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.grasps import Grasp, grasps_of
+from proprio_ros.batch.grasps import Grasp, Grasps
+from proprio_ros.datasets import parts_of_episode
 from proprio_ros.errors import ProprioError, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.probes.base import Recorded
+from proprio_ros.records import Span
 from proprio_ros.replay import Prepared, ReplayOptions, identify, prepare, read_for
 from proprio_ros.schema import calibration_used, reason_codes
 from proprio_ros.threads import one_blas_thread
 
 Row = dict[str, Any]
 
-EPISODE, GRASP, FAILED = "episode", "grasp", "failed"
-"""Kinds of rows: a whole episode; a stretch of it in which one thing was held; an episode that could not be read or identified."""
+EPISODE, PART, GRASP, FAILED = "episode", "part", "grasp", "failed"
+"""Kinds of rows: a whole episode; a part of one that is too long to be answered at once; a stretch in which one thing was held;
+what could not be read or identified."""
+MOST_SAMPLES = 30_000
+"""Joint states that are answered at once: ten minutes at 50 Hz, half a minute at 1 kHz. Longer motions need no more memory."""
+LEAST_BYTES = 8 * MOST_SAMPLES
+"""A bag that is smaller holds fewer: it need not be looked into."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +42,13 @@ class Job:
     Attributes:
         options: As for `proprio replay`.
         grasps: Whether rows of grasps are wanted, too.
+        empty_first_s: For so long from its first joint state on the hand is known to be empty in every episode: what is asked is
+            what it holds later [s].
     """
 
     options: ReplayOptions = field(default_factory=ReplayOptions)
     grasps: bool = False
+    empty_first_s: float = 0.0
 
     def fingerprint(self) -> str:
         """Of everything that the rows follow from besides the episodes: options, the files that they name, this version."""
@@ -61,17 +72,94 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
         if episode.problem:
             return _finished([failed_row(episode, job, episode.problem, "unreadable")], started)
         prepared = _prepared(job.as_text(), _Once(job))
-        robot, read = read_for(prepared, [episode.path])
-        rows = [_whole(episode, prepared, read, identify(prepared, robot, read, [episode.path]))]
-        if job.grasps and read.motions and robot.motion_calibration is not None and prepared.probe.at_work:
-            used = calibration_used(robot.source)
-            rows += [_of_grasp(episode, rows[0], grasp, used) for grasp in grasps_of(prepared, robot, read.motions[0])]
-        return _finished(rows, started)
+        spans = spans_of(episode, job)
+        rows = _answered(episode, job, prepared, spans)
+        # a cut may go through a push: only motions are answered in parts
+        return _finished(rows or _answered(episode, job, prepared, [_later(None, job)]), started)
     except ProprioError as error:
         return _finished([failed_row(episode, job, str(error), "unreadable")], started)
     except Exception as error:  # whatever an episode holds, the job goes on
         reason = one_line(f"unexpected: {type(error).__name__}: {error}")
         return _finished([failed_row(episode, job, reason, "unexpected")], started)
+
+
+@one_blas_thread
+def rows_of_all(episodes: Sequence[Episode], job: Job) -> list[Row]:
+    """The same of some episodes; the threads are limited once."""
+    return [row for episode in episodes for row in rows_of(episode, job)]
+
+
+def spans_of(episode: Episode, job: Job) -> list[Span | None]:
+    """The parts in which an episode is answered; one, unless it is long.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    options, index = job.options, episode.index
+    if index is not None:
+        parts = parts_of_episode(episode.source, index, MOST_SAMPLES)
+    elif is_text_recording(episode.path) or _bytes_of(Path(episode.path)) < LEAST_BYTES:
+        parts = []
+    else:
+        parts = parts_of(episode.path, MOST_SAMPLES, state_topic=options.state_topic, conventions=options.conventions)
+    if len(parts) < 2:
+        return [_later(None, job)]
+    return [later for part in parts if (later := _later(part, job)) is not None]
+
+
+def _bytes_of(bag: Path) -> int:
+    """Of all its files; 0 where it has gone, which reading it will say."""
+    try:
+        return sum(file.stat().st_size for file in ([bag] if bag.is_file() else bag.iterdir()))
+    except OSError:
+        return 0
+
+
+def _later(span: Span | None, job: Job) -> Span | None:
+    """What of a part, or of all, comes after the hand was empty; None: all of all, or nothing of a part."""
+    after_ns = round(1e9 * job.empty_first_s)
+    if not after_ns:
+        return span
+    begin_ns, end_ns = span or (0, None)
+    return None if end_ns is not None and end_ns <= after_ns else (max(begin_ns, after_ns), end_ns)
+
+
+def _answered(episode: Episode, job: Job, prepared: Prepared, spans: Sequence[Span | None]) -> list[Row]:
+    """Rows of each part, and of the grasps in all of them; none where one of several parts holds pushes."""
+    rows: list[Row] = []
+    grasps: Grasps | None = None
+    for span in spans:
+        here = prepared if span is None else replace(prepared, options=replace(prepared.options, span=span))
+        try:
+            robot, read = read_for(here, [episode.path])
+            if len(spans) > 1 and read.runs:
+                return []
+            rows.append(_whole(episode, here, read, identify(here, robot, read, [episode.path])))
+        except ProprioError as error:
+            if span is None:
+                raise
+            rows.append(failed_row(episode, job, str(error), "unreadable"))
+        if span is not None:
+            rows[-1] |= _place(rows[-1], span)
+        if len(spans) > 1 and rows[-1]["kind"] == EPISODE:
+            rows[-1]["kind"] = PART
+        if job.grasps and rows[-1]["kind"] != FAILED and read.motions and here.probe.at_work:
+            if grasps is None and robot.motion_calibration is not None:
+                grasps = Grasps(here, robot, read.motions[0])
+            if grasps is not None:
+                grasps.add(read.motions[0], 0.0 if span is None else 1e-9 * span[0])
+    if grasps is not None:
+        whole, used = next(row for row in rows if row["kind"] != FAILED), calibration_used(grasps.robot.source)
+        rows += [_of_grasp(episode, whole, grasp, used) for grasp in grasps.found()]
+    return rows
+
+
+def _place(row: Row, span: Span) -> Row:
+    """From when to when a part goes, as ``--span`` takes it."""
+    begin_s = 1e-9 * span[0]
+    if span[1] is not None:
+        return {"start_s": begin_s, "end_s": 1e-9 * span[1]}
+    return {"start_s": begin_s, "end_s": None if row["end_s"] is None else begin_s + row["end_s"]}
 
 
 class _Once:
@@ -115,6 +203,7 @@ def _base(episode: Episode, job_probe: str) -> Row:
         "std": None,
         "low": None,
         "high": None,
+        "gripper": None,
         "reasons": [],
         "reason_codes": [],
         "notes": [],
@@ -146,7 +235,7 @@ def _whole(episode: Episode, prepared: Prepared, read: Recorded, estimate: Estim
     used: Mapping[str, str] = estimate.origin["calibration"] or {}
     return {
         **_base(episode, estimate.probe),
-        **_span(read),
+        **_span(episode, read),
         **_numbers(answer),
         "kind": EPISODE,
         "verdict": estimate.verdict.value,
@@ -166,12 +255,12 @@ def _numbers(value: Value) -> Row:
     return {"quantity": value.name, "unit": value.unit, "value": number, "std": std, "low": low, "high": high}
 
 
-def _span(read: Recorded) -> Row:
+def _span(episode: Episode, read: Recorded) -> Row:
     """When, and which joints: of a motion since its first sample, of runs since the first onset."""
     if read.motions:
         motion = read.motions[0]
         return {
-            "recorded_ns": motion.begin_ns or None,
+            "recorded_ns": motion.begin_ns if episode.index is None and motion.begin_ns else None,
             "start_s": 0.0,
             "end_s": float(motion.times_s[-1]),
             "samples": len(motion.times_s),
@@ -209,6 +298,7 @@ def _of_grasp(episode: Episode, whole: Row, grasp: Grasp, used: Mapping[str, str
         "verdict": "accepted" if known else "too_wide",
         "reasons": [grasp.what],
         "reason_codes": [grasp.code],
+        "gripper": grasp.gripper,
         "robot": whole["robot"],
         "calibration": used["name"],
         "calibration_sha256": used["fingerprint"],

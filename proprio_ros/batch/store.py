@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import Job, Row, source_name
+from proprio_ros.batch.rows import GRASP, Job, Row, source_name
 from proprio_ros.datasets import arrow
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.resources import write_in_one_step
@@ -48,6 +48,7 @@ def schema() -> Any:
             ("std", number),
             ("low", number),
             ("high", number),
+            ("gripper", number),
             ("verdict", pa.string()),
             ("reasons", texts),
             ("reason_codes", texts),
@@ -176,11 +177,11 @@ class Store:
         return whole
 
     def verdicts(self) -> dict[str, int]:
-        """How many rows of whole episodes have which verdict."""
-        table = self.table(["verdict", "segment"])
+        """How many rows of episodes, or of their parts, have which verdict."""
+        table = self.table(["verdict", "kind"])
         found: dict[str, int] = {}
-        for verdict, segment in zip(table["verdict"].to_pylist(), table["segment"].to_pylist(), strict=True):
-            if segment == 0:
+        for verdict, kind in zip(table["verdict"].to_pylist(), table["kind"].to_pylist(), strict=True):
+            if kind != GRASP:
                 found[verdict] = found.get(verdict, 0) + 1
         return dict(sorted(found.items()))
 

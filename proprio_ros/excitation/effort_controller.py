@@ -46,7 +46,7 @@ class StampClock:
 
 
 class EffortController:
-    """One controller's commands.
+    """One controller's efforts.
 
     Args:
         robot: The arm.
@@ -57,6 +57,12 @@ class EffortController:
     Raises:
         ConfigurationError: No joint, a joint that the robot does not drive or that is named twice, or another unit.
     """
+
+    recorded_as = "effort"
+    """Field in which whoever records hears what pushes."""
+    can_let_go = True
+    """Whether a last command lets go of the arm."""
+    let_go = "the efforts are zero: nobody holds the arm until a controller does"
 
     def __init__(self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None) -> None:
         driven = ", ".join(robot.drive_trains)
@@ -108,6 +114,11 @@ class EffortController:
                 f"{sequence.name} moves {', '.join(others)}, which the effort controller does not have: add to controller_joints, "
                 "or choose a sequence without it"
             )
+        if any(run.goal_step for run in sequence.runs):
+            raise ExcitationError(
+                f"{sequence.name} pushes by steps of goals, which an effort controller does not take: choose a sequence with "
+                "currents"
+            )
         if not self._hold.knows or self._hold.rate_hz < SLOWEST_HZ:
             raise ExcitationError(
                 f"joint states come {self._hold.rate_hz:.0f} times a second: efforts hold an arm with {SLOWEST_HZ:g} or more; "
@@ -128,7 +139,7 @@ class EffortController:
         self.holding = True
 
     def take(self, command: Command) -> None:
-        """What the state machine wants; the next `efforts` say it."""
+        """What the state machine wants; the next `commands` say it."""
         if self.holding:
             self.pushed_A = {name: current for name, current in command.current_A.items() if name in self.joints}
             self._hold.aim(command.position)
@@ -142,8 +153,8 @@ class EffortController:
         """Take a reading, as `Hold.observe` does."""
         self._hold.observe(time_s, position, heard_s)
 
-    def efforts(self) -> list[float]:
-        """One for each joint, in the controller's order and unit; zeros once the joints are lost."""
+    def commands(self) -> list[float]:
+        """An effort for each joint, in the controller's order and unit; zeros once the joints are lost."""
         pushed = {name: current * self._effort_per_A[name] for name, current in self.pushed_A.items()}
         efforts = self._hold.efforts(pushed)
         if self.lost:

@@ -1,8 +1,8 @@
 """The state machine that makes a probe sequence: it takes samples and the time, and gives commands. No clock, no bus, no ROS.
 
-Each run is: move to its start, rest, push with a constant current or a square wave, hold. What the joints do is watched at
-every tick, and whatever goes wrong while the current is on ends it at that very tick: the command then holds all joints where
-they are.
+Each run is: move to its start, rest, push with a constant current, a square wave or a step of the goal, hold. What the joints do
+is watched at every tick, and whatever goes wrong while the push is on ends it at that very tick: the command then holds all joints
+where they are.
 
 A run without current lets one joint swing freely. Before anything moves it is computed that it would swing back inside its
 limits, without friction and with an empty hand. When its time is over, or when a speed, a limit or the table is near, the joint is
@@ -95,15 +95,17 @@ class JointSample:
 
 @dataclass(frozen=True)
 class Command:
-    """What the servos are to do; no joint is in both.
+    """What the servos are to do; no joint is in two of these.
 
     Attributes:
         position: Goals of joints that are held or moved [rad or m].
         current_A: Currents of joints that are pushed [A].
+        stepped: Goals of joints that are pushed by a step of it [rad or m].
     """
 
     position: dict[str, float] = field(default_factory=dict)
     current_A: dict[str, float] = field(default_factory=dict)
+    stepped: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -335,6 +337,8 @@ class ExcitationMachine:
             ways.append(self._checked_way(before, after, sequence, f"the start of run {number} ({run.joint})"))
             expected_s.append((ways[-1].duration_s, sequence.settle_s, run.duration_s, sequence.brake_s))
             before = after
+            if run.goal_step:
+                self._check_step(run, after, sequence, f"{sequence.name}: run {number} ({run.joint})")
             if run.free:
                 self._check_swing(
                     run, after, sequence, f"{sequence.name}: run {number} ({run.joint}) cannot swing freely"
@@ -533,6 +537,8 @@ class ExcitationMachine:
     def _remedy(self, velocity: float) -> str:
         if self._run.free:
             return "is the hand empty, and the base level? let it swing from nearer to where it hangs"
+        if self._run.goal_step:
+            return "use a smaller goal_step, less time, or another start"
         if velocity * self._current_A < 0.0:
             return "its load pulls it there against the current; use more current, or another start"
         return "use less current, less time, or a smaller max_travel"
@@ -565,6 +571,8 @@ class ExcitationMachine:
         run = f"run {self.run_number} of {self.runs}" + f", attempt {self._attempt}" * (self._attempt > 1)
         shake = f" +-{abs(self._run.shake_A):.3g}" * (self._run.shake_A != 0.0)
         pushed = "swings freely" if self._run.free else f"is pushed with {self._current_A:+.3g}{shake} A"
+        if self._run.goal_step:
+            pushed = f"is pushed by a goal {self._run.goal_step:+.3g} {self._unit} away"
         self._message = {
             Phase.APPROACH: f"{run}: moving to the start pose",
             Phase.SETTLE: f"{run}: waiting until {self._run.joint} is at rest",
@@ -695,6 +703,9 @@ class ExcitationMachine:
         if self._phase not in (Phase.PROBE, Phase.CATCH):
             return Command(dict(self._goals))
         joint = self._run.joint
+        held = {name: goal for name, goal in self._goals.items() if name != joint}
+        if self._run.goal_step:
+            return Command(held, stepped={joint: self._goals[joint] + self._run.goal_step})
         assert self._now_s is not None and self._phase_start_s is not None
         elapsed_s = self._now_s - self._phase_start_s
         # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it
@@ -702,7 +713,7 @@ class ExcitationMachine:
         current_A = self._run.current_at(nearest_s, self._current_A)
         if self._run.free:
             current_A = self._current_of_swing(elapsed_s)
-        return Command({name: goal for name, goal in self._goals.items() if name != joint}, {joint: current_A})
+        return Command(held, {joint: current_A})
 
     def _current_of_swing(self, elapsed_s: float) -> float:
         """Next to nothing, then nothing; and what carries the joint's weight and brakes it when it is caught [A]."""
@@ -732,7 +743,7 @@ class ExcitationMachine:
             return f"{self._sequence.name} is done: all {self.runs} runs are good"
         return (
             f"{self._sequence.name} is done: {len(good)} of {self.runs} runs are good; run {', '.join(poor)} moved too little: "
-            "allow more current, or start where gravity helps"
+            f"allow {'a larger goal_step' if self._run.goal_step else 'more current'}, or start where gravity helps"
         )
 
     def _progress(self, now_s: float) -> float:
@@ -745,6 +756,24 @@ class ExcitationMachine:
         elapsed_s = now_s - (now_s if self._phase_start_s is None else self._phase_start_s)
         spent_s = sum(map(sum, self._expected_s[:place])) + sum(parts[:step]) + min(elapsed_s, parts[step])
         return spent_s / sum(map(sum, self._expected_s))
+
+    def _check_step(self, run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, words: str) -> None:
+        """Whether a servo that goes all the way to its goal stays within limits and clear of the table.
+
+        Raises:
+            ExcitationError: It would not.
+        """
+        joint, spare = self.robot.model.joint(run.joint), self.guards.limit_margin_rad * self._per_rad[run.joint]
+        goal = start[run.joint] + run.goal_step
+        if not joint.lower + spare <= goal <= joint.upper - spare:
+            raise ExcitationError(
+                f"{words}: its goal would be {goal:.3g}, outside {joint.lower + spare:.3g} .. {joint.upper - spare:.3g} (limits "
+                "less a margin); use a smaller goal_step, or another start"
+            )
+        if not self._free(({**start}, {**start, run.joint: goal}), sequence.min_clearance_m):
+            raise ExcitationError(
+                f"{words}: on the way to its goal the arm would come too near to the base's plane; choose a higher pose"
+            )
 
     def _check_swing(self, run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, words: str) -> None:
         """Whether the joint would swing back without a guard ending it, with the lightest rotor that the robot file allows.

@@ -1,7 +1,8 @@
 """Probe sequences: which joint is pushed with which current, from where and for how long, as probe files state them.
 
-A probe file is YAML; its section ``excitation`` is read here. Keys are the names of the fields below. Positions, velocities
-and travel count in the unit of the joint: rad for one that turns, m for one that slides. Currents are in A.
+A servo that knows no current is pushed by a step of its goal instead. A probe file is YAML; its section ``excitation`` is read
+here. Keys are the names of the fields below. Positions, velocities and travel count in the unit of the joint: rad for one that
+turns, m for one that slides. Currents are in A.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ LEAST_SHAKES = 2  # fewer periods are no shaking
 UNTIL_UNITS = ("kg",)
 LARGEST_HALF_KG = 0.1  # such a number was meant in g
 LONGEST_UNTIL_S = 600.0
+LARGEST_STEP_RAD = 1.0  # of a goal, at the shaft: such a number was meant in degrees, or throws the arm
 LEAST_SWING_RAD = 0.1  # a recording tells which joint swung freely by that
 
 
@@ -41,7 +43,8 @@ class ProbeRun:
 
     Attributes:
         joint: The joint that the current drives; all others hold their positions.
-        current_A: Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A`: the joint swings freely.
+        current_A: Signed; negative lifts the pitch joints of the OpenMANIPULATOR-X. 0 without `shake_A` and `goal_step`: the joint
+            swings freely.
         duration_s: The current is on for at most so long.
         start: Positions of joints before the run [rad or m]; joints not named stay where they are.
         max_travel: The current ends early when the joint has moved so far either way, and the run is good [rad or m].
@@ -52,6 +55,8 @@ class ProbeRun:
         shake_A: The current is a square wave about `current_A`: this is added to it in the first half of each period and
             taken from it in the second. It stays as it is when `current_A` is raised or eased. 0: a constant current.
         shake_period_s: Of that wave.
+        goal_step: Instead of a current, for servos that take goals alone: the goal stands so far from where the joint is held
+            [rad or m]. It is never raised.
     """
 
     joint: str
@@ -64,11 +69,12 @@ class ProbeRun:
     max_current_A: float | None = None
     shake_A: float = 0.0
     shake_period_s: float = 0.2
+    goal_step: float = 0.0
 
     @property
     def free(self) -> bool:
         """Whether the joint is let go of: nothing but gravity and friction moves it."""
-        return self.current_A == 0.0 and self.shake_A == 0.0
+        return self.current_A == 0.0 and self.shake_A == 0.0 and self.goal_step == 0.0
 
     def current_at(self, elapsed_s: float, mean_A: float) -> float:
         """The current of an attempt [A].
@@ -222,6 +228,9 @@ def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
         _check_run(run, robot, where)
         pose |= run.start
         _check_pose(run.start, sequence, robot, where, known=pose)
+        if run.goal_step and run.joint in pose:
+            stepped = {run.joint: pose[run.joint] + run.goal_step}
+            _check_pose(stepped, sequence, robot, f"{where}: with goal_step", known=pose)
     swings = [run.free for run in sequence.runs]
     if any(swings) and not all(swings):
         raise ConfigurationError(
@@ -263,6 +272,14 @@ def margin(robot: Robot, joint: str, margin_rad: float) -> float:
 def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
     if run.joint not in robot.drive_trains:
         raise ConfigurationError(f"{where}: no such driven joint; {robot.name} drives {', '.join(robot.drive_trains)}")
+    if run.goal_step != 0.0:
+        if run.current_A or run.shake_A or run.max_current_A:
+            raise ConfigurationError(f"{where}: has a goal_step and a current: a servo is pushed by one or the other")
+        largest_step = margin(robot, run.joint, LARGEST_STEP_RAD)
+        if not abs(run.goal_step) <= largest_step:
+            raise ConfigurationError(
+                f"{where}: goal_step={run.goal_step:g} must be {largest_step:.3g} at most, either way; it is in rad (m for a slide)"
+            )
     largest = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
     if not math.isfinite(run.current_A + run.shake_A) or largest > LARGEST_CURRENT_A:
         raise ConfigurationError(f"{where}: {largest:g} A is too much for a servo: currents are in A, not mA")
@@ -403,6 +420,8 @@ def _until(section: Any, where: str) -> Until:
 
 
 def _run(section: Any, robot: Robot, where: str) -> ProbeRun:
+    if isinstance(section, Mapping) and "goal_step" in section:
+        section = {"current_A": 0.0, **section}
     values = _known(section, ProbeRun, where)
     for key, value in values.items():
         if key == "joint":

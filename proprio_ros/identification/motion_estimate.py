@@ -210,7 +210,19 @@ def _between(motion: Motion, first_s: float, last_s: float, words: str) -> Motio
         times_s=motion.times_s[rows] - motion.times_s[rows][0],
         position=motion.position[rows],
         current_A=motion.current_A[rows],
+        beside={joint: position[rows] for joint, position in motion.beside.items()},
     )
+
+
+def _longest_weighed(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> MotionFit:
+    """The longest motion weighed, together with the next ones where it is too short by itself."""
+    longest = sorted(motions, key=lambda motion: -float(motion.times_s[-1]))
+    for count in range(1, len(longest)):
+        try:
+            return fit_calibrated(robot, longest[:count], calibration)
+        except RecordingError:
+            continue
+    return fit_calibrated(robot, longest, calibration)
 
 
 def _weighable(
@@ -222,8 +234,7 @@ def _weighable(
     referenced: bool,
 ) -> Weighable:
     """What an object in a motion like the longest of these would be weighed to."""
-    longest = max(motions, key=lambda motion: float(motion.times_s[-1]))
-    fit: MotionFit = fit_calibrated(robot, [longest], calibration)
+    fit = _longest_weighed(robot, motions, calibration)
     nothing = 0.5 * (fit.quantile / Z95) * float(fit.std[0]) + 0.5 * float(fit.std[0])
     if len(motions) > 1 and weighed:
         nothing = max(nothing, float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed]))))

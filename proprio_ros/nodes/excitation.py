@@ -15,17 +15,27 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from proprio_ros.errors import ConfigurationError, ExcitationError, ProprioError
+from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.effort_controller import UNITS, EffortController
+from proprio_ros.excitation.goal_controller import GoalController
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.joint_states import JointStates
 from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, JointSample, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
-from proprio_ros.nodes.outputs import DriverOutput, EffortOutput, Output
+from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, effort_controller, goal_controller
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, ManagedNode, run_node
+from proprio_ros.nodes.runtime import (
+    COMMANDS,
+    IDLE_PAUSE_S,
+    LATCHED,
+    STREAM,
+    LongService,
+    ManagedNode,
+    run_node,
+)
+from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.robot import load_robot
 
 _G, _H = Guards(), HoldGains()
@@ -41,9 +51,12 @@ DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
 HOLD_PAUSE_S = 0.002
 """Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
-INTERFACES = ("driver", "effort")
-"""What takes the commands: this package's driver, or an effort controller."""
+INPUT_TOPICS = {"effort": "/forward_effort_controller/commands", "position": "/position_controller/commands"}
+"""Where controllers of others usually listen."""
+INTERFACES = ("driver", *INPUT_TOPICS)
+"""What takes the commands: this package's driver, or an effort or position controller."""
 ENDS = ("hold", "zero")
+DEFAULT_PROBE = "payload"
 BLIND_PATIENCE = 3.0
 """Times `stale_after`: a sequence that is held by efforts waits no longer for joint states, for nobody sees the arm meanwhile."""
 LIMP = ("stopped", "released", "inactive")
@@ -55,7 +68,7 @@ class ExcitationNode(ManagedNode):
 
     parameters = (
         ROBOT,
-        Parameter("probe", "payload", "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
+        Parameter("probe", DEFAULT_PROBE, "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
         Parameter("limit_margin", _G.limit_margin_rad, "Room left before a joint's limit during a run [rad].", 0.0, 0.5),
         Parameter("max_velocity", _G.max_velocity_rad_s, "A run ends when a joint is faster [rad/s].", 0.1, 20.0),
         Parameter("stale_after", _G.stale_after_s, "Joint states further apart end the sequence [s].", 0.02, 5.0),
@@ -64,15 +77,22 @@ class ExcitationNode(ManagedNode):
         Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
         Parameter("command_interface", "driver",
                   "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
-                  "then has hold the arm."),
-        Parameter("input_topic", "/forward_effort_controller/commands", "Where the effort controller listens."),
-        Parameter("controller_joints", [], "The effort controller's `joints`, in its order."),
+                  "then has hold the arm; position: a position controller, for servos that know no current."),
+        Parameter("input_topic", "",
+                  "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
+        Parameter("controller_joints", [], "That controller's `joints`, in its order."),
+        Parameter("controller_manager", "",
+                  "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody "
+                  "switches."),
+        Parameter("activate_controller", "", "That controller; empty: as input_topic names it."),
+        Parameter("deactivate_controllers", [], "Controllers that have the joints else; active again after each sequence."),
         Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A."),
         Parameter("hold_frequency", _H.frequency_rad_s,
                   "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
                   "rate.", 3.0, 25.0),
         Parameter("on_end", "hold",
-                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down."),
+                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. "
+                  "Goals always hold."),
     )  # fmt: skip
 
     real_time = True
@@ -91,6 +111,7 @@ class ExcitationNode(ManagedNode):
         self._driver_state = self._driver_words = ""
         self._driver_at_s = -math.inf
         self._output: Output | None = None
+        self._switched: SwitchedRuns | None = None
         self._unpushed_since_s: float | None = None
         self._torque_enabled: bool | None = None  # None: the driver does not say
         self._count = 0
@@ -102,7 +123,10 @@ class ExcitationNode(ManagedNode):
         for name, choices in (("command_interface", INTERFACES), ("effort_unit", UNITS), ("on_end", ENDS)):
             if self.values[name] not in choices:
                 raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
-        by_effort = self.values["command_interface"] == "effort"
+        interface = self.values["command_interface"]
+        ours, by_effort = interface == "driver", interface == "effort"
+        if ours and self.values["controller_manager"]:
+            raise ConfigurationError("controller_manager is for command_interface:=effort or position: leave it out")
         self._machine = ExcitationMachine(
             self._robot,
             Guards(
@@ -116,25 +140,34 @@ class ExcitationNode(ManagedNode):
             ),
         )
         self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])
-        load_sequence(value_of(self, "probe"), self._robot)
+        if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
+            load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
         if by_effort:
-            commands = self.create_publisher(Float64MultiArray, self.values["input_topic"], COMMANDS)
+            topic = self.values["input_topic"] or INPUT_TOPICS["effort"]
+            commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
             applied = self.create_publisher(JointState, "applied_effort", STREAM)
-            controller, speaker = self._effort_controller(), LastWords(commands.topic_name)
-            self._output = EffortOutput(self, controller, commands, applied, speaker, self.values["on_end"] == "zero")
+            self._output = self._controller_output(effort_controller(self, self._robot, topic), commands, applied)
+        elif not ours:
+            topic = self.values["input_topic"] or INPUT_TOPICS["position"]
+            commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
+            goals = self.create_publisher(JointState, "joint_command", STREAM)
+            self._output = self._controller_output(goal_controller(self, self._robot, topic), commands, goals)
         else:
             currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
             positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
             self._output = DriverOutput(currents, positions)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: by_effort)
-        if not by_effort:  # else this node says itself what it commands
+        self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not ours)
+        if ours:  # else this node says itself what it commands
             self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_subscription(Bool, "torque_enabled", self._on_torque_enabled, LATCHED)
         self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)
-        self.create_service(Trigger, "~/run", self._on_run)
+        if self._switched is None:
+            self.create_service(Trigger, "~/run", self._on_run)
+        else:
+            LongService(self, "~/run", self._switched.run)
         self.create_service(Trigger, "~/abort", self._on_abort)
         self.create_service(Trigger, "~/release", self._on_release)
         self.every(0.02, self._on_timer)
@@ -149,27 +182,28 @@ class ExcitationNode(ManagedNode):
                 # the process ends after this, and takes with it what was not yet sent
                 self._status.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
         finally:
-            if self._output is not None:
-                self._output.finish()
+            try:
+                if self._output is not None:
+                    self._output.finish()
+            finally:
+                self._hand_back()
 
     def cleanup(self) -> None:
         if self._output is not None:
             self._output.close()
+        self._switched = None
         self.remove_on_set_parameters_callback(self._on_parameters)
 
-    def _effort_controller(self) -> EffortController:
-        gains = HoldGains(
-            frequency_rad_s=self.values["hold_frequency"],
-            jump_rad=self.values["max_jump"],
-            max_velocity_rad_s=self.values["max_velocity"],
-        )
-        controller = EffortController(self._robot, self.values["controller_joints"], self.values["effort_unit"], gains)
-        self.say(
-            "warning",
-            f"efforts go to {self.values['input_topic']}; this node alone holds the arm then, and switches no controllers: "
-            "activate that one first, and keep a hand near the emergency stop (docs: hardware and safety)",
-        )
-        return controller
+    def _controller_output(
+        self, controller: EffortController | GoalController, commands: Any, applied: Any
+    ) -> ControllerOutput:
+        switching = switching_of(self, commands.topic_name)
+        speaker = LastWords(commands.topic_name, None if switching is None else switching.controllers)
+        let_go = controller.can_let_go and self.values["on_end"] == "zero"
+        output = ControllerOutput(self, controller, commands, applied, speaker, let_go)
+        if switching is not None:
+            self._switched = SwitchedRuns(self, switching, speaker, output)
+        return output
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """A probe that cannot be made is refused when it is named, with the reason."""
@@ -266,6 +300,8 @@ class ExcitationNode(ManagedNode):
             return
         command = machine.tick(now, self._sample)
         self._send(command)
+        if not machine.busy:
+            self._hand_back()
         if machine.phase is Phase.ABORTED:
             self.say("error", f"aborted: {machine.abort_reason}")
         elif machine.phase is Phase.DONE:
@@ -275,6 +311,7 @@ class ExcitationNode(ManagedNode):
     def _abort(self, machine: ExcitationMachine, reason: str) -> None:
         machine.abort(reason)
         self._send(machine.command)
+        self._hand_back()
         self._tell()
 
     def _send(self, command: Command) -> None:
@@ -283,47 +320,65 @@ class ExcitationNode(ManagedNode):
 
     # --- services -----------------------------------------------------------------------------------------------------
 
-    def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "the excitation node is not active"
+    def _hand_back(self) -> None:
+        """However a sequence ended, controllers are what they were."""
+        if self._switched is not None:
+            self._switched.back()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a sequence is under way."""
+        return self._machine is not None and self._machine.busy
+
+    def refused(self) -> str:
+        """Why no sequence can begin now, or an empty string."""
         machine = self._machine
         if machine is None or not self.active:
-            return response
-        if not machine.busy and self._limp:
-            response.message = f"the driver is {self._limp}"
-            return response
-        now, sample = self.now_s(), self._sample
-        if now == 0.0:
-            response.message = (
-                "use_sim_time is set, and no time comes on /clock: start the simulation, or set it to false"
-            )
-            return response
-        if sample is None or (not machine.busy and not self._fresh):
-            response.message = (
-                "no joint states are coming: start the driver, and check its bus and the topic joint_states"
-            )
+            return "the excitation node is not active"
+        if machine.busy:
+            assert machine.sequence is not None
+            run = f"run {machine.run_number} of {machine.runs}"
+            return f"{machine.sequence.name} is under way ({run}): wait for its end, or abort it"
+        if self._limp:
+            return f"the driver is {self._limp}"
+        if self.now_s() == 0.0:
+            return "use_sim_time is set, and no time comes on /clock: start the simulation, or set it to false"
+        if not self._fresh:
             self._tell()  # `joint_states` says the same to a program
-            return response
+            return "no joint states are coming: start the driver, and check its bus and the topic joint_states"
         try:
             sequence = load_sequence(value_of(self, "probe"), self._robot)
-            if any(run.free for run in sequence.runs) and self._torque_enabled is None:
-                raise ExcitationError(
-                    f"{sequence.name}: nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of, and a "
-                    "recording of free swings is of no use without; start proprio_ros' driver"
-                )
             assert self._output is not None
-            if not machine.busy:
-                self._output.check(sequence)
-            machine.start(sequence, sample)
-            self._output.begin()
+            self._output.check(sequence)
         except ProprioError as error:
-            response.message = str(error)
-            return response
+            return str(error)
+        if any(run.free for run in sequence.runs) and self._torque_enabled is None:
+            return (
+                f"{sequence.name}: nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of, and a "
+                "recording of free swings is of no use without; start proprio_ros' driver"
+            )
+        return ""
+
+    def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = self.begin_run()
+        return response
+
+    def begin_run(self) -> tuple[bool, str]:
+        """Begin the sequence now; whether it has begun, and what there is to say."""
+        if why := self.refused():
+            return False, why
+        machine, output, sample = self._machine, self._output, self._sample
+        assert machine is not None and output is not None and sample is not None
+        try:
+            sequence = load_sequence(value_of(self, "probe"), self._robot)
+            machine.start(sequence, sample)
+            output.begin()
+        except ProprioError as error:
+            return False, str(error)
         self._count += 1
         self._tell()
         # the count says to whoever listens to ~/status which sequence a status belongs to
-        response.success = True
-        response.message = f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
-        return response
+        return True, f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         machine = self._machine
@@ -339,6 +394,9 @@ class ExcitationNode(ManagedNode):
         if self._machine is not None and self._machine.busy:
             self._abort(self._machine, "by ~/release")
         response.success = True
+        if self._switched is not None and self._switched.engaged:
+            response.message = self._switched.release()
+            return response
         response.message = "nothing was held" if self._output is None else self._output.release()
         return response
 

@@ -5,21 +5,22 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
-from proprio_ros.bags import JOINT_STATE, TEMPERATURES, RawMessage
+from proprio_ros.bags import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES, RawMessage
 from proprio_ros.calibration import Moment
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
 from proprio_ros.replay import ReplayOptions
+from proprio_ros.robot import DriveTrain
 from proprio_ros.session import LiveEstimate, Session, as_parameters
 
 STALE_S = 0.5
@@ -46,6 +47,7 @@ class Inputs:
         arrived: Joint states that the running estimate has not seen; None while there is none.
         live: The estimate that goes along with a recording.
         driven: Whether a joint is driven just now; known while there is `live`.
+        by_goals: Topic of the goals of servos that know no current; empty where there are none.
         swings: Whether a joint was let go of during the recording.
         conventions: Of the driver that publishes.
 
@@ -61,6 +63,7 @@ class Inputs:
         self.arrived: deque[tuple[int, Any]] | None = None
         self.live: LiveEstimate | None = None
         self.driven = self.swings = False
+        self.by_goals = ""
         self._joints: list[bytes] = []
         self._motors = self._temperatures = b""
         self._state_at_s = self._effort_at_s = -1e9
@@ -88,14 +91,14 @@ class Inputs:
             topics[option] = full if values[option] or not full.endswith(f"/{usual}") else None
         return topics
 
-    def open(self, joints: Iterable[str]) -> None:
+    def open(self, drives: Mapping[str, DriveTrain]) -> None:
         """Subscribe.
 
         Args:
-            joints: Of the robot; whoever else publishes joint states may have another clock.
+            drives: By joint of the robot; whoever else publishes joint states may have another clock.
         """
         node = self._node
-        self._joints = [self.conventions.published(name).encode() for name in joints]
+        self._joints = [self.conventions.published(name).encode() for name in drives]
         for role, topic, kind in (
             ("joint_states", node.values["state_topic"] or self.conventions.states, JointState),
             ("applied_effort", "applied_effort", JointState), ("applied_current", "applied_current", Float64MultiArray),
@@ -106,6 +109,15 @@ class Inputs:
             node.listen(
                 kind, topic, listener, STREAM, raw=True, only_newest=skip, together=partial(self._takes_all, role)
             )
+        driven_by = [drive.driven_by for drive in drives.values() if drive.driven_by is not None]
+        if driven_by:
+            full = node.resolve_topic_name(BATTERY_STATE)
+            listener = self.listener(full, "battery_state", BatteryState)
+            node.listen(BatteryState, BATTERY_STATE, listener, STREAM, raw=True)
+        self.by_goals = node.resolve_topic_name(JOINT_COMMAND) if any(each.follows_goal for each in driven_by) else ""
+        if self.by_goals:
+            listener = self.listener(self.by_goals, "joint_command", JointState)
+            node.listen(JointState, JOINT_COMMAND, listener, STREAM, raw=True, together=lambda: True)
         self._motors_topic = node.resolve_topic_name("motors")
         node.create_subscription(DiagnosticStatus, "motors", self.on_motors, LATCHED, raw=True)
         self._temperatures_topic = node.resolve_topic_name(TEMPERATURES)
@@ -167,7 +179,7 @@ class Inputs:
                 return
             session.add(full_name, msgtype, now_ns, bytes(data))
             live = self.live
-            if live is not None and role != "applied_current":
+            if live is not None and role in ("joint_states", "applied_effort", "current_command"):
                 self._add_live(live, role, now_ns, deserialize_message(data, kind))
 
         return listen
@@ -252,6 +264,13 @@ class Inputs:
         """Why a recording would not say what drove the joints, or an empty string."""
         node = self._node
         effort, command = node.resolve_topic_name("applied_effort"), node.resolve_topic_name("current_command")
+        if self.by_goals:
+            if node.count_publishers(self.by_goals):
+                return ""
+            return (
+                f"nobody publishes where the servos are sent, {self.by_goals}: start the excitation node with "
+                "command_interface:=position"
+            )
         if self.has_effort:
             return ""
         if node.count_publishers(effort):

@@ -243,7 +243,8 @@ class Jobs:
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
         stays = self._keeping.keep_calibration(output)
-        said = f"robot calibrated on {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
+        on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
+        said = f"robot calibrated on {on}; calibration: {output}"
         return True, f"{said}; {stays}" if stays else said
 
     def _chosen(
@@ -457,7 +458,7 @@ class Jobs:
             self._inputs.heard = None
         for note in notes:
             self._node.say("info", note)
-        if not self._inputs.has_effort:
+        if not self._inputs.has_effort and not self._inputs.by_goals:
             self._node.say(
                 "warning",
                 "no applied_effort: the times at which a current began are those at which its command was heard",

@@ -2,12 +2,14 @@
 
 A process of its own, since nobody speaks for himself after `kill -9`. The excitation node starts it and tells it again and again
 what would hold the arm, as a line of numbers on its standard input; an empty line says that nothing is held. When the lines stay
-away, or end before an empty one, the numbers are published in the node's place.
+away, or end before an empty one, the numbers are published in the node's place. A line that begins with `SWITCHED` says that
+controllers were switched for it: when the lines end then, they are switched back.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import select
 import signal
@@ -16,6 +18,8 @@ import sys
 import time
 from array import array
 from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
@@ -24,6 +28,7 @@ from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.runtime import COMMANDS
+from proprio_ros.nodes.switching import Controllers, switch_kind
 from proprio_ros.realtime import run_in_real_time
 
 TOLD_PERIOD_S = 0.05
@@ -32,20 +37,29 @@ SILENT_S = 0.25
 NODE = "excitation_last_words"
 LAST_WORDS_S = 0.3
 START_S = 60.0
+SWITCHED = "switched"
+SWITCH_S = 5.0
+"""For so long whoever speaks for a node that is gone waits for controller_manager."""
 
 
 class LastWords:
     """The other process, as the node sees it.
 
     Args:
-        topic: Of the effort controller, with its full name.
+        topic: Of the controller, with its full name.
+        controllers: What is switched back; None: nothing.
+
+    Attributes:
+        engaged: Whether they were switched.
 
     Raises:
         ConfigurationError: It does not start.
     """
 
-    def __init__(self, topic: str) -> None:
-        command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic]
+    def __init__(self, topic: str, controllers: Controllers | None = None) -> None:
+        self.engaged = False
+        switched = [] if controllers is None else [json.dumps(asdict(controllers))]
+        command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic, *switched]
         # a session of its own: Ctrl-C is for the node alone, which then ends in order
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         assert self._process.stdin is not None and self._process.stdout is not None
@@ -86,28 +100,35 @@ class LastWords:
 
     def _write(self, line: str) -> None:
         assert self._process.stdin is not None
+        line = f"{SWITCHED} {line}" if self.engaged else line
         with contextlib.suppress(OSError):  # it has ended, which `alive` says, or a full pipe keeps it busy enough
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
 
 
-def main(topic: str) -> int:
+def main(topic: str, switched: str = "") -> int:
     """The other process; returns when the node has ended."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends with the node
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f"{NODE}_{os.getpid()}")
     publisher = node.create_publisher(Float64MultiArray, topic, COMMANDS)
+    client: Any = None
+    if switched:
+        controllers, kind = Controllers(**json.loads(switched)), switch_kind()
+        client = node.create_client(kind, controllers.service)
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     run_in_real_time()
     last: list[float] = []
-    rest = b""
+    engaged, rest = False, b""
     while True:
         ready, _, _ = select.select([sys.stdin], [], [], SILENT_S if last else None)
         read = os.read(sys.stdin.fileno(), 65536) if ready else b""
         *lines, rest = (rest + read).split(b"\n")
         if lines:
-            last = [float(word) for word in lines[-1].split()]
+            said = lines[-1].split()
+            engaged = said[:1] == [SWITCHED.encode()]
+            last = [float(word) for word in said[engaged:]]
         elif last:
             publisher.publish(Float64MultiArray(data=array("d", last)))
         if ready and not read:
@@ -115,10 +136,13 @@ def main(topic: str) -> int:
     if last:
         publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
         time.sleep(LAST_WORDS_S)  # on its way through sockets
+    if engaged and client is not None and client.wait_for_service(SWITCH_S):
+        future = client.call_async(controllers.request(kind, engage=False))
+        rclpy.spin_until_future_complete(node, future, timeout_sec=SWITCH_S)
     node.destroy_node()
     rclpy.shutdown()
     return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1]))
+    raise SystemExit(main(*sys.argv[1:]))

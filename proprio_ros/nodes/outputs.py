@@ -1,7 +1,7 @@
-"""Where the excitation node's commands go: this package's driver, or an effort controller of somebody else's.
+"""Where the excitation node's commands go: this package's driver, or an effort or position controller of somebody else's.
 
-The driver holds what is not pushed, and ends a push when it hears nothing. An effort controller does neither, so its output holds
-the joints itself, at every joint state, and says what it can before it ends.
+The driver holds what is not pushed, and ends a push when it hears nothing. A controller of others does neither, so its output says
+at every joint state what holds the joints, and says what it can before it ends.
 """
 
 from __future__ import annotations
@@ -16,11 +16,14 @@ from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
+from proprio_ros.excitation.goal_controller import GoalController
+from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.nodes import last_words, messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.robot import Robot
 
 RECORD_PERIOD_S = 0.01
 """What is commanded is recorded when it changes, and so often."""
@@ -28,6 +31,40 @@ ON_THE_WAY_NS = 500_000
 """A command that is sent later before an update than this is taken by the next."""
 LET_GO_S = 0.3
 """For so long zeros are said when joints are lost; then whoever takes over is not disturbed."""
+
+
+def effort_controller(node: ManagedNode, robot: Robot, topic: str) -> EffortController:
+    """As the node's parameters state it.
+
+    Raises:
+        ConfigurationError: They do not fit the robot.
+    """
+    values = node.values
+    gains = HoldGains(
+        frequency_rad_s=values["hold_frequency"], jump_rad=values["max_jump"], max_velocity_rad_s=values["max_velocity"]
+    )
+    controller = EffortController(robot, values["controller_joints"], values["effort_unit"], gains)
+    node.say(
+        "warning",
+        f"efforts go to {topic}; this node alone holds the arm then; {_who_switches(node)}keep a hand near the emergency stop "
+        "(docs: hardware and safety)",
+    )
+    return controller
+
+
+def goal_controller(node: ManagedNode, robot: Robot, topic: str) -> GoalController:
+    """The same; Raises likewise."""
+    controller = GoalController(robot, node.values["controller_joints"], node.values["max_jump"])
+    node.say(
+        "warning",
+        f"goals go to {topic}; {_who_switches(node)}keep a hand near the servos' supply (docs: hardware and safety)",
+    )
+    return controller
+
+
+def _who_switches(node: ManagedNode) -> str:
+    manager = node.values["controller_manager"]
+    return "" if manager else "this node switches no controllers: activate that one first, and "
 
 
 class Output(Protocol):
@@ -60,6 +97,9 @@ class Output(Protocol):
     def release(self) -> str:
         """Let go, if it is this that holds the arm; says what was done."""
 
+    def hand_over(self) -> None:
+        """Others hold the arm from now on."""
+
     def finish(self) -> None:
         """Last words, after which the process may end."""
 
@@ -81,7 +121,12 @@ class DriverOutput:
         self._driving = False
 
     def check(self, sequence: ProbeSequence) -> None:
-        pass
+        """Raises: ExcitationError: It pushes by steps of goals, while this package's driver has currents for that."""
+        if any(run.goal_step for run in sequence.runs):
+            raise ExcitationError(
+                f"{sequence.name} pushes by steps of goals: start this node with command_interface:=position, or choose a sequence "
+                "with currents"
+            )
 
     def begin(self) -> None:
         pass
@@ -104,6 +149,9 @@ class DriverOutput:
     def release(self) -> str:
         return "the driver holds the arm: /driver/torque lets go of it"
 
+    def hand_over(self) -> None:
+        pass
+
     def finish(self) -> None:
         self._currents.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
 
@@ -111,16 +159,16 @@ class DriverOutput:
         pass
 
 
-class EffortOutput:
-    """Efforts to a `forward_command_controller`, or another that takes the same.
+class ControllerOutput:
+    """Efforts or goals to a `forward_command_controller`, or another that takes the same.
 
     Args:
         node: That publishes.
         controller: Whose commands they are.
         commands: Publisher to it.
-        applied: Publisher of what pushes, for whoever records.
+        applied: Publisher of what pushes, or of the goals, for whoever records.
         speaker: Speaks where this process cannot any more.
-        let_go_at_end: Whether the last word is zero, and not what holds the arm.
+        let_go_at_end: Whether the last word is zero, and not what holds the arm; of efforts.
     """
 
     holds = True
@@ -128,7 +176,7 @@ class EffortOutput:
     def __init__(
         self,
         node: ManagedNode,
-        controller: EffortController,
+        controller: EffortController | GoalController,
         commands: Any,
         applied: Any,
         speaker: LastWords,
@@ -147,7 +195,7 @@ class EffortOutput:
     def check(self, sequence: ProbeSequence) -> None:
         """Raises: ExcitationError: Nobody listens, somebody else commands, or the controller cannot make it."""
         if self._node.count_subscribers(self._topic) == 0:
-            raise ExcitationError(f"nobody listens to {self._topic}: load and activate the effort controller")
+            raise ExcitationError(f"nobody listens to {self._topic}: load and activate the controller")
         publishers = self._node.get_publishers_info_by_topic(self._topic)
         if sum(not info.node_name.startswith(last_words.NODE) for info in publishers) > 1:
             raise ExcitationError(
@@ -180,7 +228,7 @@ class EffortOutput:
         self._heard, self._blind = True, False
         self._take_up(stamp_ns)
         if controller.holding:
-            self._say(controller.efforts() if whole else controller.steady())
+            self._say(controller.commands() if whole else controller.steady())
             if controller.lost and not lost:
                 self._lost_at_s = time.monotonic()
             elif controller.lost and time.monotonic() - self._lost_at_s > LET_GO_S:
@@ -200,7 +248,11 @@ class EffortOutput:
         if not self._controller.holding:
             return "nothing was held"
         self._let_go()
-        return "the efforts are zero: nobody holds the arm until a controller does"
+        return self._controller.let_go
+
+    def hand_over(self) -> None:
+        self._controller.release()
+        self._last_words.dismiss()
 
     def finish(self) -> None:
         """The controller keeps the last command, whatever becomes of us."""
@@ -222,11 +274,11 @@ class EffortOutput:
     def close(self) -> None:
         self._last_words.close()
 
-    def _say(self, efforts: list[float]) -> None:
+    def _say(self, commands: list[float]) -> None:
         self._said_ns = time.monotonic_ns()  # before it is sent: a pause after it would have it sent late
-        self._commands.publish(Float64MultiArray(data=array("d", efforts)))
+        self._commands.publish(Float64MultiArray(data=array("d", commands)))
         if self._last_words.due:
-            self._last_words.tell([0.0] * len(efforts) if self._let_go_at_end else self._controller.last_words())
+            self._last_words.tell([0.0] * len(commands) if self._let_go_at_end else self._controller.last_words())
 
     def _let_go(self) -> None:
         self._say(self._controller.release())
@@ -235,7 +287,7 @@ class EffortOutput:
     def _record(self) -> None:
         """Remember what drives the joints, for whoever records, when it changes and now and then."""
         record, now_s = self._controller.record, time.monotonic()
-        if not self._heard:
+        if not self._heard or not record:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
@@ -252,6 +304,7 @@ class EffortOutput:
         for sent_ns in taken if stamp_ns is None else taken[-1:]:
             record = self._untaken[sent_ns]
             when_ns = sent_ns if stamp_ns is None else stamp_ns
-            self._applied.publish(messages.joint_state(when_ns, list(record), effort=list(record.values())))
+            values = {self._controller.recorded_as: list(record.values())}
+            self._applied.publish(messages.joint_state(when_ns, list(record), **values))
         for sent_ns in taken:
             del self._untaken[sent_ns]

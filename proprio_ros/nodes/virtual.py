@@ -23,14 +23,16 @@ from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, r
 from proprio_ros.realtime import Pacer
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.arm import import_mujoco
-from proprio_ros.virtual.effort_driver import UNITS, EffortDriver
+from proprio_ros.virtual.effort_driver import UNITS, EffortDriver, PositionDriver
 from proprio_ros.virtual.objects import Payload, parse_object
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
-STATE_PERIOD_S = 0.002
-"""Of the joint states that an effort controller's driver broadcasts: 500 Hz."""
-INTERFACES = ("bus", "effort_controller")
+INPUT_TOPICS = {
+    "effort_controller": "/forward_effort_controller/commands",
+    "position_controller": "/position_controller/commands",
+}
+INTERFACES = ("bus", *INPUT_TOPICS)
 DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
 
 
@@ -48,16 +50,18 @@ class _Polled(CallbackGroup):
 
 
 class VirtualNode(ManagedNode):
-    """Opens a pseudo-terminal with servos and an arm behind it; or is an arm with an effort controller, as in `ros2_control`."""
+    """Opens a pseudo-terminal with servos and an arm behind it; or is an arm with a controller, as in `ros2_control`."""
 
     parameters = (
         ROBOT,
         Parameter("link", DEFAULT_LINK, "Path under which the servo bus appears; the driver's `port`."),
         Parameter("interface", "bus",
                   "What drives the arm. bus: the servo bus; effort_controller: efforts on a topic, as ros2_control takes them, "
-                  "the last of which stays."),
-        Parameter("input_topic", "/forward_effort_controller/commands", "Of the effort controller."),
-        Parameter("controller_joints", [], "Of the effort controller, in its order; empty: the robot file's."),
+                  "the last of which stays; position_controller: likewise goals, for position servos."),
+        Parameter("input_topic", "",
+                  "Of the controller; empty: /forward_effort_controller/commands or /position_controller/commands."),
+        Parameter("controller_joints", [], "Of the controller, in its order; empty: the robot file's."),
+        Parameter("state_rate", 500.0, "Of the joint states that come with a controller [Hz].", 20.0, 1000.0),
         Parameter("effort_unit", "N.m", "What an effort is: N.m (current x nominal torque constant), or A."),
         Parameter("object", "none", "What the hand holds in a probe: 0.05 (kg), payload:.., container:.., block:..", dynamic=True,
                   loose=True),
@@ -99,11 +103,13 @@ class VirtualNode(ManagedNode):
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._motors = self.create_publisher(JointState, "~/motors", 10)
         self.every(0.02, self._publish_motors)
-        if self.values["interface"] == "effort_controller":
-            self._states = self.create_publisher(JointState, "joint_states", STREAM)
-            self._efforts = self.create_subscription(
-                Float64MultiArray, self.values["input_topic"], lambda _: None, FROM_MANY, callback_group=_Polled()
-            )
+        for interface, usual in INPUT_TOPICS.items():
+            if interface == self.values["interface"]:
+                topic = self.values["input_topic"] or usual
+                self._states = self.create_publisher(JointState, "joint_states", STREAM)
+                self._commands = self.create_subscription(
+                    Float64MultiArray, topic, lambda _: None, FROM_MANY, callback_group=_Polled()
+                )
         self.create_subscription(DiagnosticStatus, "excitation/status", self._on_excitation, LATCHED)
         self.create_subscription(DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED)
 
@@ -113,9 +119,13 @@ class VirtualNode(ManagedNode):
             self._robot = VirtualRobot(self._model, self._truth, link=Path(self.values["link"]), seed=seed)
             where = self.values["link"]
         else:
-            joints, unit = self.values["controller_joints"], self.values["effort_unit"]
-            self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
-            where = f"{self.values['input_topic']} for {', '.join(self._robot.joints)}"
+            joints = self.values["controller_joints"]
+            if self.values["interface"] == "position_controller":
+                self._robot = PositionDriver(self._model, self._truth, joints=joints, seed=seed)
+            else:
+                unit = self.values["effort_unit"]
+                self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
+            where = f"{self._commands.topic_name} for {', '.join(self._robot.joints)}"
             # a thread: an executor's wake-ups at every period and command would take a core
             self._thread = threading.Thread(
                 target=self._broadcast, args=(self._robot,), name="joint states", daemon=True
@@ -161,18 +171,18 @@ class VirtualNode(ManagedNode):
 
     def _broadcast(self, driver: EffortDriver) -> None:
         """As a controller manager: read, take what was commanded since, write, again and again while the node is active."""
-        pacer = Pacer(STATE_PERIOD_S)
+        pacer = Pacer(1.0 / self.values["state_rate"])
         message = JointState(name=list(driver.broadcast))
         warned = False
         while self._robot is driver:
             pacer.wait()
             now_s, stamp_ns = time.monotonic(), self.get_clock().now().nanoseconds
             driver.advance(now_s)
-            with self._efforts.handle:
-                while (told := self._efforts.handle.take_message(Float64MultiArray, False)) is not None:
+            with self._commands.handle:
+                while (told := self._commands.handle.take_message(Float64MultiArray, False)) is not None:
                     if not driver.command(now_s, told[0].data) and not warned:
                         warned = True
-                        self.say("warning", f"a command of {len(told[0].data)} efforts was ignored")
+                        self.say("warning", f"a command of {len(told[0].data)} numbers was ignored")
             message.header.stamp = messages.time_message(stamp_ns)
             # arrays are taken as they are; lists are looked through, number by number
             message.position, message.velocity, message.effort = (array("d", each) for each in driver.states())

@@ -1,4 +1,4 @@
-"""A simulated arm behind what looks like somebody else's driver: an effort controller and a broadcaster of joint states.
+"""A simulated arm behind what looks like somebody else's driver: an effort or position controller, and joint states on a topic.
 
 As `forward_command_controller` does it, a command counts for all joints in a fixed order and stays until the next; one of another
 length is ignored. As `joint_state_broadcaster` does it, the joints come in the order of the alphabet, among others that are not the
@@ -17,6 +17,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
+from proprio_ros.robot.drives import PositionServo
 from proprio_ros.virtual.arm import VirtualArm
 from proprio_ros.virtual.objects import HandObject
 from proprio_ros.virtual.robot import LONGEST_PAUSE_S, PARKED
@@ -47,6 +48,8 @@ class EffortDriver:
         ConfigurationError: The unit or a joint is not known, MuJoCo is missing, or the robot cannot be simulated.
     """
 
+    units: tuple[str, ...] = UNITS
+
     def __init__(
         self,
         robot: Robot,
@@ -57,8 +60,8 @@ class EffortDriver:
         position: Mapping[str, float] | None = None,
         seed: int = 0,
     ) -> None:
-        if unit not in UNITS:
-            raise ConfigurationError(f"effort_unit={unit!r}: choose one of {', '.join(UNITS)}")
+        if unit not in self.units:
+            raise ConfigurationError(f"effort_unit={unit!r}: choose one of {', '.join(self.units)}")
         self.joints = tuple(joints) or tuple(robot.drive_trains)
         unknown = [name for name in self.joints if name not in robot.drive_trains]
         if unknown:
@@ -90,7 +93,7 @@ class EffortDriver:
         self._columns = [self.arm.joints.index(name) for name in self.joints]
         self._latency_s = truth.latency_s
         self._coming: deque[tuple[float, FloatArray]] = deque()
-        self._wanted_A: FloatArray | None = None
+        self._wanted: FloatArray | None = None
         self._current_A = np.zeros(len(self.arm.joints))
         self._time_s: float | None = None
         self.broadcast = tuple(sorted([*self.arm.joints, *FOREIGN_JOINTS]))
@@ -101,10 +104,14 @@ class EffortDriver:
             return False
         with self.lock:
             self._advance(now_s)
-            wanted = np.zeros(len(self.arm.joints))
+            wanted = self._uncommanded()
             wanted[self._columns] = efforts
-            self._coming.append((now_s + self._latency_s, wanted / self._effort_per_A))
+            self._coming.append((now_s + self._latency_s, wanted))
         return True
+
+    def _uncommanded(self) -> FloatArray:
+        """What joints are told that are not the controller's, shape (J,)."""
+        return np.zeros(len(self.arm.joints))
 
     def advance(self, now_s: float) -> None:
         """Move the arm on to an instant."""
@@ -117,13 +124,14 @@ class EffortDriver:
         while self._time_s + PERIOD_S <= now_s:
             self._time_s += PERIOD_S
             while self._coming and self._coming[0][0] <= self._time_s:
-                self._wanted_A = self._coming.popleft()[1]
-            if self._wanted_A is not None:
-                self._current_A = self._bounded(self._wanted_A)
+                self._wanted = self._coming.popleft()[1]
+            if self._wanted is not None:
+                self._current_A = self._currents(self._wanted)
                 self.arm.step(self._current_A)
 
-    def _bounded(self, wanted_A: FloatArray) -> FloatArray:
-        """Within the motors' limits, and what the supply can drive at this speed."""
+    def _currents(self, wanted: FloatArray) -> FloatArray:
+        """Of the motors [A], within their limits, and what the supply can drive at this speed."""
+        wanted_A = wanted / self._effort_per_A
         slowed_A = self._per_speed_A * self.arm.velocity_rad_s()
         current: FloatArray = np.clip(wanted_A, -self._limits, self._limits)
         return np.clip(current, -self._supply_A - slowed_A, self._supply_A - slowed_A)
@@ -156,7 +164,68 @@ class EffortDriver:
             ConfigurationError: One is asked for.
         """
         if text:
-            raise ConfigurationError(f"fault {text!r}: an effort controller has no servo bus; choose interface:=bus")
+            raise ConfigurationError(
+                f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus"
+            )
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+class PositionDriver(EffortDriver):
+    """The same behind a position controller: each servo makes a voltage of the distance to its goal, by its law in the robot file.
+
+    Until the first command somebody holds the arm.
+
+    Args:
+        robot, truth, joints, position, seed: As above. Goals are in rad.
+
+    Raises:
+        ConfigurationError: Also where the robot file states no law of a position servo for a joint.
+    """
+
+    units = ("rad",)
+
+    def __init__(
+        self,
+        robot: Robot,
+        truth: Truth,
+        *,
+        joints: Sequence[str] = (),
+        position: Mapping[str, float] | None = None,
+        seed: int = 0,
+    ) -> None:
+        laws = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
+        if other := [name for name, law in laws.items() if not isinstance(law, PositionServo)]:
+            raise ConfigurationError(
+                f"{robot.name}: {', '.join(other)} are no position servos (driven_by); choose interface:=effort_controller"
+            )
+        super().__init__(robot, truth, joints=joints, unit="rad", position=position, seed=seed)
+        drives = [robot.drive_trains[name] for name in self.arm.joints]
+        self._gain, self._limit, self._dead, self._step = (
+            np.array([getattr(law, term) for law in laws.values()])
+            for term in ("gain_per_rad", "limit", "dead_band_rad", "goal_speed_rad_s")
+        )
+        self._step *= PERIOD_S
+        self._supply_V = np.array([drive.supply_voltage_V for drive in drives])
+        self._resistance_ohm = np.array([drive.resistance_ohm for drive in drives])
+        # a motor's back EMF is its torque constant
+        self._back_emf = np.array([truth.joints[name].torque_constant for name in self.arm.joints])
+        self._effort_per_A = np.full(len(drives), math.nan)  # such a servo knows no effort
+        self._begun = self.arm.encoder_rad() * self._transmission
+        self._moved = self._begun.copy()
+
+    def _uncommanded(self) -> FloatArray:
+        return self._begun.copy()
+
+    def _currents(self, wanted: FloatArray) -> FloatArray:
+        """What the voltage drives [A]; the firmware moves its goal no faster than it can."""
+        self._moved = self._moved + np.clip(wanted - self._moved, -self._step, self._step)
+        counts = np.rint(self.arm.encoder_rad() / self._count_rad)
+        distance = self._moved - counts * self._count_rad * self._transmission
+        distance = np.sign(distance) * np.maximum(np.abs(distance) - self._dead, 0.0)
+        duty = np.clip(self._gain * distance, -self._limit, self._limit)
+        current_A: FloatArray = (
+            self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()
+        ) / self._resistance_ohm
+        return current_A

@@ -12,6 +12,9 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.robot import DriveTrain, Robot
 
+ALIKE, OFF_TOGETHER = 0.03, 0.3
+"""Torque constants of servos of one type, in one arm, differ by the first from each other; and all together from the robot file by
+that share of what it leaves open, which allows for other gears and supplies, too."""
 FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006
 """From a command on the bus to the motor's torque."""
 
@@ -92,7 +95,8 @@ class Truth:
 
         Friction that the file gives as zero with a standard deviation is one-sided: it is drawn uniformly from a part of that
         deviation (Coulomb 0.3 to 0.9, viscous 0.1 to 0.6, with the load 0 to 0.6 of it), so that no joint is stuck for good.
-        Everything else is normal, and cut off where it would make no sense.
+        Everything else is normal, and cut off where it would make no sense. Where voltages drive the motors, an arm's torque
+        constants are off together by 0.3 of what the file leaves open, and each by 3 % more.
 
         Args:
             robot: The robot.
@@ -101,6 +105,7 @@ class Truth:
             stribeck: Whether dry friction is greater at rest.
         """
         motors, bodies, excess = (np.random.default_rng((seed, part)) for part in range(3))
+        together = float(np.random.default_rng((seed, 3)).normal())
         joints = {}
         for name, drive in robot.drive_trains.items():
 
@@ -113,8 +118,11 @@ class Truth:
             constant, armature = drive.torque_constant, drive.armature
             excess_part = abs(float(excess.normal(drive.stribeck.value, drive.stribeck.std)))
             excess_velocity = float(excess.normal(drive.stribeck_velocity.value, drive.stribeck_velocity.std))
+            mean, std = constant.value, constant.std
+            if drive.driven_by is not None:
+                mean, std = max(mean + OFF_TOGETHER * together * std, 0.5 * mean), ALIKE * mean
             joints[name] = JointTruth(
-                torque_constant=max(float(motors.normal(constant.value, constant.std)), 0.5 * constant.value),
+                torque_constant=max(float(motors.normal(mean, std)), 0.5 * constant.value),
                 coulomb=friction("coulomb", 0.3, 0.9),
                 viscous=friction("viscous", 0.1, 0.6),
                 load_friction=friction("load_friction", 0.0, 0.6),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import json
 import os
 import sys
+import tracemalloc
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +20,16 @@ pytest.importorskip("pyarrow", reason="needs the extra batch")
 pytest.importorskip("mujoco", reason="needs the extra sim")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from fleet import FOUR, SETTINGS, Arm, deadly, write_bag, write_robot
+from fleet import BEGIN_NS, FOUR, SETTINGS, Arm, deadly, write_bag, write_robot
 from lerobot_layout import write_data_set
 
 import proprio_ros.batch.local as local
+import proprio_ros.batch.rows as rows_module
+from proprio_ros.batch.drift import periods_of
 from proprio_ros.batch.episodes import episodes_of
-from proprio_ros.batch.grasps import grasps_of
+from proprio_ros.batch.grasps import Grasps
 from proprio_ros.batch.job import run_batch
+from proprio_ros.batch.page import named, span_of
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.calibrating import calibrate_from_bags
@@ -103,6 +109,21 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
         value = replay(f"{written}#{n}", asked(fleet)).values[0]
         assert isinstance(value.value, float) and abs(value.value - mass) < 0.002
         assert value.ci95[0] - 0.001 <= mass <= value.ci95[1] + 0.001
+
+
+@pytest.mark.parametrize("source", ["bags/1", "v3#1", "v21#1"])
+def test_a_span_is_that_part_of_the_whole(fleet: Path, source: str) -> None:
+    prepared = prepare(asked(fleet))
+    path = str(fleet / "data" / source)
+    (whole,) = read_for(prepared, [path])[1].motions
+    span = 3_000_000_000, 9_000_000_000
+    (part,) = read_for(replace(prepared, options=replace(asked(fleet), span=span)), [path])[1].motions
+    rows = (whole.times_s >= 3.0 - 1e-9) & (whole.times_s < 9.0 - 1e-9)
+    assert 299 <= len(part.times_s) <= 301 and np.array_equal(part.position, whole.position[rows])
+    assert np.array_equal(part.current_A, whole.current_A[rows])
+    behind = replace(prepared, options=replace(asked(fleet), span=(10**12, None)))
+    with pytest.raises(RecordingError, match=r"no joint states between 1000 s and its end|no frames in this part"):
+        read_for(behind, [path])
 
 
 def test_units_are_those_of_the_profile(tmp_path: Path) -> None:
@@ -240,11 +261,152 @@ def test_grasps_are_found_with_their_masses(fleet: Path) -> None:
     """Nothing, 150 g from 8 s on, 60 g from 16 s on as if one of two things had fallen."""
     motion = Arm(3).record(77, 24.0, 0.0, changes=((8.0, 0.15), (16.0, 0.06)))
     prepared = prepare(asked(fleet))
-    found = grasps_of(prepared, prepared.robot, motion)
+    grasps = Grasps(prepared, prepared.robot, motion)
+    grasps.add(motion)
+    found = grasps.found()
     assert [grasp.code for grasp in found] == ["empty", "held", "slipped"]
     assert np.allclose([grasp.start_s for grasp in found], [0.0, 8.0, 16.0], atol=0.6)
     for grasp, mass in zip(found, (0.0, 0.15, 0.06), strict=True):
         assert grasp.ci95_kg[0] < mass < grasp.ci95_kg[1]
+
+
+@pytest.mark.long
+def test_what_the_gripper_did_tells_what_was_put_down_from_what_fell(fleet: Path) -> None:
+    """150 g from 8 s on, nothing from 16 s on; the gripper closes on it at 8 s, and opens at 16 s or does not."""
+    motion = Arm(3).record(78, 24.0, 0.0, changes=((8.0, 0.15), (16.0, 0.0)))
+    prepared = prepare(asked(fleet))
+    closed = np.interp(motion.times_s, (7.8, 8.0), (0.04, 0.01))
+    opened = np.where(motion.times_s < 12.0, closed, np.interp(motion.times_s, (15.8, 16.0), (0.01, 0.04)))
+    for beside, codes in (
+        ({"left_finger": opened}, ["empty", "held", "released"]),
+        ({"left_finger": closed}, ["empty", "held", "dropped"]),
+    ):
+        parted = replace(motion, beside=beside)
+        grasps = Grasps(prepared, prepared.robot, parted)
+        middle = len(motion.times_s) // 2
+        for rows, begin_s in ((slice(0, middle), 0.0), (slice(middle, None), float(motion.times_s[middle]))):
+            part = replace(
+                parted,
+                times_s=motion.times_s[rows] - motion.times_s[rows][0],
+                position=motion.position[rows],
+                current_A=motion.current_A[rows],
+                beside={name: values[rows] for name, values in beside.items()},
+            )
+            grasps.add(part, begin_s)
+        found = grasps.found()
+        assert [grasp.code for grasp in found] == codes
+        assert np.allclose([grasp.start_s for grasp in found], [0.0, 8.0, 16.0], atol=0.6)
+        held = found[1]
+        assert held.ci95_kg[0] < 0.15 < held.ci95_kg[1] and held.gripper is not None
+        assert abs(held.gripper - 0.01) < 0.003 and held.samples == pytest.approx(400, abs=40)
+
+
+@pytest.mark.long
+def test_a_long_motion_is_answered_in_parts_that_replay_answers_alike(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three parts of a bag and of a data set; the same numbers as `replay --span`; memory does not grow with what is longer."""
+    monkeypatch.setattr(rows_module, "MOST_SAMPLES", 700)
+    monkeypatch.setattr(rows_module, "LEAST_BYTES", 0)
+    motion = Arm(3).record(55, 36.0, 0.1)
+    write_bag(tmp_path / "data" / "long", motion)
+    write_data_set(tmp_path / "data" / "set", [motion], FOUR.constants, rate_hz=50.0)
+    job = Job(asked(fleet), grasps=True)
+    for episode in episodes_of([tmp_path / "data"]):
+        rows = rows_of(episode, job)
+        parts = [row for row in rows if row["kind"] == "part"]
+        assert len(parts) == 3 and sum(row["samples"] for row in parts) == len(motion.times_s)
+        assert [row["segment"] for row in rows] == list(range(len(rows))) and rows[0]["segments"] == len(rows)
+        assert parts[0]["start_s"] == 0.0 and all(a["end_s"] == b["start_s"] for a, b in pairwise(parts))
+        for row in parts:
+            assert row["low"] - 0.001 <= 0.1 <= row["high"] + 0.001
+            options = replace(asked(fleet), span=span_of({**row, "kind": "part"}))
+            value = replay(episode.path, options).values[0]
+            assert (row["value"], row["std"], [row["low"], row["high"]]) == (value.value, value.std, list(value.ci95))
+        # one grasp through all parts
+        (grasp,) = [row for row in rows if row["kind"] == "grasp"]
+        assert grasp["reason_codes"] == ["held"] and grasp["samples"] > 1700 and grasp["low"] < 0.1 < grasp["high"]
+
+
+@pytest.mark.long
+def test_memory_does_not_grow_with_the_length_of_a_bag(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rows_module, "MOST_SAMPLES", 1000)
+    monkeypatch.setattr(rows_module, "LEAST_BYTES", 0)
+    peaks = []
+    for seconds in (20.0, 200.0):
+        write_bag(tmp_path / f"{seconds}", Arm(3).record(56, seconds, 0.1))
+        (episode,) = episodes_of([tmp_path / f"{seconds}"])
+        tracemalloc.start()
+        rows = rows_of(episode, Job(asked(fleet)))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(rows) == round(seconds / 20.0)
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_a_recording_of_pushes_is_not_cut(fleet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cut may go through one of them."""
+    monkeypatch.setattr(rows_module, "MOST_SAMPLES", 20)
+    monkeypatch.setattr(rows_module, "LEAST_BYTES", 0)
+    bag = Path(__file__).parents[2] / "bags" / "friction_s00_fixed_heavy_ball_50g_joint3"
+    (episode,) = episodes_of([bag / "bag_mcap"])
+    (row,) = rows_of(episode, Job())
+    value = replay(episode.path).values[0]
+    assert row["kind"] == "episode" and (row["value"], row["std"]) == (value.value, value.std)
+
+
+@pytest.mark.long
+def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp_path: Path) -> None:
+    """Eight episodes over four weeks whose hand is empty for six seconds; friction is 1.8 times as large in the last two weeks."""
+    robot, week_ns = write_robot(tmp_path, build=FOUR), 7 * 86_400 * 10**9
+    masses = (0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2)
+    for n, mass in enumerate(masses):
+        arm = Arm(3, drift=1.8 if n >= 4 else 1.0)
+        motion = arm.record(200 + n, 24.0, 0.0, changes=((6.0, mass),))
+        write_bag(tmp_path / "bags" / f"{n}", motion, BEGIN_NS + (n // 2) * week_ns)
+    options = ReplayOptions(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
+    out, said = tmp_path / "out", list[str]()
+    cut = write_bag(tmp_path / "bags" / "cut", motion)
+    storage = next(cut.glob("*.mcap"))
+    storage.write_bytes(storage.read_bytes()[:3000])
+    run_batch([tmp_path / "bags"], Job(options), out, said.append, processes=1, empty_first_s=6.0)
+    assert any("8 of 9 episodes, whose hand is empty at first" in words for words in said)
+    *rows, failed = table(out)
+    assert failed["kind"] == "failed" and named(failed).endswith("bags/cut --span 6:")
+    assert [row["start_s"] for row in rows] == [6.0] * 8
+    held = [row["low"] - 0.001 <= mass <= row["high"] + 0.001 for row, mass in zip(rows, masses, strict=True)]
+    assert sum(held) >= 7
+    value = replay(tmp_path / "bags" / "3", replace(options, robot=None, calibration=out / "calibration.yaml",
+                                                   span=(6 * 10**9, None))).values[0]  # fmt: skip
+    assert (rows[3]["value"], rows[3]["std"]) == (value.value, value.std)
+    with open(out / "drift.csv") as stream:
+        drift = list(csv.DictReader(stream))
+    assert len(drift) == 4 * len(FOUR.joints) and all(row["episodes"] == "2" for row in drift)
+    assert [row["period"] for row in drift[:: len(FOUR.joints)]] == sorted({row["period"] for row in drift})
+    first, last = (
+        np.array([[float(row["coulomb_N_m"]), float(row["coulomb_N_m_std"])] for row in drift[part]])
+        for part in (slice(0, len(FOUR.joints)), slice(-len(FOUR.joints), None))
+    )
+    sigmas = np.hypot(1.8 * first[:, 1], last[:, 1])
+    assert np.all(np.abs(last[:, 0] - 1.8 * first[:, 0]) < 3.0 * sigmas)
+    assert np.max((last[:, 0] - first[:, 0]) / np.hypot(first[:, 1], last[:, 1])) > 2.5
+    page = (out / "batch.html").read_text()
+    assert "How the arm drifts" in page and "Coulomb friction of j1" in page
+    with pytest.raises(ConfigurationError, match="are the least that say anything"):
+        run_batch([tmp_path / "bags"], Job(options), tmp_path / "no", said.append, empty_first_s=1.0)
+
+
+def test_drift_is_by_day_by_week_or_by_episode() -> None:
+    day = 86_400 * 10**9
+    assert [(name, at, own) for name, at, own in periods_of([0, 5, day])] == [
+        ("1970-01-01", 0.0, [0, 1]),
+        ("1970-01-02", 1.0, [2]),
+    ]
+    assert [at for _, at, _ in periods_of([0, 8 * day, 40 * day])] == [0.0, 7.0, 35.0]
+    assert [own for _, _, own in periods_of([None] * 24)] == [[n, n + 1] for n in range(0, 24, 2)]
+    assert periods_of([]) == []
 
 
 @pytest.mark.long
@@ -280,6 +442,7 @@ def test_the_command_says_what_is_wrong_before_it_begins(
         ([str(fleet / "data" / "v3"), *out], "does not say what its positions"),
         ([str(fleet / "data"), *out, "--device", "cuda"], "--device cuda: "),
         ([str(fleet / "data"), *out, "--address", "x:1"], "--address goes with --engine ray"),
+        ([str(fleet / "data"), *out, "--empty", "a", "--empty-first", "5"], "give one of them"),
         ([str(fleet / "data"), *out, "--calibration", "no.yaml"], "no.yaml"),
     ):
         assert main(["batch", *arguments]) == 2

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -21,7 +22,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager, nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +67,8 @@ def asked(folder: Path) -> ReplayOptions:
     )
 
 
-def make(folder: Path, count: int, seconds: float = SECONDS) -> None:
-    """Generate everything."""
+def make(folder: Path, count: int, jobs: int, seconds: float = SECONDS) -> None:
+    """Generate everything, with so many processes, each a data set of its own."""
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "data" / "bags").mkdir(parents=True)
     # joint states of bags under their usual name, and a data set's columns: one profile reads both
@@ -74,22 +77,31 @@ def make(folder: Path, count: int, seconds: float = SECONDS) -> None:
     empty = [write_bag(folder / f"empty_{n}", arm.record(10**6 + n, 20.0)) for n in range(3)]
     plain = ReplayOptions(robot=str(robot), effort_unit="N.m")
     calibrate_from_bags(empty, {}, plain, folder / "arm.yaml", lambda words: None)
-    masses = np.random.default_rng(1).choice(MASSES_KG, count)
-    bags = round(BAGS_SHARE * count)
+    masses = [float(mass) for mass in np.random.default_rng(1).choice(MASSES_KG, count)]
+    edges = [round(count * n / jobs) for n in range(jobs + 1)]
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        shares = [(folder, f"set_{n}", a, masses[a:b], seconds) for n, (a, b) in enumerate(pairwise(edges))]
+        truth = [row for rows in pool.map(make_share, *zip(*shares, strict=True)) for row in rows]
+    broken = [Path(path) for path, _ in truth if "#" not in path][: max(2, BROKEN * count // 10_000)]
+    for bag in broken:
+        storage = next(bag.glob("*.mcap"))
+        storage.write_bytes(storage.read_bytes()[:5000])
     with open(folder / "truth.csv", "w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["path", "mass_kg"])
-        for n in range(bags):
-            path = write_bag(folder / "data" / "bags" / f"{n:05d}", arm.record(n, seconds, float(masses[n])))
-            if n < max(2, BROKEN * count // 10_000):
-                storage = next(path.glob("*.mcap"))
-                storage.write_bytes(storage.read_bytes()[:5000])
-            writer.writerow([path.resolve(), masses[n]])
-        rest = range(bags, count)
-        motions = (arm.record(n, seconds, float(masses[n])) for n in rest)
-        place = write_data_set(folder / "data" / "set", motions, FOUR.constants, rate_hz=50.0)
-        writer.writerows([f"{place.resolve()}#{n - bags}", masses[n]] for n in rest)
-    print(f"{count} episodes of {seconds:g} s: {bags} bags, {count - bags} in a LeRobot v3 data set")
+        csv.writer(stream).writerows([["path", "mass_kg"], *truth])
+    bags = sum("#" not in path for path, _ in truth)
+    print(f"{count} episodes of {seconds:g} s: {bags} bags, {count - bags} in {jobs} LeRobot v3 data sets")
+
+
+def make_share(folder: Path, name: str, first: int, masses: Sequence[float], seconds: float) -> list[tuple[str, float]]:
+    """Some of the episodes: a tenth as bags, the rest as a data set; paths and masses."""
+    arm, bags = Arm(3), round(BAGS_SHARE * len(masses))
+    motions = (arm.record(first + n, seconds, mass) for n, mass in enumerate(masses))
+    truth = []
+    for n in range(bags):
+        path = write_bag(folder / "data" / "bags" / f"{first + n:05d}", next(motions))
+        truth.append((str(path.resolve()), masses[n]))
+    place = write_data_set(folder / "data" / name, motions, FOUR.constants, rate_hz=50.0)
+    return truth + [(f"{place.resolve()}#{n}", mass) for n, mass in enumerate(masses[bags:])]
 
 
 def rows_in(out: Path) -> Any:
@@ -143,21 +155,28 @@ def batch(folder: Path, sources: list[str], out: Path, *more: str) -> subprocess
     return subprocess.Popen([*COMMAND, *sources, "--out", str(out), *options(folder), *more], cwd=folder)
 
 
-def busy_workers() -> list[int]:
-    """Processes of Ray that work on a batch, of those that this process started."""
-    mine, found = {os.getpid()}, []
-    parents = {}
+def descendants() -> dict[int, list[int]]:
+    """Processes that this one started, and itself, each with the ticks of a processor that it and its ended children took."""
+    stats: dict[int, list[int]] = {}
     for place in Path("/proc").glob("[0-9]*"):
         try:
-            parents[int(place.name)] = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+            stats[int(place.name)] = [
+                int(word) for word in (place / "stat").read_text().rpartition(")")[2].split()[1:16]
+            ]
         except (OSError, ValueError):
             continue
-    grown = True
+    mine, grown = {os.getpid()}, True
     while grown:
-        more = {process for process, parent in parents.items() if parent in mine} - mine
+        more = {process for process, words in stats.items() if words[0] in mine} - mine
         mine |= more
         grown = bool(more)
-    for process in mine:
+    return {process: stats[process][10:14] for process in mine if process in stats}
+
+
+def busy_workers() -> list[int]:
+    """Processes of Ray that work on a batch, of those that this process started."""
+    found = []
+    for process in descendants():
         try:
             name = Path(f"/proc/{process}/cmdline").read_bytes()
         except OSError:
@@ -165,6 +184,11 @@ def busy_workers() -> list[int]:
         if name.startswith(b"ray::") and b"IDLE" not in name and b"MapBatches" in name:
             found.append(process)
     return found
+
+
+def spent_s() -> float:
+    """Seconds of a processor that all of them took so far."""
+    return sum(map(sum, descendants().values())) / os.sysconf("SC_CLK_TCK")
 
 
 def count_done(out: Path) -> int:
@@ -201,24 +225,44 @@ def run_ray(folder: Path) -> None:
     compare(folder, out)
 
 
-def throughput(folder: Path) -> None:
-    """Episodes per second of one worker and of two, on the same episodes."""
-    with open(folder / "truth.csv") as stream:
-        count = sum(1 for _ in stream) - 1
-    rates = []
+def throughput(folder: Path, engine: str, source: str) -> None:
+    """Episodes per second of one worker and of two, on the same episodes, and seconds of a processor for each.
+
+    From the start of the command to its end, and between the first file of rows and the last: starting the command, Ray and the
+    workers costs the same however long the job is.
+    """
+    count = len(episodes_of([folder / source]))
+    rates: list[tuple[float, float]] = []
     for workers in (1, 2):
-        for name in (f"out_{workers}", f"out_warm_{workers}"):
-            shutil.rmtree(folder / name, ignore_errors=True)
-        with cluster(workers) as address:
-            more = ["--engine", "ray", "--address", address]
-            # workers start and load libraries once, however long the job is: a first small job pays for that
-            batch(folder, [str(folder / "data" / "bags" / "000[0-3]?")], folder / f"out_warm_{workers}", *more).wait()
-            begun = time.monotonic()
-            batch(folder, [str(folder / "data")], folder / f"out_{workers}", *more).wait()
-            spent = time.monotonic() - begun
-        rates.append(count / spent)
-        print(f"{workers} workers: {count} episodes in {spent:.1f} s, {rates[-1]:.1f} per second", flush=True)
-    print(f"two workers: {rates[1] / rates[0]:.2f} times one; load average {os.getloadavg()[0]:.1f}")
+        out = folder / f"out_{workers}"
+        shutil.rmtree(out, ignore_errors=True)
+        with cluster(workers) if engine == "ray" else nullcontext("") as address:
+            time.sleep(5.0)  # Ray starts workers ahead
+            more = ["--engine", "ray", "--address", address] if engine == "ray" else ["--jobs", str(workers)]
+            begun, before = time.time(), spent_s()
+            batch(folder, [str(folder / source)], out, *more).wait()
+            wall_s, used_s = time.time() - begun, spent_s() - before
+        files = sorted((file.stat().st_mtime, len(rows_of_file(file))) for file in (out / "rows").glob("*/*.parquet"))
+        # what was there with the first file was done before it
+        running_s, after = files[-1][0] - files[0][0], sum(size for _, size in files[1:])
+        rates.append((count / wall_s, after / running_s))
+        print(
+            f"{workers} workers: {count} episodes in {wall_s:.1f} s, {rates[-1][0]:.1f} per second, {rates[-1][1]:.1f} between the "
+            f"first file (after {files[0][0] - begun:.1f} s) and the last; "
+            f"{1e3 * used_s / count:.1f} ms of a processor each",
+            flush=True,
+        )
+    print(
+        f"two workers: {rates[1][0] / rates[0][0]:.2f} times one, {rates[1][1] / rates[0][1]:.2f} times between the first file and "
+        f"the last; load average {os.getloadavg()[0]:.1f}"
+    )
+
+
+def rows_of_file(file: Path) -> Any:
+    """Names of the episodes in one file."""
+    import pyarrow.parquet as pq
+
+    return pq.ParquetFile(file).read(columns=["episode"])
 
 
 def cost(folder: Path) -> None:
@@ -246,30 +290,32 @@ def cost(folder: Path) -> None:
 
 
 def memory(folder: Path, sizes: Sequence[int] = (1_000, 10_000, 100_000, 1_000_000)) -> None:
-    """Largest memory and time of `replay` on one bag, against its samples."""
-    print("| samples | minutes at 50 Hz | s | MB at most |")
-    print("|---|---|---|---|")
-    arm = Arm(3)
+    """Largest memory of any process, and time, of `proprio batch` with one process on one bag, against its samples."""
+    print("| samples | minutes at 50 Hz | rows | s of a processor | MB at most |")
+    print("|---|---|---|---|---|")
     for samples in sizes:
-        path = folder / f"long_{samples}"
-        shutil.rmtree(path, ignore_errors=True)
-        write_bag(path, arm.record(7, samples / 50.0, 0.1))
-        code = (
-            "import resource,sys,time; from proprio_ros.cli import main; t=time.process_time(); "
-            "code=main(sys.argv[1:]); print('COST', time.process_time()-t, "
-            "resource.getrusage(resource.RUSAGE_SELF).ru_maxrss/1024, code)"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", code, "replay", str(path), "--probe", "payload", *options(folder), "--json"],
-            cwd=folder, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        line = next(line for line in done.stdout.splitlines() if line.startswith("COST"))
-        _, seconds, megabytes, exit_code = line.split()
+        path, out = folder / f"long_{samples}", folder / f"out_long_{samples}"
+        for old in (path, out):
+            shutil.rmtree(old, ignore_errors=True)
+        made = multiprocessing.get_context("spawn").Process(target=write_long, args=(path, samples))
+        made.start()
+        made.join()
+        job = batch(folder, [str(path)], out, "--jobs", "1")
+        _, status, used = os.wait4(job.pid, 0)  # of it and of all that it waited for
+        job.returncode = os.waitstatus_to_exitcode(status)
+        rows = rows_in(out)
         print(
-            f"| {samples} | {samples / 3000:.0f} | {float(seconds):.1f} | {float(megabytes):.0f} | exit {exit_code}",
+            f"| {samples} | {samples / 3000:.0f} | {len(rows)}, {int((rows['verdict'] == 'accepted').sum())} accepted | "
+            f"{used.ru_utime + used.ru_stime:.1f} | {used.ru_maxrss / 1024:.0f} |",
             flush=True,
         )
-        shutil.rmtree(path)
+        for old in (path, out):
+            shutil.rmtree(old)
+
+
+def write_long(path: Path, samples: int) -> None:
+    """One long bag with 100 g in the hand."""
+    write_bag(path, Arm(3).record(7, samples / 50.0, 0.1))
 
 
 def main() -> None:
@@ -279,16 +325,19 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--episodes", type=int)
     parser.add_argument("--samples", type=int, help="of the part memory: this many alone")
+    parser.add_argument("--jobs", type=int, default=2, help="processes that make episodes")
+    parser.add_argument("--engine", default="ray", choices=("ray", "local"), help="of the part throughput")
+    parser.add_argument("--source", default="data", help="of the part throughput: below the folder, such as data/set_0")
     given = parser.parse_args()
     folder = given.folder.resolve()
     if given.part == "make":
-        make(folder, given.episodes or 10_000)
+        make(folder, given.episodes or 10_000, given.jobs)
     elif given.part == "ray":
         run_ray(folder)
     elif given.part == "compare":
         compare(folder, folder / "out_ray")
     elif given.part == "throughput":
-        throughput(folder)
+        throughput(folder, given.engine, given.source)
     elif given.part == "cost":
         cost(folder)
     else:

@@ -35,7 +35,7 @@ def test_a_push_has_the_effort_of_its_current_in_its_place(joint: str) -> None:
     torque, current = held("N.m"), held("A")
     for controller in (torque, current):
         controller.take(push(joint, -0.3))
-    by_torque, by_current = torque.efforts(), current.efforts()
+    by_torque, by_current = torque.commands(), current.commands()
     assert by_torque[ORDER.index(joint)] == pytest.approx(-0.3 * TORQUE[joint])
     assert by_current[ORDER.index(joint)] == pytest.approx(-0.3)
     for name, newton, ampere in zip(ORDER, by_torque, by_current, strict=True):
@@ -47,7 +47,7 @@ def test_every_command_is_whole() -> None:
     controller = held()
     for command in (Command(), Command(dict(POSE)), push("joint3", 0.1), Command({}, {"joint3": 0.1})):
         controller.take(command)
-        assert len(controller.efforts()) == len(ORDER)
+        assert len(controller.commands()) == len(ORDER)
     assert len(controller.steady()) == len(controller.release()) == len(ORDER)
 
 
@@ -66,10 +66,10 @@ def test_a_push_ends_when_the_arm_is_lost() -> None:
     controller.take(push("joint3", -0.3))
     for step in range(1, 60):
         controller.observe(2.0 + 0.1 * step, {**POSE, "joint1": 0.01 * step})
-    assert controller.efforts() == [0.0] * len(ORDER)
+    assert controller.commands() == [0.0] * len(ORDER)
     assert controller.lost and not any(controller.record.values())
     controller.begin()
-    assert not controller.lost and any(controller.efforts())
+    assert not controller.lost and any(controller.commands())
 
 
 def test_a_second_sequence_does_not_drop_what_is_held() -> None:
@@ -77,7 +77,7 @@ def test_a_second_sequence_does_not_drop_what_is_held() -> None:
     controller.take(Command({**POSE, "joint2": POSE["joint2"] - 0.02}))
     for step in range(100):
         controller.observe(1.4 + 0.002 * step, POSE)
-        controller.efforts()
+        controller.commands()
     summed = controller.steady()
     controller.begin()
     assert controller.steady() == summed

@@ -84,7 +84,7 @@ class Arm:
         for module in (outputs, excitation):
             monkeypatch.setattr(module, "time", clock)
         self.speaker, self.commands = Speaker(), Published()
-        monkeypatch.setattr(excitation, "LastWords", lambda _topic: self.speaker)
+        monkeypatch.setattr(excitation, "LastWords", lambda *_given: self.speaker)
         monkeypatch.setattr(ExcitationNode, "real_time", False)
         probe = folder / "push.yaml"
         probe.write_text(PROBE % given.pop("push_s", 0.3))

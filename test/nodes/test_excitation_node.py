@@ -279,7 +279,7 @@ def test_a_sequence_that_does_not_exist_is_refused(identifier: Any, name: str) -
     (result,) = identifier.set_parameters([Parameter(name, value="nonsense")])
     assert not result.successful
     assert result.reason.startswith(f"{name}: no 'nonsense' among the probes; there are: ")
-    assert "payload_elbow" in result.reason
+    assert "empty_hand" in result.reason
     (result,) = identifier.set_parameters([Parameter("payload_sequence", value="payload_elbow")])
     assert result.successful, result.reason
 

@@ -281,6 +281,11 @@ def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     assert "nobody publishes /applied_effort or listens to /current_command" in node._inputs.missing()
     assert not nodes.identifier(data_directory=tmp_path, calibration="none", effort_unit="A")._inputs.missing()
+    servos = nodes.identifier(data_directory=tmp_path, calibration="none", robot="so101")
+    assert "nobody publishes where the servos are sent, /joint_command" in servos._inputs.missing()
+    servos.create_publisher(JointState, "/joint_command", 1)
+    assert servos._inputs.missing() == ""
+    assert {"/joint_command", "/battery_state"} <= {each.topic_name for each in servos.subscriptions}
 
 
 def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_path: Path) -> None:

@@ -1,0 +1,267 @@
+"""Switching controllers for a sequence: controller_manager activates the one that takes commands, and the user's own afterwards.
+
+A joint is one controller's in `ros2_control`, so whoever holds the arm must let go in the very cycle in which the other takes over;
+`switch_controller` does both. The node says what holds the arm from before the switch on, since a controller that becomes active
+has no command yet. However a sequence ends, it is switched back: by the node, which only has to send the request, and by the
+process that speaks for it once it is gone.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+from rclpy.clock import Clock, ClockType
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.nodes.runtime import Answer, ManagedNode
+
+PACKAGE = "controller_manager_msgs"
+STRICT = 2
+"""All of it, or nothing."""
+SWITCH_S = 1
+"""Controller manager gives up after that."""
+ANSWER_S = 3.0
+"""Whoever asked for a sequence waits for five seconds."""
+
+
+@dataclass(frozen=True)
+class Controllers:
+    """What is switched.
+
+    Attributes:
+        manager: Name of the controller manager.
+        ours: Controller that takes the commands.
+        others: Those that have the joints else.
+    """
+
+    manager: str
+    ours: str
+    others: tuple[str, ...]
+
+    @property
+    def service(self) -> str:
+        """Of the switch."""
+        return f"{self.manager}/switch_controller"
+
+    def request(self, kind: Any, engage: bool) -> Any:
+        """Whether to take over, or to hand back; ``kind`` is the service's class."""
+        request = kind.Request()
+        ours, others = [self.ours], list(self.others)
+        request.activate_controllers, request.deactivate_controllers = (ours, others) if engage else (others, ours)
+        request.strictness = STRICT
+        request.timeout.sec = SWITCH_S
+        return request
+
+
+def switch_kind() -> Any:
+    """The service's class.
+
+    Raises:
+        ImportError: Its package is not there.
+    """
+    return importlib.import_module(f"{PACKAGE}.srv").SwitchController
+
+
+def own_controller(topic: str) -> str:
+    """The controller that listens to a topic, by its usual name."""
+    return topic.rstrip("/").split("/")[-2] if topic.count("/") > 1 else ""
+
+
+class Switching:
+    """Asks a controller manager, without waiting.
+
+    Args:
+        node: That asks.
+        controllers: What is switched.
+
+    Attributes:
+        engaged: Whether ours is active, or may be.
+        pending: Whether an answer is waited for.
+
+    Raises:
+        ImportError: The messages are not there.
+    """
+
+    def __init__(self, node: Any, controllers: Controllers) -> None:
+        self._node, self.controllers = node, controllers
+        self._kind = switch_kind()
+        self._client = node.create_client(self._kind, controllers.service)
+        self.engaged = self.pending = False
+
+    def ask(self, engage: bool, then: Callable[[str], None]) -> None:
+        """Have it switched.
+
+        Args:
+            engage: Whether to take over, or to hand back.
+            then: Called later with why it was not switched; empty: it was.
+        """
+        if not self._client.service_is_ready():
+            return then(f"{self.controllers.service} is not there: is controller_manager running?")
+        # from now on ours may be active, whatever the answer
+        self.pending, self.engaged = True, True
+        future = self._client.call_async(self.controllers.request(self._kind, engage))
+
+        def end(why: str, known: bool = True) -> None:
+            if timer.is_canceled():
+                return
+            timer.cancel()
+            self._node.destroy_timer(timer)
+            self.pending = False
+            if known:
+                self.engaged = engage != bool(why)
+            then(why)
+
+        def responded(_: Any) -> None:
+            if future.exception() is not None:
+                return end(f"{self.controllers.service} failed: {future.exception()}", known=False)
+            response = future.result()
+            said = getattr(response, "message", "") or "its log says why"
+            return end("" if response.ok else f"{self.controllers.service} refused: {said}")
+
+        def too_late() -> None:
+            self._client.remove_pending_request(future)
+            end(f"{self.controllers.service} does not answer within {ANSWER_S:g} s", known=False)
+
+        timer = self._node.create_timer(ANSWER_S, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        future.add_done_callback(responded)
+        return None
+
+
+def switching_of(node: ManagedNode, topic: str) -> Switching | None:
+    """As the node's parameters state it; None where nobody is to switch, or the messages for it are not there.
+
+    Args:
+        node: That asks.
+        topic: Of the commands.
+
+    Raises:
+        ConfigurationError: Nobody says which controller takes them.
+    """
+    values = node.values
+    if not values["controller_manager"]:
+        return None
+    ours = values["activate_controller"] or own_controller(topic)
+    if not ours:
+        raise ConfigurationError(
+            f"activate_controller is empty, and {topic} names no controller: state which one takes the commands"
+        )
+    manager, others = values["controller_manager"].rstrip("/"), tuple(values["deactivate_controllers"])
+    try:
+        return Switching(node, Controllers(manager, ours, others))
+    except ImportError as error:
+        node.say(
+            "warning",
+            f"controllers are not switched, for the messages of {PACKAGE} are not there ({error}): activate {ours} yourself "
+            f"before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}",
+        )
+        return None
+
+
+class Excites(Protocol):
+    """A node that makes sequences."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether one is under way."""
+
+    def refused(self) -> str:
+        """Why none can begin now, or an empty string."""
+
+    def begin_run(self) -> tuple[bool, str]:
+        """Begin one now; whether it has begun, and what there is to say."""
+
+    def say(self, severity: str, message: str) -> None:
+        """Log."""
+
+
+class Holds(Protocol):
+    """What holds the arm meanwhile."""
+
+    def begin(self) -> None:
+        """From now on."""
+
+    def hand_over(self) -> None:
+        """No more."""
+
+
+class Speaks(Protocol):
+    """Who switches back where the node is gone."""
+
+    engaged: bool
+
+
+class SwitchedRuns:
+    """Sequences between two switches.
+
+    Args:
+        node: That makes them.
+        switching: Of its controllers.
+        speaker: Speaks for a node that is gone.
+        output: Holds the arm.
+    """
+
+    def __init__(self, node: Excites, switching: Switching, speaker: Speaks, output: Holds) -> None:
+        self._node, self._switching, self._speaker, self._output = node, switching, speaker, output
+        self._waiting: list[Answer] = []  # for the end of a switch
+        others = switching.controllers.others
+        self._others = ", ".join(others) if others else "nobody (deactivate_controllers is empty)"
+
+    @property
+    def engaged(self) -> bool:
+        """Whether our controller is active, or may be."""
+        return self._switching.engaged
+
+    def run(self, answer: Answer) -> None:
+        """Serves ~/run: what holds the arm is said before the switch, and the sequence begins after it."""
+        if self._switching.pending:
+            self._waiting.append(answer)
+        elif self._switching.engaged:
+            answer(*self._node.begin_run())
+        elif why := self._node.refused():
+            answer(False, why)
+        else:
+            self._output.begin()
+            self._speaker.engaged = True
+            self._switching.ask(True, partial(self._engaged, answer))
+
+    def _engaged(self, answer: Answer, why: str) -> None:
+        if why:
+            answer(False, f"the controllers were not switched: {why}")
+        else:
+            answer(*self._node.begin_run())
+        if not self._switching.engaged:
+            self._handed_back()
+        elif not self._node.busy:
+            self.back()
+        self._go_on()
+
+    def back(self) -> None:
+        """Switch back, if it is switched; until that is known, our output holds the arm."""
+        if self._switching.engaged and not self._switching.pending:
+            self._switching.ask(False, self._back)
+
+    def _back(self, why: str) -> None:
+        if why:
+            self._node.say("error", f"not switched back: {why}; the arm is held, and ~/release tries again")
+        else:
+            self._node.say("info", f"the arm is handed back to {self._others}")
+            self._handed_back()
+        self._go_on()
+
+    def _handed_back(self) -> None:
+        self._speaker.engaged = False
+        self._output.hand_over()
+
+    def _go_on(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for answer in waiting:
+            self.run(answer)
+
+    def release(self) -> str:
+        """Give the arm back now, or try again; says so."""
+        self.back()
+        return f"giving the arm back to {self._others}"
