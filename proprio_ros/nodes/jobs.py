@@ -389,6 +389,7 @@ class Jobs:
         if chooser.first_runs:
             self._excitation.make(job, sequence, begun)
             runs = self._heard_runs(live, 0)
+        self._await_position(live)
         while True:
             with threadpool_limits(1, user_api="blas"):
                 decision = chooser.next(runs, live.position(), time.monotonic() - began)
@@ -414,6 +415,19 @@ class Jobs:
                 job.reason = f"no further push: {error}"  # what was recorded says something all the same
                 return
             runs = self._heard_runs(live, len(runs))
+
+    @staticmethod
+    def _await_position(live: LiveEstimate) -> None:
+        """Until it is known where all joints are: a recording begins with nothing heard.
+
+        Raises:
+            JobError: Some say nothing.
+        """
+        deadline = time.monotonic() + HEARD_S
+        while silent := sorted(set(live.joints) - set(live.position())):
+            if time.monotonic() > deadline:
+                raise JobError(f"no joint states of {', '.join(silent)} come in: without them no push can be chosen")
+            time.sleep(0.005)
 
     def _heard_runs(self, live: LiveEstimate, before: int) -> Sequence[Run]:
         """All runs, once more have been heard than before."""

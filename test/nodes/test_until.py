@@ -66,6 +66,17 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     assert [run.duration_s for run in sequence.runs] == [0.5] and sequence.until is None and sequence.hand == "empty"
 
 
+def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard = iter([{}, {"joint2": 0.1}, {"joint2": 0.1, "joint3": 0.2}])
+    live: Any = SimpleNamespace(joints=("joint2", "joint3"), position=lambda: next(heard))
+    jobs.Jobs._await_position(live)
+    assert next(heard, None) is None
+    monkeypatch.setattr(jobs, "HEARD_S", 0.02)
+    live.position = lambda: {"joint2": 0.1}
+    with pytest.raises(JobError, match="no joint states of joint3 come in"):
+        jobs.Jobs._await_position(live)
+
+
 def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All of the job but the arm: what is pushed was recorded before."""
     old, bag = tmp_path / "old.yaml", tmp_path / "refresh" / "bag"
