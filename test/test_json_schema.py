@@ -92,6 +92,7 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
     }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(outputs("")))
 def test_outputs(name: str, validator: Any, calibration: str, capsys: pytest.CaptureFixture[str]) -> None:
     arguments, code = outputs(calibration)[name]

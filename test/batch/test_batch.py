@@ -346,6 +346,7 @@ def test_memory_does_not_grow_with_the_length_of_a_bag(
     assert peaks[1] < 1.3 * peaks[0]
 
 
+@pytest.mark.long
 def test_a_recording_of_pushes_is_not_cut(fleet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cut may go through one of them."""
     monkeypatch.setattr(rows_module, "MOST_SAMPLES", 20)

@@ -115,6 +115,7 @@ def test_a_calibration_makes_better_promises(calibrated: Robot, plans: list[Prob
     assert after.std_kg[0] < 0.2 * before.std_kg[0]
 
 
+@pytest.mark.long
 def test_masses_that_no_run_suits() -> None:
     with pytest.raises(ConfigurationError, match="narrow the range"):
         plan(load_robot("open_manipulator_x"), [0.001, 10.0], BALL)

@@ -158,6 +158,7 @@ def test_noise_that_the_file_does_not_know_is_learnt(
     assert quiet.residual_scale == pytest.approx(rounding, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_reference_separates_torque_from_weight(learnt: dict[tuple[str, bool], CalibrationEstimate]) -> None:
     without, with_reference = (learnt["realistic_s00", told] for told in (False, True))
     assert any("only determined as a ratio" in sentence for sentence in without.not_separated)

@@ -21,6 +21,7 @@ from visualization_msgs.msg import Marker
 MASS_KG = 0.05
 
 
+@pytest.mark.long
 def test_an_arm_learns_itself_and_weighs_an_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     elbow_alone = {

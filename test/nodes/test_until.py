@@ -189,6 +189,6 @@ def test_where_joints_stick_the_service_says_so(tmp_path: Path, monkeypatch: pyt
     stuck = {name: replace(joint, coulomb=0.6) for name, joint in truth.joints.items()}
     (tmp_path / "truth.json").write_text(replace(truth, joints=stuck).as_json())
     virtual = {"object": 0.05, "truth": tmp_path / "truth.json"}
-    with running(tmp_path, virtual=virtual, identifier=asked_for(tmp_path, 0.01, 15.0)) as (_, client):
+    with running(tmp_path, virtual=virtual, identifier=asked_for(tmp_path, 0.01, 8.0)) as (_, client):
         answer, estimate = weighed(client, tmp_path)
     assert not answer.success and estimate["verdict"] != "accepted" and "stick" in answer.message, answer.message

@@ -35,6 +35,8 @@ from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import Enclosure, SphereRun
 
+pytestmark = pytest.mark.long
+
 LEVELS = ("ideal_s00", "quantised_s00", "friction_s00", "realistic_s00", "realistic_s01")
 
 
@@ -125,14 +127,12 @@ def error_and_hit(estimate: Estimate, mass: float) -> tuple[float, bool]:
     return value.value - mass, low <= mass <= high
 
 
-@pytest.mark.long
 def test_the_repositorys_own_recordings(realistic: Level) -> None:
     for folder in realistic.folders("container_sphere_*"):
         off, hit = error_and_hit(realistic.find([folder]), truth_of(folder)["sphere_mass"])
         assert abs(off) < 1.0e-3 and hit, folder.name
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "worst_g", "rms_g"),
     [
@@ -157,7 +157,6 @@ def test_every_recording(
     assert np.mean([hit for _, hit in results]) >= 0.9
 
 
-@pytest.mark.long
 def test_friction_that_nobody_stated_is_found(recordings: Path) -> None:
     """Without a calibration; from the file's zero the fit ended where 12 g read 7.2 +- 1.3 g, accepted."""
     level = Level(recordings / "friction_s00", "", load_robot("open_manipulator_x"))
@@ -167,7 +166,6 @@ def test_friction_that_nobody_stated_is_found(recordings: Path) -> None:
         assert hit and abs(off) < 1.5e-3
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "worst_g"), [("ideal_s00", 0.3), ("quantised_s00", 0.3), ("friction_s00", 0.3)])
 @pytest.mark.parametrize("sphere", ["12g", "random"])
 def test_three_runs_together(
@@ -179,7 +177,6 @@ def test_three_runs_together(
     assert 1e3 * abs(off) < worst_g and hit
 
 
-@pytest.mark.long
 def test_an_empty_container_reads_nothing(realistic: Level) -> None:
     for folder in realistic.folders("container_no_sphere_*"):
         estimate = realistic.find([folder])
@@ -189,7 +186,6 @@ def test_an_empty_container_reads_nothing(realistic: Level) -> None:
         assert any("may as well be empty" in reason for reason in estimate.reasons)
 
 
-@pytest.mark.long
 def test_replay_and_what_it_prints(bags: Path, realistic: Level, tmp_path: Path) -> None:
     """The same through `replay`, with bags and settings as a user gives them; three bags of one sphere are one estimate."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
@@ -217,7 +213,6 @@ def test_neither_baseline_nor_mass(realistic: Level) -> None:
         find_sphere(realistic.robot, realistic.runs(folder), facts)
 
 
-@pytest.mark.long
 def test_the_shells_mass_instead_of_a_baseline(realistic: Level) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     facts = container_facts(Settings({**told(folder), "container.mass": 0.03}), probe_file("container"))
@@ -229,7 +224,6 @@ def test_the_shells_mass_instead_of_a_baseline(realistic: Level) -> None:
     assert estimate.value("sphere_mass").std > with_baseline.value("sphere_mass").std
 
 
-@pytest.mark.long
 def test_a_baseline_that_was_not_empty(realistic: Level) -> None:
     """A sphere in the baseline is found by the container's stated mass, or because it rolls."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
@@ -240,7 +234,6 @@ def test_a_baseline_that_was_not_empty(realistic: Level) -> None:
     assert "baseline was not empty" in estimate.reasons[0]
 
 
-@pytest.mark.long
 def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callable[[Path, str], Level]) -> None:
     level = level_of(recordings / "ideal_s00", "")
     folder = level.folders("container_sphere_random_joint4_030mA")[0]
@@ -252,7 +245,6 @@ def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callabl
     assert "rolling in the container" in estimate.reasons[0] or estimate.reasons[0].code == "far_from_prior"
 
 
-@pytest.mark.long
 def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
     estimate = realistic.find(realistic.folders("container_sphere_12g_joint4_100mA"))
     assert estimate.verdict is Verdict.ACCEPTED
@@ -262,7 +254,6 @@ def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
     assert max(path.moved for path in moving.detail.paths) > 3e-3
 
 
-@pytest.mark.long
 def test_runs_of_two_spheres_contradict(realistic: Level) -> None:
     folders = [
         *realistic.folders("container_sphere_12g_joint3_100mA"),
@@ -374,12 +365,12 @@ def problem_of(
     ("law", "mass"),
     [
         ("ramped", 0.0),
-        pytest.param("ramped", 0.004, marks=pytest.mark.long),
+        ("ramped", 0.004),
         ("ramped", 0.012),
-        pytest.param("ramped", 0.05, marks=pytest.mark.long),
-        pytest.param("paper", 0.004, marks=pytest.mark.long),
-        pytest.param("paper", 0.012, marks=pytest.mark.long),
-        pytest.param("paper", 0.05, marks=pytest.mark.long),
+        ("ramped", 0.05),
+        ("paper", 0.004),
+        ("paper", 0.012),
+        ("paper", 0.05),
     ],
 )
 def test_gradient_of_the_cost(realistic: Level, law: str, mass: float) -> None:
@@ -435,7 +426,6 @@ def test_a_camera_makes_it_surer(realistic: Level) -> None:
     assert Posterior(both, values).whole_covariance()[row, row] < Posterior(alone, values).whole_covariance()[row, row]
 
 
-@pytest.mark.long
 def test_tracks_are_read(tmp_path: Path, realistic: Level) -> None:
     """A CSV file's points are laid beside the run by their stamps; one of another time is refused."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]

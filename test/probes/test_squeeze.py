@@ -82,7 +82,7 @@ def of_heavy(recordings: Path, calibrated: Callable[[str], Robot]) -> Estimate:
         pytest.param("ideal_s00", 0.02, marks=pytest.mark.long),
         pytest.param("quantised_s00", 0.06, marks=pytest.mark.long),
         pytest.param("friction_s00", 0.05, marks=pytest.mark.long),
-        ("realistic_s00", 0.1),
+        pytest.param("realistic_s00", 0.1, marks=pytest.mark.long),
         pytest.param("realistic_s01", 0.1, marks=pytest.mark.long),
         pytest.param("hard_s00", 0.1, marks=pytest.mark.long),
     ],

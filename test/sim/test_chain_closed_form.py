@@ -102,6 +102,7 @@ def test_double_pendulum_against_its_lagrangian() -> None:
     np.testing.assert_allclose(v[0], exact[2:].T, atol=1e-7)
 
 
+@pytest.mark.long
 def test_energy_of_the_double_pendulum() -> None:
     """T = 1/2 v H v and V = -sum m g z from forward kinematics; RK4's error falls with the step's fourth power."""
     times = np.linspace(0.01, 2.0, 200)

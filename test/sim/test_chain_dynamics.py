@@ -160,6 +160,7 @@ def test_acceleration(tree: str) -> None:
     np.testing.assert_allclose((q[0, 0] - values["q0"]) / h, v[0, 0], rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 def test_one_joint_is_the_one_joint_law(integrator: str) -> None:
     """Dry and load-dependent friction, supply limit, delay and finer steps near standstill, in another implementation."""

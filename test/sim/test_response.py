@@ -79,6 +79,7 @@ def _read(
     out[2, k] = by_nu
 
 
+@pytest.mark.long
 def test_kernels_read_the_same(coarse: Response) -> None:
     rng = np.random.default_rng(1)
     s, nu = rng.uniform(-0.05, 0.75, 300), rng.uniform(-0.1, 0.6, 300)

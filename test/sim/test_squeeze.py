@@ -210,6 +210,7 @@ def test_it_rests_where_the_table_says(bonded: Response) -> None:
     assert 12000.0 * EDGE**2 * bonded(s, 0.3)[0] == pytest.approx(0.05 / TRAVEL, rel=1e-9)
 
 
+@pytest.mark.long
 def test_before_it_touches_there_is_no_block(bonded: Response) -> None:
     times = np.linspace(0.01, 0.3, 10)
     run = squeeze_run(bonded, times, 0.02, step_s=1e-3, fine_step_s=1e-3)
