@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from proprio_ros.identification.gates import STEADY
 from proprio_ros.identification.motion_fit import (
     BLOCK_S,
     HOP_SHARE,
@@ -26,8 +27,6 @@ from proprio_ros.robot.geometry import rotation_about
 
 DRIFT_SHARE = 0.05
 """Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
-STEADY = 0.1
-"""Part of itself by which the current of a push may change."""
 SMALL_SHARE = 0.05
 """First moments and inertia are those of an object of this part of the arm's mass."""
 
