@@ -42,6 +42,8 @@ from proprio_ros.robot import Robot
 FAR = 5.0
 """Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say (DESIGN)."""
 NAMED_AT_MOST = 3
+PAUSE_S, PAUSE_STEPS = 0.03, 4.0
+"""A gap between two samples that is longer than both is a pause; the second in usual steps of its recording."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,24 @@ def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
 def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
     """The recording does not determine the value."""
     return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, (Reason(code, sentence),))
+
+
+def paused(runs: Sequence[PreparedRun]) -> list[Reason]:
+    """What may be wrong with a recording that no model explains: whoever held the arm and recorded it was not always awake."""
+    longest_s, where = 0.0, ""
+    for prepared in runs:
+        steps_s = np.diff(np.concatenate([prepared.run.before_times_s, prepared.run.times_s]))
+        if len(steps_s) and max(longest_s, PAUSE_S, PAUSE_STEPS * float(np.median(steps_s))) < steps_s.max():
+            longest_s, where = float(steps_s.max()), prepared.run.name
+    if not where:
+        return []
+    return [
+        Reason(
+            "paused",
+            f"{where}: the joint states pause for {1e3 * longest_s:.0f} ms: a computer that is busy elsewhere pushes and holds an "
+            "arm too late; keep it free and record again",
+        )
+    ]
 
 
 def contradicted(apart: Contradiction | None) -> Iterable[Refusal]:
@@ -271,6 +291,8 @@ def judge(
         verdict = refusal.verdict
         withheld = refusal.withheld
         found.reasons[:0] = refusal.reasons
+        if verdict is Verdict.REJECTED:
+            found.reasons += paused(assessed.runs)
     else:
         value, std = assessed.value, assessed.std
         name, unit = assessed.name, fit.problem.unknowns[assessed.row].unit

@@ -186,14 +186,28 @@ def test_an_empty_run_that_was_not_empty_is_named(bags: Path, calibrated: Robot,
     assert estimate.verdict is Verdict.REJECTED and estimate.reasons[0].startswith("drift")
 
 
-def test_misfit(calibrated: Robot, lift: Run) -> None:
+def bumped(run: Run) -> Run:
     """Something hits the arm on its way."""
-    rest = float(np.mean(lift.before_position))
-    bumped = lift.position - rest
-    bumped[10:] *= 0.4
-    estimate = weigh(calibrated, [replace(lift, position=rest + bumped)])
+    rest = float(np.mean(run.before_position))
+    away = run.position - rest
+    away[10:] *= 0.4
+    return replace(run, position=rest + away)
+
+
+def test_misfit(calibrated: Robot, lift: Run) -> None:
+    estimate = weigh(calibrated, [bumped(lift)])
     assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
     assert any(reason.startswith("misfit") for reason in estimate.reasons)
+    assert not any(reason.code == "paused" for reason in estimate.reasons)
+
+
+def test_a_pause_is_named_where_the_recording_is_rejected(calibrated: Robot, lift: Run) -> None:
+    first, second = np.array_split(lift.times_s, 2)
+    apart = np.concatenate([0.8 * first, lift.duration_s - 0.8 * (lift.duration_s - second)])
+    estimate = weigh(calibrated, [replace(bumped(lift), name="paused", times_s=apart)])
+    last = estimate.reasons[-1]
+    assert estimate.verdict is Verdict.REJECTED and last.code == "paused"
+    assert last.startswith("paused: the joint states pause for ")
 
 
 def test_a_mass_on_the_bound_of_the_search() -> None:

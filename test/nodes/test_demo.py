@@ -123,10 +123,10 @@ def test_killed(demo: Demo) -> None:
     assert wait_for(lambda: not demo.alive(), END_S), demo.alive()
 
 
-def test_interrupted_while_the_object_is_weighed(demo: Demo) -> None:
-    assert comes(demo, lambda: re.search(r"payload: .* is pushed", demo.told)), demo.told
+def test_interrupted_while_a_joint_is_pushed(demo: Demo) -> None:
+    assert comes(demo, lambda: re.search(r"robot: .* is pushed", demo.told)), demo.told
     assert_interrupted(demo)
-    assert list((demo.folder / "demo").glob("*_payload/bag")), "what was recorded is kept"
+    assert list((demo.folder / "demo").glob("*_robot/bag")), "what was recorded is kept"
 
 
 def test_what_it_shows(demo: Demo) -> None:
@@ -138,7 +138,7 @@ def test_what_it_shows(demo: Demo) -> None:
     assert sentence and truth and report, demo.result
     mass_g, low_g, high_g = map(float, sentence.groups())
     # a 95 % interval misses one truth in twenty: two of its halves are the limit
-    assert abs(mass_g - float(truth[1])) < high_g - low_g < 4.0, demo.result
+    assert abs(mass_g - float(truth[1])) < high_g - low_g < 8.0, demo.result
     assert "<svg" in Path(report[1]).read_text()
 
 
@@ -155,9 +155,9 @@ def test_a_sphere_in_a_container(tmp_path: Path) -> None:
         report = re.search(r"report: (.+_container/report\.html)", demo.result)
         assert told and truth and report, demo.result
         # a 95 % interval misses one truth in twenty: two of its halves are the limit
-        assert abs(float(told[1]) - 20.0) < float(told[3]) - float(told[2]) < 4.0, demo.result
+        assert abs(float(told[1]) - 20.0) < float(told[3]) - float(told[2]) < 8.0, demo.result
         empty = re.search(r"empty container ([\d.]+) g", demo.told)
-        assert empty and abs(float(empty[1]) - 30.0) < 3.0, demo.told
+        assert empty and abs(float(empty[1]) - 30.0) < 6.0, demo.told
         assert "sphere" in Path(report[1]).read_text()
     finally:
         end(demo)

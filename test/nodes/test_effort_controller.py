@@ -32,8 +32,8 @@ TOPIC = "/forward_effort_controller/commands"
 ORDER = ["joint3", "gripper_left_joint", "joint1", "joint4", "joint2"]
 MASS_KG = 0.12
 CONTROLLER: dict[str, Any] = {"controller_joints": ORDER, "effort_unit": "A"}
-INTERRUPTED = ("aborted", "refuses", "not ready", "fallen silent")
-"""What a busy computer does to a probe: it is ended, and said so. A rejected one is another matter."""
+INTERRUPTED = ("aborted", "refuses", "not ready", "fallen silent", "the joint states pause for")
+"""What a busy computer does to a probe, and is said. A rejected one without that is another matter."""
 
 
 def hear_less(client: Client) -> None:
@@ -47,7 +47,7 @@ def asked(client: Client, service: str) -> Any:
     """The answer; asked again where a busy machine interrupted the probe."""
     for _ in range(5):
         answer = client.call(service, 3600.0)
-        if answer.success or not any(words in answer.message.split(";")[0] for words in INTERRUPTED):
+        if answer.success or not any(words in answer.message for words in INTERRUPTED):
             break
     return answer
 
@@ -59,8 +59,7 @@ def test_an_arm_behind_an_effort_controller_weighs_and_is_held_when_its_node_is_
     virtual = {"interface": "effort_controller", "object": MASS_KG, **CONTROLLER}
     stated = ["payload.com=[0,0,0]", "payload.shape=point"]
     facts = {
-        "robot_sequence": "empty_hand_elbow", "reference_sequence": "reference_elbow", "payload_sequence": "payload_elbow",
-        "reference_mass": 0.1, "reference_wait": 0.5, "report": False, "settings": stated, "reference_settings": stated,
+        "robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow", "report": False, "settings": stated,
     }  # fmt: skip
     output = {"command_interface": "effort", **CONTROLLER}
     nodes = ("virtual", "excitation", "identifier")
@@ -82,7 +81,7 @@ def test_an_arm_behind_an_effort_controller_weighs_and_is_held_when_its_node_is_
         assert answer.success, (answer.message, graph.log("excitation"))
         assert wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true")
         low, high = json.loads(client.estimates[-1]["payload_mass.ci95"])
-        assert abs(client.masses[-1] - MASS_KG) < min(0.003, high - low), answer.message
+        assert abs(client.masses[-1] - MASS_KG) < high - low < 0.015, answer.message
 
         # nobody speaks for himself after this; the controller would keep the push
         sequence = client.excitation["sequence"]

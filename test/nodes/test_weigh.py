@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 import time
@@ -121,7 +120,7 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
 
             def weighs(mass_kg: float) -> bool:
                 return (
-                    bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.005 and newest()["changed"] == "false"
+                    bool(client.masses) and abs(client.masses[-1] - mass_kg) < 0.01 and newest()["changed"] == "false"
                 )
 
             assert comes_up(graph, newest), graph.log("identifier")
@@ -137,7 +136,9 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
             answer = client.call("/identifier/weigh", 3600.0)
             assert answer.success, answer.message
             live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
-            assert math.isclose(live["estimates"][0]["value"], 0.05, abs_tol=0.005), live["estimates"]
+            told = live["estimates"][0]
+            # which 12 s of the motion they were is chance, and one interval in twenty misses: twice its half is the limit
+            assert abs(told["value"] - 0.05) < told["ci95"][1] - told["ci95"][0] < 0.03, told
             begun = len(client.estimates)
             assert client.set("/virtual", "object", "none").successful
             assert wait_for(
