@@ -39,6 +39,8 @@ UP_S = 300.0
 noticed at once."""
 SOON_S = 60.0
 """What happens within a second on an idle computer. It costs time only where a test fails."""
+INTERRUPTED = ("aborted", "refuses", "not ready", "fallen silent", "the joint states pause for")
+"""What a busy computer does to a probe, and is said. A rejected one without that is another matter."""
 
 
 class Client:
@@ -115,6 +117,16 @@ class Client:
 
     def call(self, service: str, seconds: float = SOON_S) -> Any:
         return self.answer(self.begin(service), seconds)
+
+    def asked(self, service: str) -> Any:
+        """The answer of a probe; asked for again where a busy computer interrupted it, and what was heard of that forgotten."""
+        for _ in range(5):
+            self.estimates.clear()
+            self.masses.clear()
+            answer = self.call(service, 3600.0)
+            if answer.success or not any(words in answer.message for words in INTERRUPTED):
+                break
+        return answer
 
     def torque(self, on: bool) -> Any:
         return self.answer(self.begin("/driver/torque", SetBool, SetBool.Request(data=on)))

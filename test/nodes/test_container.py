@@ -25,7 +25,7 @@ pytestmark = pytest.mark.long
 
 SHELL_KG = 0.03
 MASSES_KG = (0.03,)
-ROBOT_S, OBJECT_S = 3600.0, 3600.0
+OBJECT_S = 3600.0
 FACTS = ("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01")
 
 
@@ -75,9 +75,9 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
         refused = client.call("/identifier/calibrate_container", OBJECT_S)
         recorded = list((folder / "data").glob("*"))
-        robot = client.call("/identifier/calibrate_robot", ROBOT_S)
+        robot = client.asked("/identifier/calibrate_robot")
         held.clear()
-        baseline = client.call("/identifier/record_container_baseline", OBJECT_S)
+        baseline = client.asked("/identifier/record_container_baseline")
         yield Calibrated(client, folder / "data", held, markers, refused, recorded, robot, baseline)
     domain.undo()
 
@@ -112,11 +112,9 @@ def test_the_empty_container_is_recorded_and_weighed(arm: Calibrated) -> None:
 def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     client = arm.client
     assert client.set("/virtual", "object", container(sphere_kg)).successful
-    client.estimates.clear()
-    client.masses.clear()
     arm.markers.clear()
     arm.held.clear()
-    answer = client.call("/identifier/calibrate_container", OBJECT_S)
+    answer = client.asked("/identifier/calibrate_container")
     assert answer.success, answer.message
 
     def told() -> bool:

@@ -34,7 +34,7 @@ def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path, monk
     with running(tmp_path, virtual={"truth": str(file)}, identifier={"robot_sequence": "free_swing"}) as (_, client):
         said: list[bool] = []
         client.node.create_subscription(Bool, "/torque_enabled", lambda message: said.append(message.data), HEARD)
-        answer = client.call("/identifier/calibrate_robot", 3600.0)
+        answer = client.asked("/identifier/calibrate_robot")
         assert answer.success, answer.message
         assert "robot calibrated on 4 of 4 runs" in answer.message
         assert said[-8:] == [False, True] * 4

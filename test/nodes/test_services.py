@@ -26,7 +26,6 @@ from proprio_ros.robot import load_robot
 pytestmark = pytest.mark.long
 
 MASSES_KG = (0.010, 0.050, 0.100)
-LONGEST_S = 3600.0
 
 
 @dataclass
@@ -49,7 +48,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     # and they sit in the middle of the hand: not stated, that would be guessed to 5 mm, and decide the interval
     identifier = {"reference_mass": 0.1, "reference_wait": 0.5, "settings": ["payload.com=[0,0,0]"]}
     with running(folder, identifier=identifier) as (graph, client):
-        answer = client.call("/identifier/calibrate_robot", LONGEST_S)
+        answer = client.asked("/identifier/calibrate_robot")
         yield Calibrated(graph, client, folder / "data", answer)
     domain.undo()
 
@@ -70,9 +69,7 @@ def test_the_robot_weighs_itself(arm: Calibrated) -> None:
 def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     client = arm.client
     assert client.set("/virtual", "object", mass_kg).successful
-    client.estimates.clear()
-    client.masses.clear()
-    answer = client.call("/identifier/calibrate_payload", LONGEST_S)
+    answer = client.asked("/identifier/calibrate_payload")
     assert answer.success, answer.message
     assert wait_for(lambda: bool(client.masses and client.estimates) and client.estimates[-1]["final"] == "true")
     final = client.estimates[-1]

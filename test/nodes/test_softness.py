@@ -28,7 +28,7 @@ pytestmark = pytest.mark.long
 GRIPPER = "gripper_left_joint"
 GAP_M = 0.0005
 BLOCKS = ((12e3, 0.25), (60e3, 0.13))
-ROBOT_S, OBJECT_S = 3600.0, 3600.0
+OBJECT_S = 3600.0
 
 
 def block(modulus_Pa: float, ratio: float = 0.25) -> str:
@@ -67,7 +67,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
             )
         markers: list[MarkerArray] = []
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
-        yield Calibrated(client, folder / "data", numbers, markers, client.call("/identifier/calibrate_robot", ROBOT_S))
+        yield Calibrated(client, folder / "data", numbers, markers, client.asked("/identifier/calibrate_robot"))
     domain.undo()
 
 
@@ -83,12 +83,11 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     """Within their intervals, which the torque constant makes 10 % wide; the fingers end where they began."""
     client = arm.client
     assert client.set("/virtual", "object", block(modulus, ratio)).successful
-    client.estimates.clear()
     arm.markers.clear()
     for heard in arm.numbers.values():
         heard.clear()
     began = client.position(GRIPPER)
-    answer = client.call("/identifier/calibrate_softness", OBJECT_S)
+    answer = client.asked("/identifier/calibrate_softness")
     assert answer.success, answer.message
 
     def said(name: str) -> list[float]:
