@@ -60,6 +60,35 @@ def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
 
 
 @dataclass(frozen=True)
+class Sought:
+    """What is to be known so well, and how that is stated.
+
+    Attributes:
+        name: Of the value, as in keys.
+        unit: Of it.
+        share: Whether its interval is stated as a share of it.
+        label: What people call it.
+    """
+
+    name: str
+    unit: str
+    share: bool = False
+    label: str = "mass"
+
+    def half_of(self, std: float, value: float) -> float:
+        """Half of its 95 % interval, as that is stated."""
+        return Z95 * std / (value if self.share else 1.0)
+
+    def std_of(self, half: float, value: float) -> float:
+        """The standard deviation that belongs to half an interval as it is stated."""
+        return half * (value if self.share else 1.0) / Z95
+
+    def said(self, half: float, after: str = "") -> str:
+        """Half an interval in words, such as ``+-0.50 g``; `after`: what stands behind the sign."""
+        return f"+-{after}" + (f"{100.0 * half:.1f} %" if self.share else shown(self.unit, half, spec=".2f"))
+
+
+@dataclass(frozen=True)
 class Quantity:
     """A number and how well it is known.
 

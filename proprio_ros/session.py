@@ -31,8 +31,15 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
-from proprio_ros.replay import ReplayOptions, check_motors, configured_robot, held_positions, probe_asked_for
-from proprio_ros.resources import private_folder, write_in_one_step
+from proprio_ros.replay import (
+    ReplayOptions,
+    bag_runs,
+    check_motors,
+    configured_robot,
+    held_positions,
+    probe_asked_for,
+)
+from proprio_ros.resources import paths_of, private_folder, write_in_one_step
 from proprio_ros.robot import Robot
 from proprio_ros.runs import cut_runs
 from proprio_ros.settings import Settings
@@ -274,6 +281,21 @@ def robot_of_settings(options: ReplayOptions, settings: Settings) -> Robot:
     robot = configured_robot(options.robot, options.calibration, settings, options.stated_unit)
     held_positions(robot, settings)
     return robot
+
+
+def baseline_runs(setting: Setting) -> list[Run]:
+    """The runs of the baseline, as the identification of the object will read them.
+
+    Raises:
+        RecordingError: One cannot be read.
+    """
+    settings = Settings(setting.options.settings)
+    held = held_positions(setting.robot, settings)
+    return [
+        run
+        for path in paths_of(setting.options.baseline)
+        for run in bag_runs(Path(path), setting.robot, setting.options, held)
+    ]
 
 
 def baseline_options(setting: Setting) -> ReplayOptions:

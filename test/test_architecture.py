@@ -78,8 +78,9 @@ ROOMS: dict[str, set[str]] = {
     },
     "report": {"errors", "resources", "quantity", "kinds", "calibration", "identification"},
     "published": {"errors", "records", "robot", "bags"},
-    # which push comes next
-    "until": {"errors", "quantity", "records", "robot", "sim", "identification", "excitation"},
+    # which push comes next, and when there is none: for anything that is identified, and for weighings
+    "choosing": {"errors", "quantity", "records", "robot", "identification", "excitation"},
+    "until": {"choosing", "quantity", "records", "robot", "sim", "identification", "excitation"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room below
     "probes": {
         "errors",
@@ -99,6 +100,7 @@ ROOMS: dict[str, set[str]] = {
         "identification",
         "report",
         "excitation",
+        "choosing",
         "until",
     },
     "replay": {
@@ -295,6 +297,7 @@ ROOMS: dict[str, set[str]] = {
         "handing_on",
         "settings",
         "realtime",
+        "choosing",
         "until",
     },
 }

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
+from proprio_ros.choosing import Decision
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSample, Phase
 from proprio_ros.excitation.plans import ProbeSequence, Until, as_text, check_sequence, load_sequence
@@ -24,7 +25,7 @@ from proprio_ros.probes import probe_named
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
-from proprio_ros.until import Decision, UntilSure, chosen_known
+from proprio_ros.until import UntilSure, chosen_known
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 
@@ -45,7 +46,7 @@ def sequence_file(folder: Path, **until: Any) -> Path:
         ({"half_interval": 0.3, "unit": "kg"}, "it is in kg, not g"),
         ({"half_interval": 0.0, "unit": "kg"}, "must be above 0"),
         ({"half_interval": "half a gram", "unit": "kg"}, "until.half_interval: expected a number"),
-        ({"half_interval": 5e-4, "unit": "g"}, "unit='g' is unknown; choose from: kg"),
+        ({"half_interval": 5e-4, "unit": "g"}, "unit='g' is unknown for hand='payload'; choose 'kg'"),
         ({"half_interval": 5e-4}, "until: lacks unit"),
         ({"half_interval": 5e-4, "unit": "kg", "at_most": 30}, "unknown key at_most"),
         ({"half_interval": 5e-4, "unit": "kg", "at_most_s": 0}, "at_most_s=0 must be above 0 s"),
@@ -63,7 +64,7 @@ def test_what_nobody_chooses_for_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="state some under 'runs'"):
         load_sequence(path, ROBOT)
     path.write_text(path.read_text().replace("hand: empty", "hand: block"))
-    with pytest.raises(ConfigurationError, match="leave `until` out"):
+    with pytest.raises(ConfigurationError, match="unknown for hand='block'; choose '1'"):
         load_sequence(path, ROBOT)
 
 
@@ -190,9 +191,9 @@ def test_it_ends_when_it_is_sure(tmp_path: Path) -> None:
     from proprio_ros.report.choices_page import Choice, write_choices
 
     choices = [
-        Choice(d.mass, d.half, d.promised, d.reason, [push.words for push in d.others], d.decided_s) for d in decisions
+        Choice(d.value, d.half, d.promised, d.reason, [push.words for push in d.others], d.decided_s) for d in decisions
     ]
-    write_choices(choices, UNTIL.half_interval, tmp_path / "choices.html")
+    write_choices(choices, chooser.sought, UNTIL.half_interval, tmp_path / "choices.html")
     page = (tmp_path / "choices.html").read_text()
     assert (
         page.count('<svg class="chart" role') == 1

@@ -30,8 +30,9 @@ LARGEST_POSITION_RAD = 7.0  # beyond a full turn: such a number was meant in deg
 LEAST_CURRENT_A = 0.01  # four counts of an XM430: less is as good as none
 SHORTEST_SHAKE_S = 0.08  # three samples at 40 a second
 LEAST_SHAKES = 2  # fewer periods are no shaking
-UNTIL_UNITS = ("kg",)
-LARGEST_HALF_KG = 0.1  # such a number was meant in g
+UNTIL_UNITS = {"kg": ("payload", "reference", "empty", "any", "container"), "1": ("block",)}
+"""Of half an interval, by what the hand holds: a mass, or a share of Young's modulus."""
+LARGEST_HALF = {"kg": (0.1, "it is in kg, not g"), "1": (1.0, "it is a share, not in percent")}
 LONGEST_UNTIL_S = 600.0
 LARGEST_STEP_RAD = 1.0  # of a goal, at the shaft: such a number was meant in degrees, or throws the arm
 LEAST_SWING_RAD = 0.1  # a recording tells which joint swung freely by that
@@ -103,7 +104,7 @@ class Until:
 
     Attributes:
         half_interval: Of what is identified: half of its 95 % interval is to be so small [unit].
-        unit: Of that, one of `UNTIL_UNITS`.
+        unit: Of that, as `UNTIL_UNITS` has it: "kg" for a mass, "1" for a share of a block's modulus.
         at_most_s: From the beginning; no push is begun that would not be over by then.
     """
 
@@ -241,24 +242,28 @@ def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
 
 def _check_until(until: Until, sequence: ProbeSequence) -> None:
     where = f"{sequence.name}: until"
-    if until.unit not in UNTIL_UNITS:
-        raise ConfigurationError(f"{where}: unit={until.unit!r} is unknown; choose from: {', '.join(UNTIL_UNITS)}")
-    if not 0.0 < until.half_interval <= LARGEST_HALF_KG:
+    units = [unit for unit, hands in UNTIL_UNITS.items() if sequence.hand in hands]
+    if until.unit not in units:
+        choices = " or ".join(repr(unit) for unit in units) or "none: leave `until` out"
         raise ConfigurationError(
-            f"{where}: half_interval={until.half_interval:g} must be above 0 and {LARGEST_HALF_KG:g} kg at most; it is in kg, not g"
+            f"{where}: unit={until.unit!r} is unknown for hand={sequence.hand!r}; choose {choices}"
+        )
+    largest, meant = LARGEST_HALF[until.unit]
+    if not 0.0 < until.half_interval <= largest:
+        raise ConfigurationError(
+            f"{where}: half_interval={until.half_interval:g} must be above 0 and {largest:g} at most; {meant}"
         )
     if not 0.0 < until.at_most_s <= LONGEST_UNTIL_S:
         raise ConfigurationError(
             f"{where}: at_most_s={until.at_most_s:g} must be above 0 s, and {LONGEST_UNTIL_S:g} s at most"
         )
-    if sequence.hand not in ("payload", "reference", "empty", "any"):
-        raise ConfigurationError(
-            f"{where}: pushes are chosen for a payload, a reference or an empty hand, not for hand={sequence.hand!r}; "
-            "leave `until` out"
-        )
     if sequence.hand == "empty" and not sequence.runs:
         raise ConfigurationError(
             f"{where}: what else to push with an empty hand follows from what the first runs say; state some under 'runs'"
+        )
+    if sequence.hand == "block" and not sequence.runs:
+        raise ConfigurationError(
+            f"{where}: with which current to squeeze a block follows from the first squeeze; state it under 'runs'"
         )
     if any(run.free for run in sequence.runs):
         raise ConfigurationError(f"{where}: free swings are not chosen; leave `until` out")

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.identification.fit import FitResult, SearchOptions, solve_load
+from proprio_ros.identification.foreseen import SharedUnknowns
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
 from proprio_ros.identification.planning import (
     CLEARANCE_M,
@@ -29,7 +30,6 @@ from proprio_ros.identification.planning import (
     still_run,
     travel_range,
 )
-from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import (
     PAYLOAD_TERMS,
     RIPPLE_TERMS,
@@ -39,7 +39,6 @@ from proprio_ros.identification.problem import (
     prepare_run,
 )
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.kinds import Key
 from proprio_ros.quantity import Z95, Quantity, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -155,13 +154,10 @@ class Catalogue:
         rest = bent_pose(robot)
         first = [self._still(joint, rest) for joint in self.joints]
         every = Problem(robot, first, self.facts, self._unknowns(first))
-        free = [every.unknowns[row] for row in every.free]
-        shared = [f for f, unknown in enumerate(free) if unknown.shared]
-        self.keys: list[Key] = [free[f].key for f in shared]
-        self.at = {key: place for place, key in enumerate(self.keys)}
-        self._prior = every.coordinates.prior_precision[np.ix_(shared, shared)].copy()
+        self._shared = SharedUnknowns(every)
+        self.keys, self.at = self._shared.keys, self._shared.at
         mass = self.at["payload_mass"]
-        self._prior[mass, mass] += UNKNOWN_STD_KG**-2
+        self._shared.prior[mass, mass] += UNKNOWN_STD_KG**-2
         self._places = [place for joint in self.joints for place in self._places_of(joint)]
 
     def _unknowns(self, runs: Sequence[PreparedRun]) -> list:
@@ -225,7 +221,7 @@ class Catalogue:
 
     def nothing_known(self) -> Known:
         """Before the first run."""
-        return Known(0.5 * sum(UNKNOWN_KG), UNKNOWN_STD_KG, np.linalg.inv(self._prior), 0)
+        return Known(0.5 * sum(UNKNOWN_KG), UNKNOWN_STD_KG, np.linalg.inv(self._shared.prior), 0)
 
     def known(self, runs: Sequence[Run], before: Known | None = None) -> Known:
         """What runs with the object say, robot and object together.
@@ -251,22 +247,9 @@ class Catalogue:
 
     def after(self, fit: FitResult, runs: int) -> Known:
         """What a fit says of all shared unknowns, those of joints that it does not know among them."""
-        problem = fit.problem
-        posterior = Posterior(problem, fit.values, 1.0 if fit.explains else max(1.0, fit.reduced_chi2))
-        free = [problem.unknowns[row] for row in problem.free]
-        shared = [f for f, u in enumerate(free) if u.key in self.at]
-        own = [f for f, u in enumerate(free) if u.key not in self.at]
-        normal = posterior.sensitivity.T @ posterior.sensitivity
-        within = normal[np.ix_(own, own)] + problem.coordinates.prior_precision[np.ix_(own, own)]
-        across = normal[np.ix_(shared, own)]
-        information = normal[np.ix_(shared, shared)] - across @ np.linalg.solve(within, across.T)
-        total = self._prior.copy()
-        to = [self.at[free[f].key] for f in shared]
-        total[np.ix_(to, to)] += information
-        scale = 1.0 / np.sqrt(np.diag(total))
-        covariance = np.linalg.inv(total * scale[:, None] * scale) * scale[:, None] * scale
+        covariance = self._shared.covariance_after(fit)
         place = self.at["payload_mass"]
-        mass = float(fit.values[problem.index["payload_mass"]])
+        mass = float(fit.values[fit.problem.index["payload_mass"]])
         return Known(mass, float(np.sqrt(covariance[place, place])), covariance, runs, fit)
 
     def foreseen(self, known: Known, push: Push, load_kg: float | None = None) -> Known:

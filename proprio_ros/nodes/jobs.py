@@ -21,6 +21,7 @@ from proprio_ros import progress
 from proprio_ros.answers import interval_of, live_answer, refusal_of
 from proprio_ros.bags import RawMessage
 from proprio_ros.calibrating import calibrate_from_bags
+from proprio_ros.choosing import Chooser, Decision
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import as_text, check_sequence, load_sequence
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -35,7 +36,6 @@ from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
-from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.replay import ReplayOptions, aged_robot, replay, write_report
 from proprio_ros.report import write_calibration_report
@@ -46,13 +46,14 @@ from proprio_ros.session import (
     Session,
     as_parameters,
     baseline_options,
+    baseline_runs,
     check_input,
     keep_result,
     replay_command,
     robot_of_settings,
 )
 from proprio_ros.settings import Settings, parse_settings
-from proprio_ros.until import Decision, UntilSure, chosen_known
+from proprio_ros.until import chosen_known
 
 CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
@@ -67,11 +68,9 @@ is chosen then."""
 
 def choice_of(decision: Decision) -> Choice:
     """A decision, as its page shows it."""
-    words = [
-        f"{push.words}: +-{shown('kg', Z95 * push.std, spec='.2f')} in {push.time_s:.1f} s" for push in decision.others
-    ]
+    words = [f"{push.words}: {decision.said_of(push)} in {push.time_s:.1f} s" for push in decision.others]
     chosen = decision.reason if decision.push is None else decision.push.words
-    return Choice(decision.mass, decision.half, decision.promised, chosen, words, decision.decided_s)
+    return Choice(decision.value, decision.half, decision.promised, chosen, words, decision.decided_s)
 
 
 class Jobs:
@@ -159,7 +158,7 @@ class Jobs:
             check_sequence(plan, setting.robot)
         if probe.limits:
             probe.check(setting.robot, setting.facts, plan, limits)
-        live = probe.live and (self._node.values["live_period"] > 0.0 or plan.until is not None)
+        live = plan.until is not None or (probe.live and self._node.values["live_period"] > 0.0)
         self._inputs.live = LiveEstimate(setting) if live else None
         if probe.prepares:
             self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
@@ -170,7 +169,7 @@ class Jobs:
         chooser = None
         if plan.until is not None:
             self._results.tell(job.kind, "simulating what could be pushed")
-            chooser = probe.chooser(setting.robot, setting.facts, plan)
+            chooser = probe.chooser(setting.robot, setting.facts, plan, baseline_runs(setting))
         if probe.hand:
             self._results.tell(job.kind, probe.hand)
         bag = self.record(job, job.kind, sequence, setting.robot, setting.options, chooser)
@@ -179,8 +178,10 @@ class Jobs:
         except RecordingError as error:
             raise JobError(f"{job.reason or error}; recording: {bag}") from error
         if plan.until is not None:
-            target, choices = plan.until.half_interval, [choice_of(decision) for decision in job.decisions]
-            self._keep(lambda: write_choices(choices, target, bag.parent / "choices.html"))
+            assert chooser is not None
+            sought, target = chooser.sought, plan.until.half_interval
+            choices = [choice_of(decision) for decision in job.decisions]
+            self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))
         said = f"; {job.reason}" * bool(job.reason) + self._keeping.used
         if baseline is not None:
             said += f"; {self._keeping.about_baseline(baseline)}"
@@ -198,6 +199,9 @@ class Jobs:
         self._inputs.live, self._results.link = None, setting.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)
         sequence = self._value(f"{probe.name}_sequence")
+        plan = load_sequence(sequence, setting.robot)
+        if plan.until is not None:  # there is nothing that pushes could be chosen for
+            sequence = as_text(replace(plan, until=None)) if plan.runs else probe.default_sequence
         bag = self.record(job, job.kind, sequence, setting.robot, setting.options)
         options = baseline_options(setting)
         estimate = self.identify(job, bag, options, partial(self._results.final, name=job.kind))
@@ -321,7 +325,7 @@ class Jobs:
         sequence: str,
         robot: Robot,
         options: ReplayOptions,
-        chooser: UntilSure | None = None,
+        chooser: Chooser | None = None,
     ) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
         inputs = self._inputs
@@ -360,7 +364,7 @@ class Jobs:
             raise JobError(f"{failure}; recording: {bag}")
         return bag
 
-    def _excite(self, job: Job, sequence: str, chooser: UntilSure | None = None) -> None:
+    def _excite(self, job: Job, sequence: str, chooser: Chooser | None = None) -> None:
         """Have the arm moved, and estimate meanwhile."""
 
         def begun() -> None:
@@ -374,7 +378,7 @@ class Jobs:
         finally:
             self._inputs.driven = False
 
-    def _choose(self, job: Job, sequence: str, chooser: UntilSure) -> None:
+    def _choose(self, job: Job, sequence: str, chooser: Chooser) -> None:
         """The sequence's own runs, then one push after the other as they are chosen.
 
         There is no estimate while a push is under way: with every run it would take longer, and deciding waits for it.
@@ -397,7 +401,7 @@ class Jobs:
             self._results.tell(job.kind, decision.reason, entries)
             self._node.say("info", f"{decision.reason} (decided in {1e3 * decision.decided_s:.0f} ms)")
             job.decisions.append(decision)
-            self._results.choice(chooser.catalogue.robot, decision, live.position())
+            self._results.choice(chooser.robot, decision, live.position())
             if decision.run is None:
                 job.reason = decision.reason
                 return

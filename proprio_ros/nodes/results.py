@@ -15,6 +15,7 @@ from visualization_msgs.msg import MarkerArray
 
 from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.at_work import RunningFeed, running_entries, running_words
+from proprio_ros.choosing import Decision, words_of
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.running import RunningEstimate
@@ -28,7 +29,6 @@ from proprio_ros.probes.base import Carried, Probe
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import hand_path, zero_pose
 from proprio_ros.session import Setting
-from proprio_ros.until import Decision, words_of
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,9 @@ class Results:
             pose: Where it stands [rad or m].
         """
         push, here = decision.push, {**zero_pose(robot), **pose}
-        path = None if push is None else hand_path(robot, push.joint, push.start, push.travel)
+        path = None
+        if push is not None and robot.model.joint(push.joint).kind != "prismatic":  # fingers that slide move no hand
+            path = hand_path(robot, push.joint, push.start, push.travel)
         place = robot.model.frame_transform(robot.payload_frame, here)[:3, 3] if path is None else path[0]
         frame = self._node.values["frame_prefix"] + robot.model.root
         self._planned.publish(messages.planned(self._now_ns(), frame, place, words_of(decision), path))

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     import numpy as np
 
     from proprio_ros.bags import TextRecording
+    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.identification.running import RunningWeight
     from proprio_ros.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
-    from proprio_ros.until import UntilSure
 
 Facts = TypeVar("Facts")
 
@@ -261,8 +261,14 @@ class Probe(ABC, Generic[Facts]):
         """
         self.compile(robot, facts)
 
-    def chooser(self, robot: Robot, facts: Facts, sequence: ProbeSequence) -> UntilSure:
+    def chooser(self, robot: Robot, facts: Facts, sequence: ProbeSequence, baseline: Sequence[Run] = ()) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand.
+
+        Args:
+            robot: with its calibration where there is one.
+            facts: what is stated about the object.
+            sequence: with `until`.
+            baseline: runs made without the object.
 
         Raises:
             ConfigurationError: nobody can, for this probe.

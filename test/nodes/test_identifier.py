@@ -26,6 +26,7 @@ from visualization_msgs.msg import Marker
 
 from proprio_ros.at_work import current_A
 from proprio_ros.bags import RawMessage, read_motors, read_temperatures, write_messages
+from proprio_ros.choosing import Decision
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.identification.sequential import Push
@@ -33,13 +34,14 @@ from proprio_ros.motors import MotorIdentity
 from proprio_ros.nodes import driver, identifier, jobs, messages
 from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.probes import probe_named
+from proprio_ros.quantity import Sought
 from proprio_ros.replay import ReplayOptions
 from proprio_ros.resources import resource
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.session import Session, setting_of
-from proprio_ros.until import Decision
 
+MASS = Sought("mass", "kg")
 BOX = {"container.inner_size": [0.06, 0.04, 0.04], "sphere.radius": 0.01}
 
 
@@ -210,7 +212,7 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
     results._planned = shown = Published()
     start = zero_pose(robot) | {"joint2": -1.0, "joint3": 0.5}
     push = Push("joint3", start, -0.34, 0.0, 0.5, 3.4, 2e-4, 0.1, -0.6)
-    results.choice(robot, Decision(None, "", "", 0.05, 8e-4, 4e-4, push, (), 0.1), {"joint2": -1.0})
+    results.choice(robot, Decision(None, "", "", 0.05, 8e-4, 4e-4, push, (), 0.1, MASS), {"joint2": -1.0})
     first, words, line, end = shown[-1].markers
     assert first.action == Marker.DELETEALL and {m.header.frame_id for m in (words, line, end)} == {"arm1/link1"}
     assert words.text == "50.0 g +- 0.80 g\nnext: joint3 -340 mA, then +-0.40 g"
@@ -220,9 +222,9 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
     for place, pose in ((0, start), (-1, start | {"joint3": -0.1})):
         np.testing.assert_allclose(way[place], robot.model.frame_transform(robot.payload_frame, pose)[:3, 3])
     assert (end.pose.position.x, end.pose.position.z) == (way[-1, 0], way[-1, 2])
-    results.choice(robot, Decision(None, "", "", 0.06, 0.2, 4e-3, push, (), 0.1), {})
+    results.choice(robot, Decision(None, "", "", 0.06, 0.2, 4e-3, push, (), 0.1, MASS, is_known=False), {})
     assert shown[-1].markers[1].text.startswith("not weighed yet\nnext: joint3")
-    results.choice(robot, Decision(None, "sure", "target", 0.05, 4e-4, 4e-4, None, (), 0.1), {"joint2": -1.0})
+    results.choice(robot, Decision(None, "sure", "target", 0.05, 4e-4, 4e-4, None, (), 0.1, MASS), {"joint2": -1.0})
     assert [m.type for m in shown[-1].markers[1:]] == [Marker.TEXT_VIEW_FACING]
     assert shown[-1].markers[1].text.endswith("ended by: target")
     results.withdraw()

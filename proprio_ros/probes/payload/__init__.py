@@ -12,6 +12,7 @@ from proprio_ros.probes.base import Body, Carried, Example, Probe, Recorded, Sha
 from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
+    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.identification.running import RunningWeight
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts
-    from proprio_ros.until import UntilSure
 
 LIVE_STARTS_KG = (0.01, 0.1)
 """A live estimate need not find its way from two orders of magnitude."""
@@ -125,7 +125,9 @@ class Payload(Probe[PayloadJob]):
 
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
 
-    def chooser(self, robot: Robot, facts: PayloadJob, sequence: ProbeSequence) -> UntilSure:
+    def chooser(
+        self, robot: Robot, facts: PayloadJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+    ) -> Chooser:
         from proprio_ros.quantity import Z95
         from proprio_ros.until import UntilSure
 

@@ -1,0 +1,80 @@
+"""What runs that have not been made would tell of what all runs share, given what is known so far.
+
+What is known is one Gaussian over the unknowns that runs share (of the robot and of the object). A run that could be made is
+simulated at the values found so far and linearised; what it would take from the variance follows in closed form (Lehmann & Casella
+1998, sec. 2.5), its own unknowns (where it started, delay, friction of the moment) eliminated under their priors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.problem import Problem
+from proprio_ros.kinds import Key
+
+
+class SharedUnknowns:
+    """The unknowns that all runs of a problem share, and what was known of them before any run.
+
+    Args:
+        problem: With runs of every joint that may be driven.
+
+    Attributes:
+        keys: Of the F shared unknowns; at: their places.
+        prior: Precision, shape (F, F).
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        free = [problem.unknowns[row] for row in problem.free]
+        shared = [f for f, unknown in enumerate(free) if unknown.shared]
+        self.keys: list[Key] = [free[f].key for f in shared]
+        self.at = {key: place for place, key in enumerate(self.keys)}
+        self.prior = problem.coordinates.prior_precision[np.ix_(shared, shared)].copy()
+
+    def covariance_after(self, fit: FitResult) -> np.ndarray:
+        """What a fit leaves open of all shared unknowns, those of joints that it does not know among them, shape (F, F)."""
+        problem = fit.problem
+        posterior = Posterior(problem, fit.values, 1.0 if fit.explains else max(1.0, fit.reduced_chi2))
+        free = [problem.unknowns[row] for row in problem.free]
+        shared = [f for f, u in enumerate(free) if u.key in self.at]
+        own = [f for f, u in enumerate(free) if u.key not in self.at]
+        normal = posterior.sensitivity.T @ posterior.sensitivity
+        within = normal[np.ix_(own, own)] + problem.coordinates.prior_precision[np.ix_(own, own)]
+        across = normal[np.ix_(shared, own)]
+        information = normal[np.ix_(shared, shared)] - across @ np.linalg.solve(within, across.T)
+        total = self.prior.copy()
+        to = [self.at[free[f].key] for f in shared]
+        total[np.ix_(to, to)] += information
+        scale = 1.0 / np.sqrt(np.diag(total))
+        covariance: np.ndarray = np.linalg.inv(total * scale[:, None] * scale) * scale[:, None] * scale
+        return covariance
+
+    def stds_after(
+        self, problem: Problem, dq: np.ndarray, weight: np.ndarray, covariance: np.ndarray, key: Key
+    ) -> np.ndarray:
+        """What each run alone would leave open of one of them, shape (R,).
+
+        Args:
+            problem: With the R runs that could be made.
+            dq: Sensitivities of what the encoder would show by all its free unknowns, shape (R, T, N).
+            weight: One over the standard deviation of each sample; zero for what does not count, shape (R, T).
+            covariance: What is known so far, shape (F, F).
+            key: Of the one that is looked for.
+        """
+        free = [problem.unknowns[row] for row in problem.free]
+        rows = np.where(weight[..., None] > 0.0, dq, 0.0) * weight[..., None]
+        shared = np.zeros((*rows.shape[:2], len(self.keys)))
+        shared[..., [self.at[u.key] for u in free if u.shared]] = rows[..., [u.shared for u in free]]
+        along = shared @ covariance
+        within = along @ shared.transpose(0, 2, 1) + np.eye(rows.shape[1])
+        for run in range(len(rows)):
+            own = [f for f, u in enumerate(free) if not u.shared and u.scope == run]
+            spread = np.linalg.inv(problem.coordinates.prior_precision[np.ix_(own, own)])
+            within[run] += rows[run][:, own] @ spread @ rows[run][:, own].T
+        place = self.at[key]
+        pulled = along[..., place]
+        taken = np.einsum("rt,rt->r", pulled, np.linalg.solve(within, pulled[..., None])[..., 0])
+        stds: np.ndarray = np.sqrt(np.maximum(covariance[place, place] - taken, 0.0))
+        return stds
