@@ -22,6 +22,7 @@ from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSamp
 from proprio_ros.excitation.plans import ProbeSequence, Until, as_text, check_sequence, load_sequence
 from proprio_ros.paper import hand as paper_hand
 from proprio_ros.probes import probe_named
+from proprio_ros.probes.base import Probe
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.runs import cut_runs
@@ -95,7 +96,7 @@ def test_the_machine_cannot_choose() -> None:
 def test_only_what_is_weighed_is_chosen_for() -> None:
     sequence = load_sequence("payload_until", ROBOT)
     with pytest.raises(ConfigurationError, match="which the probe softness cannot"):
-        probe_named("softness").chooser(ROBOT, None, sequence)
+        Probe.chooser(probe_named("softness"), ROBOT, None, sequence)  # of a probe that has none of its own
     with pytest.raises(ConfigurationError, match="has no `until`"):
         UntilSure(ROBOT, paper_hand_facts(), load_sequence("payload", ROBOT))
 

@@ -195,7 +195,7 @@ def load_sequence(name_or_path: str | Path, robot: Robot) -> ProbeSequence:
         raise ConfigurationError(
             f"{path.name}: has no section 'excitation'; probe files with one: {choices}; or add it"
         )
-    sequence = _sequence(content["excitation"], path.stem, robot, f"{path.name}: excitation")
+    sequence = _sequence(_whole(content["excitation"], path), path.stem, robot, f"{path.name}: excitation")
     check_sequence(sequence, robot)
     return sequence
 
@@ -386,6 +386,18 @@ def _content(path: Path) -> Mapping[str, Any]:
     if not isinstance(content, Mapping):
         raise ConfigurationError(f"{path}: holds no sections; a probe file starts with 'excitation:'")
     return content
+
+
+def _whole(section: Any, path: Path) -> Any:
+    """A section with what it takes from the one that it names under ``like``, which the package ships."""
+    if not isinstance(section, Mapping) or "like" not in section:
+        return section
+    like = section["like"]
+    if like not in sequence_names() or "like" in (base := _content(resource("probes", like))["excitation"]):
+        raise ConfigurationError(
+            f"{path.name}: excitation.like={one_line(repr(like), 60)}: name one of the package's sequences"
+        )
+    return {**base, **{key: value for key, value in section.items() if key != "like"}}
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequence:

@@ -1,7 +1,8 @@
 """Weighing until sure: how long it takes, how often the target is met, and whether the intervals hold where it stops.
 
 Random robots in MuJoCo (`random_arm.py`, which shares nothing with the package's simulator but the URDF) are calibrated by the
-shipped empty-hand sequence alone, by the shipped reference sequence (100 g) behind it, or by further chosen pushes behind both.
+shipped empty-hand sequence alone (none), by further chosen pushes with an empty hand behind it (empty), by the shipped reference
+sequence (100 g) behind it (shipped), or by further chosen pushes behind both (chosen).
 They weigh objects: once with pushes that are chosen one by one, once with the shipped fixed sequence, repeated until its interval
 is as small. Each push is made as the excitation node makes it: it ends after its time or its travel, and is repeated with more
 current where it moved too little; ways, rests and brakes take the time that the node takes for them.
@@ -127,17 +128,19 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
     known = [LoadedRun(run) for probe in sequence.runs if probe.joint != GRIPPER for run in bench.push(probe, None)]
     weight = ball(REFERENCE_KG, 0.04)
     load = KnownLoad(REFERENCE_KG, facts_of(weight))
-    if reference != "none":
+    if reference in ("shipped", "chosen"):
         for probe in load_sequence("reference", robot).runs:
             known += [LoadedRun(run, load) for run in bench.push(probe, weight)]
     learnt = calibrate(robot, known, advice=0)
-    if reference == "chosen" and learnt.calibration is not None:
+    if reference in ("empty", "chosen") and learnt.calibration is not None:
         began, count = bench.time_s, len(known)
         so_far = robot.with_calibration(learnt.calibration)
-        for probe in chosen_known(so_far, 0.0, CALIBRATION_KG, EMPTY_S, sequence):
+        empty_s = EMPTY_S if reference == "chosen" else EMPTY_S + REFERENCE_S
+        for probe in chosen_known(so_far, 0.0, CALIBRATION_KG, empty_s, sequence):
             known += [LoadedRun(run) for run in bench.push(probe, None)]
-        for probe in chosen_known(so_far, REFERENCE_KG, CALIBRATION_KG, REFERENCE_S, sequence):
-            known += [LoadedRun(run, load) for run in bench.push(probe, weight)]
+        if reference == "chosen":
+            for probe in chosen_known(so_far, REFERENCE_KG, CALIBRATION_KG, REFERENCE_S, sequence):
+                known += [LoadedRun(run, load) for run in bench.push(probe, weight)]
         print(f"  chosen: {len(known) - count} runs, {bench.time_s - began:.0f} s", file=sys.stderr)
         learnt = calibrate(robot, known, advice=0)
     if learnt.calibration is None or learnt.verdict.value != "accepted":
@@ -259,7 +262,7 @@ def main() -> None:
     parser.add_argument("--half-of-them", action="store_true", help="every second mass, in turn: half the time")
     parser.add_argument("--save", type=Path, help="append each case to this file, as JSON")
     parser.add_argument("--table", type=Path, help="print the table of such a file, and simulate nothing")
-    parser.add_argument("--reference", nargs="+", default=["none", "shipped", "chosen"])
+    parser.add_argument("--reference", nargs="+", default=["none", "empty", "shipped", "chosen"])
     parser.add_argument("--half", type=float, default=0.5e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
     options = parser.parse_args()

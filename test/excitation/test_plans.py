@@ -207,7 +207,7 @@ def test_mistakes_in_a_run_get_one_line(robot: Robot, tmp_path: Path, change: tu
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("payload: {}\n", "no section 'excitation'; probe files with one: container, container_shake, empty_hand"),
+        ("payload: {}\n", "no section 'excitation'; probe files with one: block_until, container"),
         ("- 1\n", "starts with 'excitation:'"),
         ("excitation: 1\n", "expected keys and values"),
         ("excitation: {hand: payload}\n", "lacks runs"),
@@ -228,7 +228,7 @@ def test_mistakes_in_a_file_get_one_line(robot: Robot, tmp_path: Path, text: str
 
 
 def test_names_and_paths_that_are_not_there(robot: Robot, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="there are: container, container_shake, empty_hand"):
+    with pytest.raises(ConfigurationError, match="there are: block_until, container"):
         load_sequence("full_hand", robot)
     with pytest.raises(ConfigurationError, match="No such file"):
         load_sequence(tmp_path / "none.yaml", robot)
@@ -272,3 +272,17 @@ def test_clearance_against_the_models_transforms() -> None:
         assert min(slid) < clearance(robot, pose) - 0.01
     with pytest.raises(RobotError, match="lacks the position of joint 'joint4'"):
         clearance(robot, {name: 0.0 for name in robot.model.independent_joints if name != "joint4"})
+
+
+def test_a_sequence_is_like_another_but_for_what_it_states(robot: Robot, tmp_path: Path) -> None:
+    base = load_sequence("reference", robot)
+    longer = load_sequence("reference_until", robot)
+    assert longer.runs == base.runs and longer.settle_s == base.settle_s and longer.until is not None
+    path = tmp_path / "mine.yaml"
+    path.write_text("excitation: {like: payload, settle_s: 2.0}\n")
+    mine = load_sequence(path, robot)
+    assert mine.runs == load_sequence("payload", robot).runs and mine.settle_s == 2.0
+    for wrong in ("payloads", "reference_until", "[payload]"):
+        path.write_text(f"excitation: {{like: {wrong}}}\n")
+        with pytest.raises(ConfigurationError, match="name one of the package's sequences"):
+            load_sequence(path, robot)

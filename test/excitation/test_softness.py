@@ -7,16 +7,22 @@ add is in test/nodes.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from proprio_ros.choosing import Decision
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
-from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.excitation.plans import ProbeSequence, Until, check_sequence, load_sequence
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.probes.softness.identify import find_softness
+from proprio_ros.probes import probe_named
+from proprio_ros.probes.softness import SoftnessJob
+from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
@@ -32,9 +38,14 @@ EDGE_M, GAP_M = 0.03, 0.0005
 
 
 def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
+    """A shipped sequence, made."""
+    return made(load_sequence(name, ROBOT), hand)
+
+
+def made(sequence: ProbeSequence, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
     """The machine at its end, the runs of the recording, and how far the fingers closed from where they began [m]."""
     machine, sample = ExcitationMachine(ROBOT), hand.sample()
-    machine.start(load_sequence(name, ROBOT), sample)
+    machine.start(sequence, sample)
     began = closed = hand.arm.position()[GRIPPER]
     times, places, currents = [], [], []
     while machine.busy:
@@ -47,14 +58,16 @@ def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], f
         closed = min(closed, hand.arm.position()[GRIPPER])
     stamps = np.array(times)
     inputs = InputRecord(stamps, JOINTS, np.array(currents), "/applied_effort")
-    runs = cut_runs(Recording(name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS))
+    runs = cut_runs(
+        Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS)
+    )
     return machine, runs, began - closed
 
 
 def calibrated(seed: int) -> Robot:
     """The robot after its gripper was closed and opened with nothing between the fingers."""
     machine, runs, _ = played("empty_hand_gripper", Hand(seed, None))
-    assert machine.phase is Phase.DONE and all(outcome.used for outcome in machine.outcomes[-4:]), machine.message
+    assert machine.phase is Phase.DONE and "all 4 runs are good" in machine.message, machine.message
     estimate = calibrate(ROBOT, [LoadedRun(run) for run in runs], advice=0)
     assert estimate.calibration is not None, estimate.reasons
     return ROBOT.with_calibration(estimate.calibration)
@@ -107,3 +120,55 @@ def test_a_missing_block_is_reported() -> None:
     estimate = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M)))
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.value("youngs_modulus").value is None
     assert "is it between the fingers" in estimate.reasons[0]
+
+
+def until_sure(robot: Robot, hand: Hand, until: Until) -> tuple[tuple[Run, ...], list[Decision]]:
+    """The runs of a block that is squeezed until sure, and what was decided after each."""
+    sequence = replace(load_sequence("block_until", ROBOT), until=until)
+    chooser = probe_named("softness").chooser(
+        robot, SoftnessJob(BlockFacts(np.full(3, EDGE_M)), SqueezeOptions()), sequence
+    )
+    began, decisions = hand.time_s, []
+    machine, runs, _ = made(replace(sequence, until=None), hand)
+    assert machine.phase is Phase.DONE, machine.message
+    while True:
+        decisions.append(chooser.next(runs, hand.sample().position, hand.time_s - began))
+        if decisions[-1].run is None:
+            return runs, decisions
+        machine, more, closed = made(chooser.sequence_of(decisions[-1].run), hand)
+        assert machine.phase is Phase.DONE, machine.message
+        assert 2.0 * (closed - GAP_M) / EDGE_M < 0.45, "no squeeze goes farther than the sequence says"
+        runs += more
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("modulus", "half"), [(8e3, 0.2), (60e3, 0.12)])
+def test_a_block_is_squeezed_until_it_is_sure(modulus: float, half: float) -> None:
+    robot, hand = calibrated(2), Hand(2, SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=0.3, damping=0.5))
+    began = hand.arm.position()[GRIPPER]
+    runs, decisions = until_sure(robot, hand, Until(half, "1", 40.0))
+    assert decisions[-1].ended_by == "target" and decisions[-1].reason.startswith("sure: +-"), decisions[-1].reason
+    assert abs(hand.arm.position()[GRIPPER] - began) < 0.0005, "the fingers let go"
+    told = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).value("youngs_modulus")
+    assert told.ci95[0] <= modulus <= told.ci95[1] and told.std is not None
+    assert 1.96 * told.std <= 1.0001 * half * told.value
+    # what a squeeze told is what it promised
+    promises = [(before.promised, after.half) for before, after in pairwise(decisions)]
+    assert promises and all(0.6 < reached / promised < 1.6 for promised, reached in promises), promises
+
+
+@pytest.mark.long
+def test_without_a_block_no_squeeze_is_sure() -> None:
+    robot = calibrated(1)
+    runs, decisions = until_sure(robot, Hand(1, None), Until(0.1, "1", 20.0))
+    assert decisions[-1].ended_by in ("worth", "time", "nothing"), decisions[-1].reason
+    assert find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).verdict is Verdict.NOT_IDENTIFIABLE
+
+
+def test_the_first_squeeze_is_stated() -> None:
+    sequence = load_sequence("block_until", ROBOT)
+    assert sequence.until == Until(0.2, "1", 30.0)
+    with pytest.raises(ConfigurationError, match="follows from the first squeeze; state it under 'runs'"):
+        check_sequence(replace(sequence, runs=()), ROBOT)
+    with pytest.raises(ConfigurationError, match="it is a share, not in percent"):
+        check_sequence(replace(sequence, until=Until(10.0, "1")), ROBOT)

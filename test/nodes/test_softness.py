@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
@@ -22,6 +23,7 @@ from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from proprio_ros.quantity import shown, spec_for
+from proprio_ros.resources import resource
 
 pytestmark = pytest.mark.long
 
@@ -53,6 +55,9 @@ class Calibrated:
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("softness")
     warm_up("softness", "block.size=0.03")
+    sequence = yaml.safe_load(resource("probes", "block_until").read_text())
+    sequence["excitation"]["until"] |= {"half_interval": 0.02, "at_most_s": 15}
+    (folder / "block.yaml").write_text(yaml.safe_dump(sequence))
     domain = pytest.MonkeyPatch()
     domain.setenv("ROS_DOMAIN_ID", free_domain())
     with running(
@@ -116,6 +121,24 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     assert cube.header.frame_id == "end_effector_link" and cube.scale.x == 0.03
     assert words.text.startswith(shown_told.split()[0])
     assert not client.masses and not client.payloads
+
+
+def test_a_block_is_squeezed_until_it_is_sure(arm: Calibrated) -> None:
+    """As sure as can be in 15 s: the squeezes after the first are chosen, and the fingers let go after each."""
+    client = arm.client
+    assert client.set("/virtual", "object", block(20e3)).successful
+    assert client.set("/identifier", "softness_sequence", str(arm.data.parent / "block.yaml")).successful
+    began = client.position(GRIPPER)
+    answer = client.asked("/identifier/calibrate_softness")
+    assert client.set("/identifier", "softness_sequence", "softness").successful
+    assert answer.success and ("no push promises" in answer.message or "s are over" in answer.message), answer.message
+    assert client.excitation["probe"] == "chosen"
+    final = client.estimates[-1]
+    low, high = json.loads(final["youngs_modulus.ci95"])
+    told = float(final["youngs_modulus"])
+    assert final["verdict"] == "accepted" and abs(told - 20e3) < high - low
+    assert wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001)
+    assert "Pushes, one by one" in (arm.folders()[-1] / "choices.html").read_text()
 
 
 def test_no_squeeze_goes_too_far(arm: Calibrated) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -15,10 +15,12 @@ from proprio_ros.settings import Settings, probe_file
 if TYPE_CHECKING:
     import numpy as np
 
+    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.probes.softness.identify import SqueezeOptions
     from proprio_ros.probes.softness.problem import BlockFacts
+    from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.response import Response
 
@@ -104,6 +106,20 @@ class Softness(Probe[SoftnessJob]):
         """Kernels and the table of the block's response: half a minute for a shape of block whose faces stick, the first time."""
         super().prepare(robot, facts)
         facts.block.table()
+
+    def chooser(
+        self, robot: Robot, facts: SoftnessJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+    ) -> Chooser:
+        from proprio_ros.probes.softness.choosing import SqueezesUntilSure
+        from proprio_ros.quantity import Z95
+
+        def whole(runs: Sequence[Run]) -> float | None:
+            modulus = self.identify(robot, Recorded(runs, baseline), facts).value("youngs_modulus")
+            if not isinstance(modulus.value, float) or not isinstance(modulus.std, float):
+                return None
+            return Z95 * modulus.std / modulus.value
+
+        return SqueezesUntilSure(robot, facts.block, facts.solving, sequence, whole)
 
     def identify(self, robot: Robot, recorded: Recorded, facts: SoftnessJob) -> Estimate:
         from proprio_ros.probes.softness.identify import find_softness

@@ -10,7 +10,7 @@ torque constant is.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -176,6 +176,35 @@ def _solve(
         problem, coordinates.internal(starts), windows, iterations=40, tolerance=tolerance
     )
     return FitResult.of(problem, solution)
+
+
+def fit_squeezes(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: BlockFacts,
+    options: SqueezeOptions,
+    before: FitResult | None = None,
+) -> FitResult:
+    """Fit squeezes, gripper and block together, without a verdict.
+
+    Args:
+        robot: model, drive trains and their uncertainty.
+        runs: at least one, each prepared as an empty hand's.
+        facts: what is stated about the block.
+        options: how to solve.
+        before: what some of the same runs said: the fit starts there.
+    """
+    data = _Recorded(tuple(runs), (True,) * len(runs))
+    if before is not None:
+        known = {
+            unknown.key: float(value) for unknown, value in zip(before.problem.unknowns, before.values, strict=True)
+        }
+        unknowns = block_unknowns(robot, data.runs, data.squeezing, facts, Role.FREE)
+        values = np.array([known.get(unknown.key, unknown.value) for unknown in unknowns])
+        fit = _solve(robot, data, facts, options, Role.FREE, replace(before, values=values))
+        if fit.explains:
+            return fit
+    return _solve(robot, data, facts, options, Role.FREE, _solve(robot, data, facts, options, Role.FROZEN))
 
 
 def _apart(

@@ -1,0 +1,189 @@
+"""Squeeze until sure: with which current a block is squeezed next.
+
+The sequence's own first squeeze says roughly how soft the block is. After each squeeze all are fitted, gripper and block together;
+currents up to what the sequence and the motor allow are then simulated at the modulus found, each until its travel ends it. What
+each would take from the variance of the modulus follows from its sensitivities.
+
+Square waves are left out. They promise more, since friction turns round with them; but how a block loses energy when it is squeezed
+fast is not what the law of a squeeze says, and squeezes with waves of half the force were not explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from proprio_ros.choosing import Chooser, Found, time_of
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.foreseen import SharedUnknowns
+from proprio_ros.identification.gates import MIN_USED
+from proprio_ros.identification.planning import still_run
+from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.sequential import FASTEST, Push
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.softness.identify import UNMOVED_RAD, SqueezeOptions, fit_squeezes
+from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
+from proprio_ros.quantity import Sought
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import zero_pose
+
+CURRENTS, DURATIONS_S = 10, (0.6, 1.0)
+LEAST_BEYOND = 1.2
+"""The smallest current, over what friction takes of it."""
+UNKNOWN_SHARE = 3.0
+"""How far off a modulus may be that no squeeze has told, as a share of it: so that the variance is finite."""
+RAISE_BY = 1.4
+
+
+class SqueezesUntilSure(Chooser):
+    """One block whose squeezes are chosen one by one.
+
+    Args:
+        robot, sequence, whole: See `Chooser`; the runs of the sequence say which joint squeezes, and how far at most.
+        facts: What is stated about the block.
+        options: How to solve.
+
+    Raises:
+        ConfigurationError: The sequence has no `until`, or no run of its own.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        facts: BlockFacts,
+        options: SqueezeOptions,
+        sequence: ProbeSequence,
+        whole: Callable[[Sequence[Run]], float | None] | None = None,
+    ) -> None:
+        super().__init__(robot, sequence, Sought("youngs_modulus", "Pa", share=True, label="Young's modulus"), whole)
+        if not sequence.runs:
+            raise ConfigurationError(f"{sequence.name}: state a first squeeze under 'runs'")
+        self._facts, self._options = facts, options
+        self._first = sequence.runs[0]
+        self._farthest_m = max(run.max_travel for run in sequence.runs)
+        stated = [run.max_current_A for run in sequence.runs if run.max_current_A is not None]
+        self._limit_A = min([robot.motors[self._first.joint].current_limit_A, *([max(stated)] if stated else [])])
+        self._usable: list[PreparedRun] = []
+        self._heard = 0
+        self._fit: FitResult | None = None
+        self._began: float | None = None
+
+    def learn(self, runs: Sequence[Run]) -> Found:
+        for run in runs[self._heard :]:
+            prepared = prepare_run(self.robot, run, KnownLoad(), past_fast=True)
+            if prepared.used >= MIN_USED and abs(prepared.travel) >= UNMOVED_RAD:
+                self._usable.append(prepared)
+        self._heard = len(runs)
+        if not self._usable:
+            return self._found
+        self._fit = fit_squeezes(self.robot, self._usable, self._facts, self._options, self._fit)
+        modulus = float(self._fit.values[self._fit.problem.index["youngs_modulus"]])
+        self._shared = SharedUnknowns(self._fit.problem)
+        at = self._shared.at["youngs_modulus"]
+        self._shared.prior[at, at] += (UNKNOWN_SHARE * modulus) ** -2
+        self._covariance = self._shared.covariance_after(self._fit)
+        return Found(modulus, float(np.sqrt(self._covariance[at, at])), len(self._usable), self._fit.reduced_chi2)
+
+    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+        if self._fit is None:
+            return []
+        joint = self._first.joint
+        if self._began is None:
+            self._began = float(pose[joint])
+        start = {**zero_pose(self.robot), **pose, joint: self._began}
+        drive = self._usable[0].drive
+        towards = float(np.sign(self._first.current_A))
+        rubs_A = (drive.coulomb.value + 0.5 * drive.coulomb.std) / drive.torque_constant.value
+        least = min(max(LEAST_BEYOND * rubs_A, 0.5 * abs(self._first.current_A)), self._limit_A)
+        currents = [towards * size for size in np.geomspace(least, self._limit_A, CURRENTS).round(3).tolist()]
+        longest_s = max(DURATIONS_S)
+        still = prepare_run(self.robot, still_run(joint, start, currents[0], longest_s), KnownLoad(), past_fast=True)
+        made = [replace(still, run=replace(still.run, input_current_A=np.array([current]))) for current in currents]
+        return self._scored(currents, made, start, time_of(self.robot, self._sequence, pose), target_std)
+
+    def _scored(
+        self,
+        currents: Sequence[float],
+        runs: Sequence[PreparedRun],
+        start: Mapping[str, float],
+        beside: Callable[[np.ndarray], np.ndarray],
+        target_std: float,
+    ) -> list[Push]:
+        fit, robot = self._fit, self.robot
+        assert fit is not None
+        squeezing = [True] * len(runs)
+        unknowns = block_unknowns(robot, runs, squeezing, self._facts, Role.FREE)
+        options = self._options
+        problem = SqueezeProblem(robot, runs, self._facts, squeezing, unknowns, options.integrator, options.step_s)
+        known = {u.key: float(v) for u, v in zip(fit.problem.unknowns, fit.values, strict=True)}
+        gap = float(np.mean([value for key, value in known.items() if key[0] == "gap" and isinstance(key, tuple)]))
+        values = problem.base.copy()
+        for row, unknown in enumerate(problem.unknowns):
+            if unknown.kind == "gap":
+                values[row] = gap
+            elif unknown.shared:
+                values[row] = known.get(unknown.key, values[row])
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, v, dq = problem.simulate(values[None], problem.free)
+        q, v, dq = q[0], v[0], dq[0]
+        drive, rest = runs[0].drive, runs[0].rest.value
+        per_rad = abs(drive.transmission)
+        travel = np.abs(q - rest) * per_rad
+        alive = np.isfinite(q) & np.isfinite(dq).all(axis=2) & (np.abs(v) < FASTEST)
+        alive = np.cumprod(alive, axis=1).astype(bool)
+        # it ends at the sample where it is seen to have gone so far
+        alive &= np.concatenate([np.ones((len(runs), 1), bool), travel[:, :-1] < self._farthest_m], axis=1)
+        alive = np.cumprod(alive, axis=1).astype(bool)
+        sigma = np.hypot(runs[0].sigma[0], np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s)
+        times = runs[0].times_s
+        place = self._shared.at["youngs_modulus"]
+        now = self._covariance[place, place]
+        seconds = float(beside(np.array([[start[name] for name in robot.model.independent_joints]]))[0])
+        found: list[Push] = []
+        for duration in DURATIONS_S:
+            counts = alive & (times <= duration + 1e-9)
+            stds = self._shared.stds_after(
+                problem, np.nan_to_num(dq), counts / sigma, self._covariance, "youngs_modulus"
+            )
+            gone = np.where(counts, q - rest, 0.0)
+            for c, current in enumerate(currents):
+                # what its travel ends before is the same push
+                if counts[c].sum() < MIN_USED or (
+                    duration > DURATIONS_S[0] and not counts[c][times > DURATIONS_S[0]].any()
+                ):
+                    continue
+                if np.abs(gone[c]).max() * per_rad < self._first.min_travel:
+                    continue
+                lasts = seconds + float(times[counts[c]][-1])
+                gain = 0.5 * float(np.log(now / max(stds[c] ** 2, 1e-6 * now))) / lasts
+                ends = float(gone[c][np.argmax(np.abs(gone[c]))]) * drive.transmission
+                found.append(
+                    Push(self._first.joint, dict(start), current, 0.0, duration, lasts, float(stds[c]), gain, ends)
+                )
+        reaching = any(push.std <= target_std for push in found)
+        by_gain = sorted(found, key=lambda push: -push.gain)
+        return (
+            sorted(by_gain, key=lambda p: (p.std > target_std, p.time_s if p.std <= target_std else 0.0))
+            if reaching
+            else by_gain
+        )
+
+    def run_of(self, push: Push) -> ProbeRun:
+        return replace(
+            self._first,
+            current_A=push.current_A,
+            duration_s=push.duration_s,
+            start={push.joint: push.start[push.joint]},
+            max_travel=self._farthest_m,
+            raise_by=RAISE_BY,
+            max_current_A=self._limit_A,
+        )
+
+    def sequence_of(self, run: ProbeRun) -> ProbeSequence:
+        """A sequence of one squeeze, after which the fingers let go."""
+        return replace(self._sequence, name="chosen", runs=(run,), until=None, from_here=(), home=dict(run.start))
