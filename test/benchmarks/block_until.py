@@ -52,7 +52,7 @@ class Case:
     Attributes:
         error, half: Of the answer, as shares of the modulus; holds: whether its interval does; met: whether the target is.
         time_s, fixed_s: Until then, and until the fixed sequence is as sure; fixed_reached: whether it was at all.
-        decided_s: What decisions took on the processor's clock.
+        decided_s: What decisions for a squeeze took on the processor's clock.
     """
 
     modulus: float
@@ -76,9 +76,9 @@ def squeezed(robot: Robot, hand: Hand, sequence: ProbeSequence) -> tuple[list[Ru
     while True:
         before = time.process_time()
         decision = chooser.next(runs, hand.sample().position, hand.time_s - began)
-        decided.append(time.process_time() - before)
         if decision.run is None:
             return runs, decision, decided, hand.time_s - began
+        decided.append(time.process_time() - before)
         runs += made(chooser.sequence_of(decision.run), hand)[1]
 
 
@@ -152,6 +152,7 @@ def main() -> None:
     said = [case for case in cases if case.ended_by != "refused"]
     error = np.array([case.error for case in said])
     decided = np.concatenate([case.decided_s for case in said])
+    median_s = float(np.median(decided)) if len(decided) else 0.0
     ratio = [case.time_s / case.fixed_s for case in said]
     ends = {by: sum(case.ended_by == by for case in cases) for by in dict.fromkeys(case.ended_by for case in cases)}
     print(
@@ -162,7 +163,7 @@ def main() -> None:
         f"| {len(said)} of {len(cases)} | {sum(c.met for c in said)} | {100 * np.median([c.half for c in said]):.1f} % | "
         f"{100 * np.sqrt(np.mean(error**2)):.1f} % | {sum(c.holds for c in said)} | {np.median([c.time_s for c in said]):.0f} s | "
         f"{np.median([c.runs for c in said]):.0f} | {np.median(ratio):.2f} (fixed never there: "
-        f"{sum(not c.fixed_reached for c in said)}) | {np.median(decided):.2f} s, {decided.max():.1f} s | "
+        f"{sum(not c.fixed_reached for c in said)}) | {median_s:.2f} s, {decided.max(initial=0.0):.1f} s | "
         f"{', '.join(f'{by} {n}' for by, n in ends.items())} |"
     )
 

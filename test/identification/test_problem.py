@@ -238,3 +238,36 @@ def test_the_rest_is_where_the_joint_had_come_to_rest(name: str) -> None:
     assert rest_of(np.concatenate([way_s, still_s]), np.concatenate([way, still])) == alone
     moving = still - 0.5 * still_s
     assert rest_of(still_s, moving) == pytest.approx(float(np.mean(moving)), abs=1e-12)
+
+
+def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> None:
+    """All that is a torque or a mass 3 % larger, but for what a single run has of its own: the same motion, and no less probable.
+
+    Were the torque of each run a number of its own, every further run would make everything a little lighter.
+    """
+    values = points(problem, 3)
+    scaled = values.copy()
+    grows = (
+        "arm_scale",
+        "payload_mass",
+        "torque_constant",
+        "coulomb",
+        "viscous",
+        "armature",
+        "link_mass",
+        "link_inertia",
+    )
+    for row, unknown in enumerate(problem.unknowns):
+        if unknown.kind in grows or unknown.kind.startswith("link_com"):
+            scaled[:, row] *= 1.03
+    assert all(np.abs(values[:, problem.index["disturbance", run]]).min() > 1e-5 for run in range(len(problem.runs)))
+    one, other = (problem.simulate(each, problem.free[:1])[0] for each in (values, scaled))
+    np.testing.assert_allclose(other, one, atol=2e-6)
+
+
+def test_motors_of_one_kind_err_together_before_anything_is_learnt(problem: Problem) -> None:
+    free = [problem.unknowns[row] for row in problem.free]
+    own = [f for f, unknown in enumerate(free) if unknown.kind == "torque_constant"]
+    prior = np.linalg.inv(problem.coordinates.prior_precision[np.ix_(own, own)])
+    std = np.array([free[f].std for f in own])
+    np.testing.assert_allclose(prior / np.outer(std, std), [[1.0, 0.5], [0.5, 1.0]], atol=1e-9)
