@@ -312,7 +312,7 @@ def test_a_wider_prior_never_narrows(recordings: Path, robot: Robot) -> None:
 @pytest.mark.parametrize("level", LEVELS)
 def test_an_empty_hand_looks_empty(learnt: dict[tuple[str, bool], CalibrationEstimate], level: str) -> None:
     hand = learnt[level, False].empty_hand
-    assert hand is not None and abs(hand.pull) < 2.0 and hand.std_kg < 6e-3
+    assert hand is not None and abs(hand.pull) < 2.0 and hand.std_kg < 7e-3
 
 
 @pytest.mark.parametrize(("pattern", "mass"), [("fixed_heavy_ball_50g_*", 0.05), ("fixed_reference_100g_*", 0.1)])

@@ -144,6 +144,23 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     assert words.text.startswith(f"{1e3 * client.masses[-1]:.1f}")
 
 
+def test_a_sphere_is_weighed_until_it_is_sure(arm: Calibrated) -> None:
+    """Pushes are chosen one by one, from the first on; the baseline is the one of the shipped sequence."""
+    client = arm.client
+    path = arm.data.parent / "sure.yaml"
+    path.write_text("excitation: {like: container_until, until: {half_interval: 3.0e-3, unit: kg, at_most_s: 60}}\n")
+    assert client.set("/identifier", "container_sequence", str(path)).successful
+    answer = client.asked("/identifier/calibrate_container")
+    assert client.set("/identifier", "container_sequence", "container").successful
+    assert answer.success and "sure: +-" in answer.message, answer.message
+    assert client.excitation["probe"] == "chosen"
+    result = arm.folders("container")[-1]
+    mass = json.loads((result / "estimate.json").read_text())["estimates"][0]
+    low, high = mass["ci95"]
+    assert abs(mass["value"] - MASSES_KG[-1]) < high - low < 2.0 * 3.1e-3
+    assert "Pushes, one by one" in (result / "choices.html").read_text()
+
+
 @pytest.mark.parametrize("kind", ["container", "container_baseline"])
 def test_replaying_the_bags_gives_the_same_numbers_bit_for_bit(arm: Calibrated, kind: str) -> None:
     live = replayed_alike(arm.folders(kind)[-1] / "estimate.json")
