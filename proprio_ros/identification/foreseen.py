@@ -78,3 +78,37 @@ class SharedUnknowns:
         taken = np.einsum("rt,rt->r", pulled, np.linalg.solve(within, pulled[..., None])[..., 0])
         stds: np.ndarray = np.sqrt(np.maximum(covariance[place, place] - taken, 0.0))
         return stds
+
+    def stds_along(
+        self, rows: np.ndarray, own_variance: np.ndarray, covariance: np.ndarray, key: Key, seen: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What each run alone would leave open of one of them after each of its samples, and of something else that it moves.
+
+        Args:
+            rows: Whitened sensitivities of what the encoder would show, by the shared unknowns and then by O of the run's own,
+                shape (R, T, F + O); zero for what does not count.
+            own_variance: Of the run's own before it, shape (R, O).
+            covariance: What is known so far, shape (F, F).
+            key: Of the one that is looked for.
+            seen: Sensitivities of three coordinates of something else by the same unknowns, shape (R, T, 3, F + O).
+
+        Returns:
+            Standard deviations of the one, shape (R, T), and the largest of the three coordinates', shape (R, T), each with all
+            samples up to that one.
+        """
+        runs, samples, width = rows.shape
+        shared = len(self.keys)
+        known = np.zeros((runs, width, width))
+        known[:, :shared, :shared] = covariance
+        own = np.arange(shared, width)
+        known[:, own, own] = own_variance
+        stds, spreads = np.empty((runs, samples)), np.empty((runs, samples))
+        place = self.at[key]
+        for sample in range(samples):  # one after the other, as a filter takes them in (Kalman 1960)
+            row = rows[:, sample, :, None]
+            along = known @ row
+            known -= along * (along / (1.0 + row.transpose(0, 2, 1) @ along)).transpose(0, 2, 1)
+            stds[:, sample] = np.sqrt(np.maximum(known[:, place, place], 0.0))
+            off = seen[:, sample]
+            spreads[:, sample] = np.sqrt(np.maximum(((off @ known) * off).sum(axis=2), 0.0).max(axis=1))
+        return stds, spreads
