@@ -18,7 +18,7 @@ from proprio_ros.choosing import Chooser, Found, time_of
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.foreseen import SharedUnknowns
-from proprio_ros.identification.gates import MIN_USED, unusable
+from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
 from proprio_ros.identification.planning import candidate_joints, still_run
 from proprio_ros.identification.problem import PreparedRun, prepare_run
 from proprio_ros.identification.sequential import (
@@ -54,14 +54,14 @@ from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import SphereRun
 from proprio_ros.until import after_standing, run_of
 
-STARTS = 12
+STARTS = 8
 """Start positions of the driven joint: finer than for a rigid load, since the sphere is to leave its end early in a push."""
 SIMULATED = 40
 """Pushes in which the sphere is simulated."""
 TILT_MARGIN = LEVEL
 """rad, beyond that slope: an arm that stands so far off still has the sphere at rest in the same end, and in time."""
 ROLLED_SHARE = 0.5
-"""The sphere rolls where it would come to rest this share of its least room away from where it was."""
+"""A sphere that moves by this share of its least room rolls."""
 
 
 class SphereUntilSure(Chooser):
@@ -94,6 +94,7 @@ class SphereUntilSure(Chooser):
         super().__init__(robot, sequence, Sought("sphere_mass", "kg", label="sphere's mass"), whole)
         check_shell(facts, baseline)
         self._options = options
+        self._least_roll = ROLLED_SHARE * float(facts.enclosure.room.min())
         self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
         # where it comes to rest, whatever is stated about where it was in the sample recordings
         self._resting = replace(facts, start=None, settled=True)
@@ -160,7 +161,7 @@ class SphereUntilSure(Chooser):
         """All runs together, from where those before ended."""
         robot, data, facts, options = self.robot, self._data, self._facts, self._options
         if before is not None:
-            fit = solve(robot, data, facts, options, Role.FREE, before)
+            fit = solve(robot, data, facts, options, Role.FREE, before, rough=True)
             if fit.explains or not before.explains:
                 return fit
         # the first run, or one that shows that the valley found so far was a wrong one
@@ -217,7 +218,7 @@ class SphereUntilSure(Chooser):
         return best_first(self.promised(chosen, sphere), target_std) if chosen else []
 
     def promised(self, pushes: Sequence[Push], sphere_kg: float) -> list[Push]:
-        """What pushes would tell of the sphere, each with every duration that adds something.
+        """What pushes would tell of the sphere, each with every duration in which joint and sphere move far enough.
 
         Args:
             pushes: of `catalogue`.
@@ -254,16 +255,21 @@ class SphereUntilSure(Chooser):
             told = min(known_until(spreads[n], self._facts), counted)
             if told < MIN_USED or place_known[n] > 1:
                 continue
-            travel = float(off[n, :counted][np.argmax(np.abs(off[n, :counted]))])
+            moved, rolled = np.abs(off[n]), np.linalg.norm((x[n] - x[n, 0]) @ across[n].T, axis=1)
             for duration in DURATIONS_S:
                 last = min(int(np.searchsorted(times, duration + 1e-9)), counted)
-                std = float(stds[n, min(last, told) - 1])
                 if duration > DURATIONS_S[0] and counted < np.searchsorted(times, duration - 0.15):
                     continue  # travel ends it before
+                far = int(np.argmax(moved[:last]))
+                if moved[far] < LITTLE_TRAVEL or rolled[:last].max() < self._least_roll:
+                    continue
+                std = float(stds[n, min(last, told) - 1])
                 seconds = push.time_s - push.duration_s + float(times[last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
                 found.append(
-                    replace(push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel)
+                    replace(
+                        push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=float(off[n, far])
+                    )
                 )  # fmt: skip
         return found
 
@@ -307,4 +313,4 @@ class SphereUntilSure(Chooser):
         """Whether the sphere comes to rest elsewhere with the joint at another position."""
         places = [start_prior(run, self._resting, position).mean for position in (one, other)]
         moved = float(np.linalg.norm(run.across @ (places[1] - places[0])))
-        return moved > ROLLED_SHARE * float(self._facts.enclosure.room.min())
+        return moved > self._least_roll

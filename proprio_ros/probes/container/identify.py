@@ -281,16 +281,26 @@ def solve(
     options: ContainerOptions,
     role: Role,
     start: FitResult | None = None,
+    rough: bool = False,
 ) -> FitResult:
-    """Fit the runs from every guess, or from every end of another fit, which may have had fewer runs."""
+    """Fit the runs from every guess, or from every end of another fit, which may have had fewer runs.
+
+    ``rough`` is enough to choose the next run by, or to start another fit from.
+    """
     problem, guesses = problem_of(robot, data, facts, options, role)
     free = list(problem.free)
     if start is not None:
         starts = _carried_over(start, problem)[:, free]
         if robot.calibration is None:
             starts = np.concatenate([starts, *_with_friction(problem, starts)])
+        iterations, tolerance = (10, 0.03) if rough else (30, 1e-3)
         solution = solvers.levenberg_marquardt(
-            problem, problem.coordinates.internal(starts), None, iterations=30, tolerance=1e-3, persistent=True
+            problem,
+            problem.coordinates.internal(starts),
+            None,
+            iterations=iterations,
+            tolerance=tolerance,
+            persistent=not rough,
         )
         return FitResult.of(problem, solution)
     # every guess of the place goes with every guess of the mass; runs take their n-th guess together
