@@ -43,7 +43,7 @@ from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-FIXED_AT_MOST = 24
+FIXED_AT_MOST = 12
 EMPTY_EVERY = 4
 """Every so manieth robot has an empty box, too."""
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.choosing import Chooser, Found, time_of
+from proprio_ros.choosing import Chooser, Found, passes, time_of
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.foreseen import SharedUnknowns
@@ -33,6 +33,7 @@ from proprio_ros.identification.sequential import (
 )
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import (
+    STILL_M,
     UNPREDICTABLE,
     ContainerOptions,
     ContainerRuns,
@@ -61,7 +62,7 @@ SIMULATED = 40
 TILT_MARGIN = LEVEL
 """rad, beyond that slope: an arm that stands so far off still has the sphere at rest in the same end, and in time."""
 ROLLED_SHARE = 0.5
-"""A sphere that moves by this share of its least room rolls."""
+"""The sphere leaves its end where it would come to rest this share of its least room away."""
 
 
 class SphereUntilSure(Chooser):
@@ -94,7 +95,6 @@ class SphereUntilSure(Chooser):
         super().__init__(robot, sequence, Sought("sphere_mass", "kg", label="sphere's mass"), whole)
         check_shell(facts, baseline)
         self._options = options
-        self._least_roll = ROLLED_SHARE * float(facts.enclosure.room.min())
         self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
         # where it comes to rest, whatever is stated about where it was in the sample recordings
         self._resting = replace(facts, start=None, settled=True)
@@ -116,6 +116,10 @@ class SphereUntilSure(Chooser):
             at = self._shared.at[mass]
             self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
         self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
+        for joint in joints:  # friction that the file leaves open is half as large as it may be, as in the catalogue
+            friction = every.unknowns[every.index["coulomb", joint]]
+            if friction.value < friction.std:
+                self._values["coulomb", joint] = friction.value + 0.5 * friction.std
         self._covariance = np.linalg.inv(self._shared.prior)
         if weighed is not None:
             self._believe(weighed)
@@ -206,12 +210,16 @@ class SphereUntilSure(Chooser):
         )
         chosen: list[Push] = []
         seen = set()
+        ways: dict[tuple[object, ...], bool] = {}
         for push in self.catalogue.rank(rigid, beside, target_std, (low, high)):
-            key = (push.joint, *push.start.values(), push.current_A, push.shake_A)  # of whatever duration
-            if key in seen:
+            begins = (push.joint, *push.start.values())
+            key = (*begins, push.current_A, push.shake_A)  # of whatever duration
+            if key in seen or not self._rolls(push):
                 continue
             seen.add(key)
-            if self._rolls(push):
+            if begins not in ways:  # from a folded arm there are few
+                ways[begins] = passes(self._machine, self.sequence_of(self.run_of(push)), pose)
+            if ways[begins]:
                 chosen.append(push)
             if len(chosen) == SIMULATED:
                 break
@@ -261,7 +269,7 @@ class SphereUntilSure(Chooser):
                 if duration > DURATIONS_S[0] and counted < np.searchsorted(times, duration - 0.15):
                     continue  # travel ends it before
                 far = int(np.argmax(moved[:last]))
-                if moved[far] < LITTLE_TRAVEL or rolled[:last].max() < self._least_roll:
+                if moved[far] < LITTLE_TRAVEL or rolled[:last].max() < STILL_M:
                     continue
                 std = float(stds[n, min(last, told) - 1])
                 seconds = push.time_s - push.duration_s + float(times[last - 1])
@@ -313,4 +321,4 @@ class SphereUntilSure(Chooser):
         """Whether the sphere comes to rest elsewhere with the joint at another position."""
         places = [start_prior(run, self._resting, position).mean for position in (one, other)]
         moved = float(np.linalg.norm(run.across @ (places[1] - places[0])))
-        return moved > self._least_roll
+        return moved > ROLLED_SHARE * float(self._facts.enclosure.room.min())

@@ -1,0 +1,149 @@
+"""Weighing a sphere until sure: which pushes are looked at, what they are foreseen to tell, and how it ends on a virtual arm.
+
+The arm, the box and the sphere are MuJoCo's, driven by the excitation's machine as the nodes drive them; the identification's
+simulator and its law of contact have no part in it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proprio_ros.choosing import Decision
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.excitation.plans import Until, check_sequence, load_sequence
+from proprio_ros.identification.gates import LITTLE_TRAVEL
+from proprio_ros.paper import hand as paper_hand
+from proprio_ros.probes import probe_named
+from proprio_ros.probes.container.choosing import SphereUntilSure
+from proprio_ros.probes.container.identify import find_sphere, half_of
+from proprio_ros.probes.container.problem import start_prior
+from proprio_ros.records import Run
+from proprio_ros.robot import load_robot
+from proprio_ros.settings import Settings, parse_settings
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+ROBOT = load_robot("open_manipulator_x")
+PROBE = probe_named("container")
+BOX = ["container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01"]
+SHELL_KG = 0.03
+JOB = PROBE.facts(Settings(parse_settings([*BOX, f"container.mass={SHELL_KG}", "container.mass_std=1e-4"])))
+UNTIL = Until(1e-3, "kg", 60.0)
+BENT = {"joint1": 0.0, "joint2": -1.0, "joint3": 0.6, "joint4": 0.4, "gripper_left_joint": 0.0}
+
+
+@pytest.fixture(scope="module")
+def chooser() -> SphereUntilSure:
+    PROBE.prepare(ROBOT, JOB)
+    made = PROBE.chooser(ROBOT, JOB, load_sequence("container_until", ROBOT))
+    assert isinstance(made, SphereUntilSure)
+    return made
+
+
+def test_the_shipped_sequence_says_what_it_wants() -> None:
+    sequence = load_sequence("container_until", ROBOT)
+    assert sequence.until == UNTIL and sequence.hand == "container" and not sequence.runs
+
+
+def test_a_shell_that_nobody_knows_is_refused() -> None:
+    job = PROBE.facts(Settings(parse_settings(BOX)))
+    with pytest.raises(ConfigurationError, match="cannot be separated from the container"):
+        PROBE.chooser(ROBOT, job, load_sequence("container_until", ROBOT))
+
+
+def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure) -> None:
+    pushes = chooser.ranked(BENT, 0.0)
+    kinds = {(push.joint, push.travel > 0.0) for push in pushes}
+    assert len(pushes) >= 20 and len(kinds) >= 3
+    assert [push.gain for push in pushes] == sorted((push.gain for push in pushes), reverse=True)
+    for push in pushes:
+        geometry = chooser._geometry(chooser.catalogue.still(push))
+        begins = push.start[push.joint]
+        there = start_prior(geometry, JOB.container, begins)
+        gone = start_prior(geometry, JOB.container, begins + push.travel)
+        assert len(there.guesses) == 1, "where it lies is known"
+        assert np.linalg.norm(geometry.across @ (gone.mean - there.mean)) > 5e-3, "and it would not stay there"
+        assert abs(push.travel) >= LITTLE_TRAVEL and push.time_s > push.duration_s
+        check_sequence(chooser.sequence_of(chooser.run_of(push)), ROBOT)
+
+
+def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: SphereUntilSure) -> None:
+    """The filter, and the closed form that takes all samples of a run at once."""
+    pushes = [replace(push, duration_s=0.5) for push in chooser.ranked(BENT, 0.0)[:6]]
+    problem, _ = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
+    shared, covariance = chooser._shared, chooser._covariance
+    values = problem.base.copy()
+    values[problem.index["sphere_mass"]] = 0.02
+    _, v, dq = problem.simulate(values[None], problem.free)
+    weight = (np.arange(v.shape[2]) < 20) / problem.runs[0].sigma[0] * np.ones((len(pushes), 1))
+    together = shared.stds_after(problem, dq[0], weight, covariance, "sphere_mass")
+    free = [problem.unknowns[row] for row in problem.free]
+    own = [[f for f, u in enumerate(free) if not u.shared and u.scope == run] for run in range(len(pushes))]
+    rows = np.zeros((len(pushes), v.shape[2], len(shared.keys) + len(own[0])))
+    rows[..., [shared.at[u.key] for u in free if u.shared]] = dq[0][..., [u.shared for u in free]]
+    for run, columns in enumerate(own):
+        rows[run, :, len(shared.keys) :] = dq[0][run][:, columns]
+    variance = np.array([[free[f].std ** 2 for f in columns] for columns in own])
+    seen = np.zeros((*rows.shape[:2], 3, rows.shape[2]))
+    seen[:, :, 0, shared.at["sphere_mass"]] = 1.0
+    stds, spreads = shared.stds_along(rows * weight[..., None], variance, covariance, "sphere_mass", seen)
+    assert stds[:, -1] == pytest.approx(together, rel=1e-5)
+    assert np.all(np.diff(stds, axis=1) <= 1e-9) and spreads == pytest.approx(stds)
+
+
+@dataclass
+class Weighed:
+    """A weighing on the virtual arm: every decision, what each push promised and what was known after it [kg]."""
+
+    chooser: SphereUntilSure
+    decisions: list[Decision]
+    runs: Sequence[Run]
+    promised: list[tuple[float, float]]
+    settings: Any
+
+
+def weighed(held: Any, until: Until = UNTIL) -> Weighed:
+    pytest.importorskip("mujoco")
+    from test_until import Hand
+
+    from proprio_ros.virtual.arm import VirtualArm
+    from proprio_ros.virtual.robot import PARKED
+
+    robot = paper_hand.known_robot()
+    arm = VirtualArm(robot, paper_hand._known_truth(), position=PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
+    arm.hold(held)
+    hand = Hand(robot, arm)
+    sequence = replace(load_sequence("container_until", robot), until=until)
+    PROBE.prepare(robot, JOB)
+    chooser = PROBE.chooser(robot, JOB, sequence)
+    assert isinstance(chooser, SphereUntilSure)
+    began, decisions, promised = hand.time_s, [], []
+    while not decisions or decisions[-1].run is not None:
+        decisions.append(chooser.next(hand.runs, hand.sample().position, hand.time_s - began))
+        if len(decisions) > 1:
+            push = decisions[-2].push
+            assert push is not None
+            promised.append((push.std, chooser.found.std))
+        if (run := decisions[-1].run) is not None:
+            hand.make(chooser.sequence_of(run))
+    return Weighed(chooser, decisions, hand.runs, promised, robot)
+
+
+@pytest.mark.long
+def test_it_ends_when_the_sphere_is_sure() -> None:
+    from proprio_ros.virtual.objects import Container
+
+    it = weighed(Container(SHELL_KG, sphere_mass_kg=0.012))
+    for d in it.decisions:
+        print(d.reason, d.value, d.half, d.decided_s)
+    print(it.promised, it.chooser.found)
+    e = find_sphere(it.settings, it.runs, JOB.container, JOB.solving)
+    print(e.verdict, e.value("sphere_mass"), half_of(e), e.reasons)
+    assert 0
