@@ -152,7 +152,7 @@ class SphereRun:
 
     @property
     def across(self) -> np.ndarray:
-        """What is left of a place beside the joint's axis, shape (3, 3): along it the sphere may be anywhere, without a difference."""
+        """Takes a place to what matters of it, shape (3, 3): along the joint's axis the sphere may be anywhere."""
         return np.eye(3) - (np.outer(self.axis, self.axis) if self.kind == "revolute" else 0.0)
 
     def gravity_at(self, q: float) -> np.ndarray:

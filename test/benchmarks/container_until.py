@@ -151,8 +151,8 @@ def one_robot(job: tuple[int, str, Until]) -> list[Case]:
             cases.append(case)
             print(
                 f"seed {seed}, {1e3 * case.mass:.1f} g, {reference}: {case.verdict}, off by {1e3 * case.error:+.2f} +- "
-                f"{1e3 * case.half:.2f} g in {case.time_s:.0f} s, fixed {1e3 * case.fixed_error:+.2f} +- {1e3 * case.fixed_half:.2f} g "
-                f"in {case.fixed_s:.0f} s, {case.ended_by}; {case.said}",
+                f"{1e3 * case.half:.2f} g in {case.time_s:.0f} s, fixed {1e3 * case.fixed_error:+.2f} +- "
+                f"{1e3 * case.fixed_half:.2f} g in {case.fixed_s:.0f} s, {case.ended_by}; {case.said}",
                 file=sys.stderr, flush=True,
             )  # fmt: skip
         except ProprioError as error:

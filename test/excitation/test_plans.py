@@ -44,8 +44,8 @@ def test_the_packages_own_sequences(robot: Robot) -> None:
     others = {"so101": load_robot("so101")}
     hands = {name: load_sequence(name, others.get(name.split("_")[0], robot)).hand for name in sequence_names()}
     assert hands.items() >= {
-        "container": "container", "container_shake": "container", "empty_hand": "empty", "paper_elbow": "payload",
-        "paper_gripper": "block", "paper_wrist": "container", "payload": "payload",
+        "container": "container", "container_shake": "container", "container_until": "container",
+        "empty_hand": "empty", "paper_elbow": "payload", "paper_gripper": "block", "paper_wrist": "container", "payload": "payload",
     }.items()  # fmt: skip
 
 
@@ -207,7 +207,10 @@ def test_mistakes_in_a_run_get_one_line(robot: Robot, tmp_path: Path, change: tu
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("payload: {}\n", "no section 'excitation'; probe files with one: container, container_shake, empty_hand"),
+        (
+            "payload: {}\n",
+            "no section 'excitation'; probe files with one: container, container_shake, container_until, empty_hand",
+        ),
         ("- 1\n", "starts with 'excitation:'"),
         ("excitation: 1\n", "expected keys and values"),
         ("excitation: {hand: payload}\n", "lacks runs"),
@@ -228,7 +231,7 @@ def test_mistakes_in_a_file_get_one_line(robot: Robot, tmp_path: Path, text: str
 
 
 def test_names_and_paths_that_are_not_there(robot: Robot, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="there are: container, container_shake, empty_hand"):
+    with pytest.raises(ConfigurationError, match="there are: container, container_shake, container_until, empty_hand"):
         load_sequence("full_hand", robot)
     with pytest.raises(ConfigurationError, match="No such file"):
         load_sequence(tmp_path / "none.yaml", robot)

@@ -7,10 +7,8 @@ simulator and its law of contact have no part in it.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,15 +16,16 @@ import pytest
 from proprio_ros.choosing import Decision
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import Until, check_sequence, load_sequence
+from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.gates import LITTLE_TRAVEL
 from proprio_ros.paper import hand as paper_hand
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.container.choosing import SphereUntilSure
 from proprio_ros.probes.container.identify import find_sphere, half_of
 from proprio_ros.probes.container.problem import start_prior
-from proprio_ros.records import Run
 from proprio_ros.robot import load_robot
 from proprio_ros.settings import Settings, parse_settings
+from proprio_ros.virtual.objects import Container, Payload
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -61,7 +60,7 @@ def test_a_shell_that_nobody_knows_is_refused() -> None:
 def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure) -> None:
     pushes = chooser.ranked(BENT, 0.0)
     kinds = {(push.joint, push.travel > 0.0) for push in pushes}
-    assert len(pushes) >= 20 and len(kinds) >= 3
+    assert len(pushes) >= 8 and len(kinds) >= 3
     assert [push.gain for push in pushes] == sorted((push.gain for push in pushes), reverse=True)
     for push in pushes:
         geometry = chooser._geometry(chooser.catalogue.still(push))
@@ -100,16 +99,19 @@ def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: Sphere
 
 @dataclass
 class Weighed:
-    """A weighing on the virtual arm: every decision, what each push promised and what was known after it [kg]."""
+    """A weighing on the virtual arm: every decision, what each push promised and what was known after it [kg], and the answer."""
 
-    chooser: SphereUntilSure
     decisions: list[Decision]
-    runs: Sequence[Run]
     promised: list[tuple[float, float]]
-    settings: Any
+    answer: Estimate
+
+    @property
+    def ended_by(self) -> str:
+        return self.decisions[-1].ended_by
 
 
-def weighed(held: Any, until: Until = UNTIL) -> Weighed:
+def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | None = None) -> Weighed:
+    """Weigh what is held until sure, after runs with the empty container, or with its mass stated where there are none."""
     pytest.importorskip("mujoco")
     from test_until import Hand
 
@@ -118,12 +120,16 @@ def weighed(held: Any, until: Until = UNTIL) -> Weighed:
 
     robot = paper_hand.known_robot()
     arm = VirtualArm(robot, paper_hand._known_truth(), position=PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
-    arm.hold(held)
     hand = Hand(robot, arm)
+    job = JOB if empty is None else PROBE.facts(Settings(parse_settings(BOX)))
+    if empty is not None:
+        arm.hold(empty)
+        hand.make(load_sequence("container", robot))
+    baseline, hand.runs = hand.runs, []
+    arm.hold(held)
     sequence = replace(load_sequence("container_until", robot), until=until)
-    PROBE.prepare(robot, JOB)
-    chooser = PROBE.chooser(robot, JOB, sequence)
-    assert isinstance(chooser, SphereUntilSure)
+    PROBE.prepare(robot, job)
+    chooser = PROBE.chooser(robot, job, sequence, baseline)
     began, decisions, promised = hand.time_s, [], []
     while not decisions or decisions[-1].run is not None:
         decisions.append(chooser.next(hand.runs, hand.sample().position, hand.time_s - began))
@@ -133,17 +139,31 @@ def weighed(held: Any, until: Until = UNTIL) -> Weighed:
             promised.append((push.std, chooser.found.std))
         if (run := decisions[-1].run) is not None:
             hand.make(chooser.sequence_of(run))
-    return Weighed(chooser, decisions, hand.runs, promised, robot)
+    return Weighed(decisions, promised, find_sphere(robot, hand.runs, job.container, job.solving, baseline))
 
 
 @pytest.mark.long
 def test_it_ends_when_the_sphere_is_sure() -> None:
-    from proprio_ros.virtual.objects import Container
+    box = Container(SHELL_KG, sphere_mass_kg=0.012)
+    it = weighed(box, Until(1.5e-3, "kg", 60.0), box.emptied)
+    half, mass = half_of(it.answer), it.answer.value("sphere_mass").value
+    assert it.ended_by == "target" and it.decisions[-1].reason.startswith("sure: +-")
+    assert half is not None and half <= 1.5e-3 and isinstance(mass, float) and abs(mass - 0.012) <= half
 
-    it = weighed(Container(SHELL_KG, sphere_mass_kg=0.012))
-    for d in it.decisions:
-        print(d.reason, d.value, d.half, d.decided_s)
-    print(it.promised, it.chooser.found)
-    e = find_sphere(it.settings, it.runs, JOB.container, JOB.solving)
-    print(e.verdict, e.value("sphere_mass"), half_of(e), e.reasons)
-    assert 0
+
+@pytest.mark.long
+def test_a_push_tells_what_was_foreseen() -> None:
+    """On the arm of another simulator: what is known after a push is what its linearisation said before."""
+    it = weighed(Container(SHELL_KG, sphere_mass_kg=0.03), Until(1e-4, "kg", 60.0))
+    assert it.ended_by == "worth" and "a tenth of what is missing" in it.decisions[-1].reason
+    # the first is foreseen for no mass in particular
+    assert len(it.promised) >= 3 and 0.5 < it.promised[0][1] / it.promised[0][0] < 2.0
+    assert all(0.8 < after / before < 1.25 for before, after in it.promised[1:]), it.promised
+
+
+@pytest.mark.long
+def test_an_empty_container_is_found_to_be_empty() -> None:
+    it = weighed(Container(SHELL_KG).emptied, Until(3e-3, "kg", 60.0))
+    half, mass = half_of(it.answer), it.answer.value("sphere_mass").value
+    assert it.ended_by == "target"
+    assert half is None or (isinstance(mass, float) and mass <= half)

@@ -1,10 +1,10 @@
 """Weigh a sphere until sure: the pushes of a container, chosen one by one. No ROS here.
 
-After each push all runs so far are fitted together with those of the empty container: robot, shell and sphere. What could be pushed
-next is found in two stages. The rigid catalogue, with shell and sphere as one load, says which pushes stay inside all limits and which
-of them promise much. Of the best of these in which the sphere leaves the end in which it rests, the sphere is simulated, all in one
-launch, and linearised. A sample counts as long as the samples before it tell where the sphere is: after that its bounces are chaos,
-and a linearisation that follows them would promise the more the less it can be trusted.
+After each push all runs so far are fitted together with those of the empty container: robot, shell and sphere. What could be
+pushed next is found in two stages. The rigid catalogue, with shell and sphere as one load, says which pushes stay inside all limits
+and which of them promise much. In the best of these, as far as the sphere leaves the end in which it rests, it is simulated, all in
+one launch, and linearised. A sample counts as long as those up to it tell where the sphere is: after that its bounces are chaos,
+and a linearisation that follows them promises the more the less it can be trusted.
 """
 
 from __future__ import annotations

@@ -432,6 +432,7 @@ def known_until(std: np.ndarray, facts: ContainerFacts) -> int:
 
 
 def shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
+    """The first samples of a run, and why no more."""
     return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason, hit_limit=False)
 
 
@@ -526,7 +527,9 @@ def _sides(shape: str) -> np.ndarray:
     return np.array(sides.get(shape, np.eye(3)), dtype=float)
 
 
-def _shift(data: ContainerRuns, other: ContainerProblem, values: np.ndarray, fit: FitResult, posterior: Posterior) -> float:
+def _shift(
+    data: ContainerRuns, other: ContainerProblem, values: np.ndarray, fit: FitResult, posterior: Posterior
+) -> float:
     """By how much the mass would follow another problem that gets these values of all unknowns, to first order [kg]."""
     for row in np.flatnonzero(data.rolling).tolist():  # rest is less deep in a harder wall
         for axis in "xyz":

@@ -419,7 +419,8 @@ class ContainerProblem(Problem):
             columns: of those that matter to each run, shape (R, F).
 
         Returns:
-            q, v (R, T) and dq (R, T, F) of what the encoder shows, x (R, T, 3) [m] and dx (R, T, 3, F) of the sphere in the container.
+            q, v (R, T) and dq (R, T, F) of what the encoder shows; x (R, T, 3) [m] and dx (R, T, 3, F) of the sphere in the
+            container.
         """
         p, every = self._all_parameters(values[None])
         runs, width = len(self.runs), len(self.simulator.parameters)
