@@ -314,6 +314,7 @@ class Catalogue:
         target_std: float = 0.0,
         unknown_kg: tuple[float, float] = UNKNOWN_KG,
         load_kg: float | None = None,
+        durations_s: Sequence[float] = DURATIONS_S,
     ) -> list[Push]:
         """Pushes inside all limits, best first.
 
@@ -324,6 +325,7 @@ class Catalogue:
             unknown_kg: What the hand may hold while no run says it [kg].
             load_kg: What is known to be in the hand [kg]: pushes that tell of the robot, for the sake of a mass that `known` has
                 been foreseen to be weighed; None: the object.
+            durations_s: Of `DURATIONS_S`, ascending.
         """
         if load_kg is not None:
             known = replace(known, mass=load_kg)
@@ -341,7 +343,7 @@ class Catalogue:
             return []
         return self._scored(
             known, simulator, chosen, [places[c] for c in chosen], currents[chosen], shakes[chosen], mean, time_of, target_std,
-            load_kg is not None,
+            load_kg is not None, durations_s,
         )  # fmt: skip
 
     def _pushes(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -466,6 +468,7 @@ class Catalogue:
         time_of: Callable[[np.ndarray], np.ndarray],
         target_std: float,
         is_known: bool,
+        durations_s: Sequence[float],
     ) -> list[Push]:
         shared, spread, times, counted, travels = self._rows(simulator, worlds, places, mass, is_known)
         along = shared @ known.covariance
@@ -477,7 +480,7 @@ class Catalogue:
         beside = time_of(starts)
         now = towards[1]
         found: list[Push] = []
-        for duration in DURATIONS_S:
+        for duration in durations_s:
             used = times <= duration + 1e-9
             block = within[:, used][:, :, used] + np.eye(int(used.sum()))
             taken = np.einsum("ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0])
@@ -485,7 +488,7 @@ class Catalogue:
             # a push that travel ends before is the same push
             longer = counted >= np.searchsorted(times, duration - 0.15)
             lasts = np.minimum(counted / max(len(times), 1) * times[-1], duration)
-            for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == DURATIONS_S[0]))).tolist():
+            for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == durations_s[0]))).tolist():
                 seconds = float(beside[c] + lasts[c])
                 gain = 0.5 * float(np.log(now / after[c])) / seconds
                 place = places[c]

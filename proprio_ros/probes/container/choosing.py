@@ -209,28 +209,28 @@ class SphereUntilSure(Chooser):
             towards=(self._as_rigid @ cross, float(cross[self._shared.at["sphere_mass"]])),
         )
         chosen: list[Push] = []
-        seen = set()
         ways: dict[tuple[object, ...], bool] = {}
-        for push in self.catalogue.rank(rigid, beside, target_std, (low, high)):
-            begins = (push.joint, *push.start.values())
-            key = (*begins, push.current_A, push.shake_A)  # of whatever duration
-            if key in seen or not self._rolls(push):
+        for push in self.catalogue.rank(rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]):
+            if not self._rolls(push):
                 continue
-            seen.add(key)
+            begins = (push.joint, *push.start.values())
             if begins not in ways:  # from a folded arm there are few
                 ways[begins] = passes(self._machine, self.sequence_of(self.run_of(push)), pose)
             if ways[begins]:
                 chosen.append(push)
             if len(chosen) == SIMULATED:
                 break
-        return best_first(self.promised(chosen, sphere), target_std) if chosen else []
+        return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else []
 
-    def promised(self, pushes: Sequence[Push], sphere_kg: float) -> list[Push]:
+    def promised(
+        self, pushes: Sequence[Push], sphere_kg: float, time_beside: Callable[[np.ndarray], np.ndarray]
+    ) -> list[Push]:
         """What pushes would tell of the sphere, each with every duration in which joint and sphere move far enough.
 
         Args:
             pushes: of `catalogue`.
             sphere_kg: for which they are simulated [kg].
+            time_beside: how long a push takes beside itself, as in `Catalogue.rank`.
         """
         problem, place_known = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
         values = problem.base.copy()
@@ -257,6 +257,8 @@ class SphereUntilSure(Chooser):
         stds, spreads = self._shared.stds_along(rows, variance, self._covariance, "sphere_mass", seen)
         now = self._covariance[self._shared.at["sphere_mass"], self._shared.at["sphere_mass"]]
         times = runs[0].times_s
+        names = self.robot.model.independent_joints
+        beside = time_beside(np.array([[push.start[name] for name in names] for push in pushes]))
         found: list[Push] = []
         for n, push in enumerate(pushes):
             counted = int(alive[n].sum())
@@ -272,7 +274,7 @@ class SphereUntilSure(Chooser):
                 if moved[far] < LITTLE_TRAVEL or rolled[:last].max() < STILL_M:
                     continue
                 std = float(stds[n, min(last, told) - 1])
-                seconds = push.time_s - push.duration_s + float(times[last - 1])
+                seconds = float(beside[n] + times[last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
                 found.append(
                     replace(
