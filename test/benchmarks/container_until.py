@@ -90,14 +90,25 @@ def answer_of(estimate: Estimate, mass: float) -> tuple[float, float]:
 
 
 def one_case(
-    robot: Robot, hidden: HiddenRobot, baseline: Sequence[Run], sphere: Boxed, reference: str, until: Until, seed: int
+    robot: Robot,
+    hidden: HiddenRobot,
+    baseline: Sequence[Run],
+    sphere: Boxed,
+    reference: str,
+    until: Until,
+    seed: int,
+    with_fixed: bool,
 ) -> Case:
     mass, options = sphere.sphere_kg, ContainerOptions()
     fixed = load_sequence("container", robot)
     sequence = replace(load_sequence("container_until", robot), until=until)
 
+    found: dict[int, Estimate] = {}
+
     def find(runs: Sequence[Run]) -> Estimate:
-        return find_sphere(robot, runs, FACTS, options, baseline)
+        if len(runs) not in found:
+            found[len(runs)] = find_sphere(robot, runs, FACTS, options, baseline)
+        return found[len(runs)]
 
     bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass), 2]))
     chooser = SphereUntilSure(robot, FACTS, options, sequence, baseline, lambda runs: half_of(find(runs)))
@@ -117,7 +128,8 @@ def one_case(
     follower = SphereUntilSure(robot, FACTS, options, sequence, baseline)
     made: list[Run] = []
     reached = False
-    while mass > 0.0 and not reached and len(made) < FIXED_AT_MOST:
+    found.clear()
+    while with_fixed and not reached and len(made) < FIXED_AT_MOST:
         for probe in fixed.runs:
             made += other.push(probe, sphere)
         reached = Z95 * follower.learn(made).std <= Z95 * chooser.found.std
@@ -129,8 +141,8 @@ def one_case(
     )  # fmt: skip
 
 
-def one_robot(job: tuple[int, str, Until]) -> list[Case]:
-    seed, reference, until = job
+def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
+    seed, reference, until, fixed_every = job
     rng = np.random.default_rng([seed, 31])
     hidden = draw_robot(rng, EFFECTS, MATCHED)
     sphere = box(
@@ -147,7 +159,9 @@ def one_robot(job: tuple[int, str, Until]) -> list[Case]:
     cases = []
     for held in (sphere, box()) if seed % EMPTY_EVERY == 0 else (sphere,):
         try:
-            case = one_case(robot, hidden, baseline, held, reference, until, seed)
+            case = one_case(
+                robot, hidden, baseline, held, reference, until, seed, held is sphere and seed % fixed_every == 0
+            )
             cases.append(case)
             print(
                 f"seed {seed}, {1e3 * case.mass:.1f} g, {reference}: {case.verdict}, off by {1e3 * case.error:+.2f} +- "
@@ -201,6 +215,9 @@ def main() -> None:
     parser.add_argument("--reference", nargs="+", default=["none", "shipped"], choices=["none", "shipped"])
     parser.add_argument("--half", type=float, default=1e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
+    parser.add_argument(
+        "--fixed-every", type=int, default=1, help="make the fixed sequence with every so manieth robot"
+    )
     parser.add_argument("--save", type=Path, help="append each case to this file, as JSON")
     parser.add_argument("--table", type=Path, help="print the table of such a file, and simulate nothing")
     options = parser.parse_args()
@@ -210,7 +227,7 @@ def main() -> None:
     until = Until(options.half, "kg", options.at_most)
     cases: list[Case] = []
     seeds = range(options.first, options.first + options.robots)
-    jobs = [(seed, reference, until) for seed in seeds for reference in options.reference]
+    jobs = [(seed, reference, until, options.fixed_every) for seed in seeds for reference in options.reference]
     with Pool(options.jobs) as pool:
         for found in pool.imap_unordered(one_robot, jobs):
             cases += found

@@ -76,7 +76,7 @@ def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure
 def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: SphereUntilSure) -> None:
     """The filter, and the closed form that takes all samples of a run at once."""
     pushes = [replace(push, duration_s=0.5) for push in chooser.ranked(BENT, 0.0)[:6]]
-    problem, _ = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
+    problem = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
     shared, covariance = chooser._shared, chooser._covariance
     values = problem.base.copy()
     values[problem.index["sphere_mass"]] = 0.02

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.choosing import Chooser, Found, passes, time_of
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeRun, ProbeSequence
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.foreseen import SharedUnknowns
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
@@ -24,6 +24,7 @@ from proprio_ros.identification.problem import PreparedRun, prepare_run
 from proprio_ros.identification.sequential import (
     DURATIONS_S,
     MAX_TRAVEL,
+    SHAKE_PERIOD_S,
     UNKNOWN_KG,
     UNKNOWN_STD_KG,
     Catalogue,
@@ -110,7 +111,7 @@ class SphereUntilSure(Chooser):
         still = tuple(
             prepare_run(robot, still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell) for joint in joints
         )
-        every, _ = self._problem(still)
+        every = self._problem(still)
         self._shared = SharedUnknowns(every)
         for mass in ("payload_mass", "sphere_mass"):  # what is not known at all leaves nothing to be inverted
             at = self._shared.at[mass]
@@ -209,6 +210,7 @@ class SphereUntilSure(Chooser):
             towards=(self._as_rigid @ cross, float(cross[self._shared.at["sphere_mass"]])),
         )
         chosen: list[Push] = []
+        blocked: list[Push] = []
         ways: dict[tuple[object, ...], bool] = {}
         for push in self.catalogue.rank(rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]):
             if not self._rolls(push):
@@ -216,11 +218,10 @@ class SphereUntilSure(Chooser):
             begins = (push.joint, *push.start.values())
             if begins not in ways:  # from a folded arm there are few
                 ways[begins] = passes(self._machine, self.sequence_of(self.run_of(push)), pose)
-            if ways[begins]:
-                chosen.append(push)
+            (chosen if ways[begins] else blocked).append(push)
             if len(chosen) == SIMULATED:
                 break
-        return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else []
+        return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
 
     def promised(
         self, pushes: Sequence[Push], sphere_kg: float, time_beside: Callable[[np.ndarray], np.ndarray]
@@ -232,56 +233,72 @@ class SphereUntilSure(Chooser):
             sphere_kg: for which they are simulated [kg].
             time_beside: how long a push takes beside itself, as in `Catalogue.rank`.
         """
-        problem, place_known = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
+        times = self.catalogue.still(pushes[0]).times_s
+        off, rolled, counts, stds = self._simulated(pushes, sphere_kg)
+        at = self._shared.at["sphere_mass"]
+        now = self._covariance[at, at]
+        names = self.robot.model.independent_joints
+        beside = time_beside(np.array([[push.start[name] for name in names] for push in pushes]))
+        found: list[Push] = []
+        for n, push in enumerate(pushes):
+            counted, told = counts[n].tolist()
+            if told < MIN_USED:
+                continue
+            for duration in DURATIONS_S:
+                last = min(int(np.searchsorted(times, duration + 1e-9)), counted)
+                if duration > DURATIONS_S[0] and counted < np.searchsorted(times, duration - 0.15):
+                    continue  # travel ends it before
+                if push.shake_A and duration < LEAST_SHAKES * SHAKE_PERIOD_S:
+                    continue
+                far = int(np.argmax(np.abs(off[n, :last])))
+                if abs(off[n, far]) < LITTLE_TRAVEL or rolled[n, :last].max() < STILL_M:
+                    continue
+                std = float(stds[n, min(last, told) - 1])
+                seconds = float(beside[n] + times[last - 1])
+                gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
+                travel = float(off[n, far])
+                found.append(replace(push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel))
+        return found
+
+    def _simulated(self, pushes: Sequence[Push], sphere_kg: float) -> tuple[np.ndarray, ...]:
+        """Pushes over the longest duration, all in one launch.
+
+        Returns:
+            How far the joint is from its start [rad] and the sphere from its own [m], shapes (C, T); how many samples there are
+            until travel or speed ends a push, and until the sphere's place is lost, shape (C, 2); the standard deviation of the
+            sphere's mass after each sample [kg], shape (C, T).
+        """
+        problem = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
         values = problem.base.copy()
         for key, value in (self._values | {"sphere_mass": sphere_kg}).items():
             if key in problem.index:
                 values[problem.index[key]] = value
-        keys = self._shared.keys
-        own = [[row for row in problem.free if problem.unknowns[row].scope == n] for n in range(len(pushes))]
-        own = [[row for row in rows if not problem.unknowns[row].shared] for rows in own]
+        keys, unknowns, runs = self._shared.keys, problem.unknowns, problem.runs
+        own: list[list[int]] = [[] for _ in runs]
+        for row in problem.free.tolist():
+            scope = unknowns[row].scope
+            if isinstance(scope, int):
+                own[scope].append(row)
         columns = np.array([[problem.index.get(key, 0) for key in keys] + rows for rows in own])
         q, v, dq, x, dx = problem.foresee(values, columns)
-        lacks = [place for place, key in enumerate(keys) if key not in problem.index]
+        lacks = [
+            place for place, key in enumerate(keys) if key not in problem.index
+        ]  # of joints that none of them drives
         dq[..., lacks] = dx[..., lacks] = 0.0
-        runs = problem.runs
         off = q - np.array([run.rest.value for run in runs])[:, None]
         usable = np.array([run.drive.usable_velocity for run in runs])
         alive = np.isfinite(q) & np.isfinite(x).all(axis=2) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
         alive = np.cumprod(alive, axis=1).astype(bool)
         sigma = np.hypot(np.array([run.sigma[0] for run in runs])[:, None], np.abs(v) * self.robot.stamp_jitter_s)
-        rows = np.where(alive[..., None], dq / sigma[..., None], 0.0)
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
+        rows = np.where(alive[..., None], dq / sigma[..., None], 0.0)
         seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
-        variance = np.array([[problem.unknowns[row].std ** 2 for row in rows_of] for rows_of in own])
+        variance = np.array([[unknowns[row].std ** 2 for row in rows_of] for rows_of in own])
         stds, spreads = self._shared.stds_along(rows, variance, self._covariance, "sphere_mass", seen)
-        now = self._covariance[self._shared.at["sphere_mass"], self._shared.at["sphere_mass"]]
-        times = runs[0].times_s
-        names = self.robot.model.independent_joints
-        beside = time_beside(np.array([[push.start[name] for name in names] for push in pushes]))
-        found: list[Push] = []
-        for n, push in enumerate(pushes):
-            counted = int(alive[n].sum())
-            told = min(known_until(spreads[n], self._facts), counted)
-            if told < MIN_USED or place_known[n] > 1:
-                continue
-            moved, rolled = np.abs(off[n]), np.linalg.norm((x[n] - x[n, 0]) @ across[n].T, axis=1)
-            for duration in DURATIONS_S:
-                last = min(int(np.searchsorted(times, duration + 1e-9)), counted)
-                if duration > DURATIONS_S[0] and counted < np.searchsorted(times, duration - 0.15):
-                    continue  # travel ends it before
-                far = int(np.argmax(moved[:last]))
-                if moved[far] < LITTLE_TRAVEL or rolled[:last].max() < STILL_M:
-                    continue
-                std = float(stds[n, min(last, told) - 1])
-                seconds = float(beside[n] + times[last - 1])
-                gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
-                found.append(
-                    replace(
-                        push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=float(off[n, far])
-                    )
-                )  # fmt: skip
-        return found
+        counted = alive.sum(axis=1)
+        told = np.minimum([known_until(spread, self._facts) for spread in spreads], counted)
+        rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
+        return off, rolled, np.stack([counted, told], axis=1), stds
 
     def run_of(self, push: Push) -> ProbeRun:
         return run_of(push, self.robot)
@@ -292,11 +309,11 @@ class SphereUntilSure(Chooser):
 
     # -------------------------------------------------------------------------------------------------- the sphere
 
-    def _problem(self, runs: Sequence[PreparedRun]) -> tuple[ContainerProblem, list[int]]:
-        """Runs that have not been made as a problem, and how many places the sphere may begin at in each."""
+    def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
+        """Runs that have not been made as a problem."""
         data = ContainerRuns(tuple(runs), (True,) * len(runs), (None,) * len(runs))
-        problem, guesses = problem_of(self.robot, data, self._facts, self._options, Role.FREE)
-        return problem, [len(guess) for guess in guesses]
+        problem, _ = problem_of(self.robot, data, self._facts, self._options, Role.FREE)
+        return problem
 
     def _geometry(self, run: PreparedRun) -> SphereRun:
         key = run.run.joint, tuple(run.run.held.items())
