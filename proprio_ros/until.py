@@ -85,10 +85,15 @@ class UntilSure(Chooser):
     def stood_still(self) -> None:
         if self._known.runs:
             return
-        _, high = self._unknown_kg
-        supported = self._last is not None and self._last.current_A * self._last.travel < 0.0
-        # what did not sink is lighter than was thought, what did not rise is heavier, or the joint sticks
-        self._unknown_kg = (0.0, high / HEAVIER) if supported else (0.5 * high, HEAVIER * high)
+        self._unknown_kg = after_standing(self._unknown_kg, self._last)
+
+
+def after_standing(unknown_kg: tuple[float, float], push: Push | None) -> tuple[float, float]:
+    """What the hand may hold after the first push moved nothing, from what it was thought to [kg]."""
+    _, high = unknown_kg
+    supported = push is not None and push.current_A * push.travel < 0.0
+    # what did not sink is lighter than was thought, what did not rise is heavier, or the joint sticks
+    return (0.0, high / HEAVIER) if supported else (0.5 * high, HEAVIER * high)
 
 
 def run_of(push: Push, robot: Robot) -> ProbeRun:

@@ -51,30 +51,43 @@ class SharedUnknowns:
         covariance: np.ndarray = np.linalg.inv(total * scale[:, None] * scale) * scale[:, None] * scale
         return covariance
 
-    def stds_after(
-        self, problem: Problem, dq: np.ndarray, weight: np.ndarray, covariance: np.ndarray, key: Key
-    ) -> np.ndarray:
-        """What each run alone would leave open of one of them, shape (R,).
+    def stds_along(
+        self,
+        rows: np.ndarray,
+        own_variance: np.ndarray,
+        covariance: np.ndarray,
+        key: Key,
+        seen: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What each run alone would leave open of one of them after each of its samples, and of something else that it moves.
 
         Args:
-            problem: With the R runs that could be made.
-            dq: Sensitivities of what the encoder would show by all its free unknowns, shape (R, T, N).
-            weight: One over the standard deviation of each sample; zero for what does not count, shape (R, T).
+            rows: Whitened sensitivities of what the encoder would show, by the shared unknowns and then by O of the run's own,
+                shape (R, T, F + O); zero for what does not count.
+            own_variance: Of the run's own before it, shape (R, O).
             covariance: What is known so far, shape (F, F).
             key: Of the one that is looked for.
+            seen: Sensitivities of three coordinates of something else by the same unknowns, shape (R, T, 3, F + O); default none.
+
+        Returns:
+            Standard deviations of the one, shape (R, T), and the largest of the three coordinates', shape (R, T), each with all
+            samples up to that one.
         """
-        free = [problem.unknowns[row] for row in problem.free]
-        rows = np.where(weight[..., None] > 0.0, dq, 0.0) * weight[..., None]
-        shared = np.zeros((*rows.shape[:2], len(self.keys)))
-        shared[..., [self.at[u.key] for u in free if u.shared]] = rows[..., [u.shared for u in free]]
-        along = shared @ covariance
-        within = along @ shared.transpose(0, 2, 1) + np.eye(rows.shape[1])
-        for run in range(len(rows)):
-            own = [f for f, u in enumerate(free) if not u.shared and u.scope == run]
-            spread = np.linalg.inv(problem.coordinates.prior_precision[np.ix_(own, own)])
-            within[run] += rows[run][:, own] @ spread @ rows[run][:, own].T
+        runs, samples, width = rows.shape
+        shared = len(self.keys)
+        known = np.zeros((runs, width, width))
+        known[:, :shared, :shared] = covariance
+        own = np.arange(shared, width)
+        known[:, own, own] = own_variance
+        stds, spreads = np.empty((runs, samples)), np.zeros((runs, samples))
         place = self.at[key]
-        pulled = along[..., place]
-        taken = np.einsum("rt,rt->r", pulled, np.linalg.solve(within, pulled[..., None])[..., 0])
-        stds: np.ndarray = np.sqrt(np.maximum(covariance[place, place] - taken, 0.0))
-        return stds
+        for sample in range(samples):  # one after the other, as a filter takes them in (Kalman 1960)
+            row = rows[:, sample, :, None]
+            along = known @ row
+            known -= along * (along / (1.0 + row.transpose(0, 2, 1) @ along)).transpose(0, 2, 1)
+            stds[:, sample] = np.sqrt(np.maximum(known[:, place, place], 0.0))
+            if seen is None:
+                continue
+            off = seen[:, sample]
+            spreads[:, sample] = np.sqrt(np.maximum(((off @ known) * off).sum(axis=2), 0.0).max(axis=1))
+        return stds, spreads

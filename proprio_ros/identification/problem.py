@@ -11,6 +11,7 @@ per run: with many unknowns the simulator's tangents are taken by those, and the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -620,7 +621,12 @@ class Problem:
         self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._world_runs: dict[int, np.ndarray] = {}
         self._identities: dict[int, np.ndarray] = {}
-        self._touching = [np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(runs))]
+
+    @functools.cached_property
+    def _touching(self) -> list[np.ndarray]:
+        """Which free unknowns can change anything in each run; a problem that is only looked ahead with does without."""
+        free = [self.unknowns[row] for row in self.free]
+        return [np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(self.runs))]
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator | MixedSimulator[Any]:
         return JointSimulator(runs, integrator)

@@ -109,6 +109,8 @@ class Known:
         runs: That could be used.
         fit: Of them; None where there was none.
         prepared: All of them, as the fit takes them.
+        towards: Where a part of the mass is sought, the covariance of that part with all unknowns, shape (F,), and its variance
+            [kg^2]; None: all of the mass is sought.
     """
 
     mass: float
@@ -117,6 +119,7 @@ class Known:
     runs: int
     fit: FitResult | None = None
     prepared: tuple[PreparedRun, ...] = ()
+    towards: tuple[np.ndarray, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -146,10 +149,20 @@ class Catalogue:
         robot: With its calibration where there is one.
         facts: Of the object.
         joints: That may be driven; default all that carry the hand against gravity.
+        starts: Positions of the driven joint over its range.
+        suits: Whether a push may begin where the driven joint stands at a position [rad] in the pose of a run; default: anywhere.
     """
 
-    def __init__(self, robot: Robot, facts: PayloadFacts | None = None, joints: Sequence[str] | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        facts: PayloadFacts | None = None,
+        joints: Sequence[str] | None = None,
+        starts: int = STARTS,
+        suits: Callable[[PreparedRun, float], bool] | None = None,
+    ) -> None:
         self.robot, self.facts = robot, facts or PayloadFacts()
+        self._starts, self._suits = starts, suits
         self.joints = tuple(joints or candidate_joints(robot))
         rest = bent_pose(robot)
         first = [self._still(joint, rest) for joint in self.joints]
@@ -174,11 +187,15 @@ class Catalogue:
         found = []
         for held in itertools.product(*(travel_range(robot, name, POSES) for name in others)):
             pose = rest | {name: round(float(q), 2) for name, q in zip(others, held, strict=True)}
-            starts = [round(float(q), 2) for q in travel_range(robot, joint, STARTS)]
+            starts = [round(float(q), 2) for q in travel_range(robot, joint, self._starts)]
             starts = [q for q in starts if clearance(robot, pose | {joint: q}) >= CLEARANCE_M]
             if not starts:
                 continue
             still = self._still(joint, pose | {joint: starts[0]})
+            if self._suits is not None:
+                starts = [q for q in starts if self._suits(still, q)]
+            if not starts:
+                continue
             runs = [
                 replace(
                     still,
@@ -260,7 +277,7 @@ class Catalogue:
             push: Of this catalogue.
             load_kg: What is known to be in the hand [kg]; None: the object.
         """
-        place = next(p for p in self._places if p.prepared.run.joint == push.joint and p.start == push.start)
+        place = self._place_of(push)
         currents, shakes = np.array([push.current_A]), np.array([push.shake_A])
         mass = known.mass if load_kg is None else load_kg
         rows, spread, times, _, _ = self._rows(
@@ -275,6 +292,19 @@ class Catalogue:
             known, covariance=covariance, std=float(np.sqrt(max(covariance[at, at], 0.0))), runs=known.runs + 1
         )
 
+    def still(self, push: Push) -> PreparedRun:
+        """Where a push of this catalogue begins, as a run in which nothing moves."""
+        return self._place_of(push).prepared
+
+    def standing(self, push: Push) -> PreparedRun:
+        """The same with the current of the push, over the longest duration."""
+        still = self.still(push)
+        times_s, currents_A = _input_of(push.current_A, push.shake_A)
+        return replace(still, run=replace(still.run, input_times_s=times_s, input_current_A=currents_A))
+
+    def _place_of(self, push: Push) -> _Place:
+        return next(p for p in self._places if p.prepared.run.joint == push.joint and p.start == push.start)
+
     # --------------------------------------------------------------------------------------------------------- ranking
 
     def rank(
@@ -284,6 +314,7 @@ class Catalogue:
         target_std: float = 0.0,
         unknown_kg: tuple[float, float] = UNKNOWN_KG,
         load_kg: float | None = None,
+        durations_s: Sequence[float] = DURATIONS_S,
     ) -> list[Push]:
         """Pushes inside all limits, best first.
 
@@ -294,12 +325,15 @@ class Catalogue:
             unknown_kg: What the hand may hold while no run says it [kg].
             load_kg: What is known to be in the hand [kg]: pushes that tell of the robot, for the sake of a mass that `known` has
                 been foreseen to be weighed; None: the object.
+            durations_s: Of `DURATIONS_S`, ascending.
         """
         if load_kg is not None:
             known = replace(known, mass=load_kg)
         low, high = (known.mass - 2.0 * known.std, known.mass + 2.0 * known.std) if known.runs else unknown_kg
         low, high = (max(low, 0.0), max(high, 1e-3)) if load_kg is None else (load_kg, load_kg)
         place_of, currents, shakes = self._pushes(low, high)
+        if not len(place_of):
+            return []
         places = [self._places[i] for i in place_of]
         simulator = self._simulator(places, currents, shakes)
         mean = float(np.clip(known.mass, low, high))
@@ -309,7 +343,7 @@ class Catalogue:
             return []
         return self._scored(
             known, simulator, chosen, [places[c] for c in chosen], currents[chosen], shakes[chosen], mean, time_of, target_std,
-            load_kg is not None,
+            load_kg is not None, durations_s,
         )  # fmt: skip
 
     def _pushes(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -337,11 +371,9 @@ class Catalogue:
 
     def _simulator(self, places: Sequence[_Place], currents: np.ndarray, shakes: np.ndarray) -> JointSimulator:
         runs = []
-        switches = np.arange(0.0, max(DURATIONS_S), 0.5 * SHAKE_PERIOD_S)
         for place, current, shake in zip(places, currents, shakes, strict=True):
             drive, run = place.prepared.drive, place.prepared.run
-            times = switches if shake else np.zeros(1)
-            given = current + shake * (1.0 - 2.0 * (np.arange(len(times)) % 2)) if shake else np.array([current])
+            times, given = _input_of(current, shake)
             friction = drive.coulomb.value + drive.load_friction.value * abs(current) * drive.torque_constant.value
             lightest = float(place.prepared.coefficients.arm[0]) + 0.5 * drive.armature.value
             fine = self.robot.friction_velocity * lightest / max(friction, 1e-6)
@@ -436,17 +468,19 @@ class Catalogue:
         time_of: Callable[[np.ndarray], np.ndarray],
         target_std: float,
         is_known: bool,
+        durations_s: Sequence[float],
     ) -> list[Push]:
         shared, spread, times, counted, travels = self._rows(simulator, worlds, places, mass, is_known)
         along = shared @ known.covariance
         within = along @ shared.transpose(0, 2, 1) + spread @ spread.transpose(0, 2, 1)
         place_of_mass = self.at["payload_mass"]
-        pulled = along[..., place_of_mass]
+        towards = known.towards or (known.covariance[:, place_of_mass], known.covariance[place_of_mass, place_of_mass])
+        pulled = shared @ towards[0]
         starts = np.array([[place.start[name] for name in self.robot.model.independent_joints] for place in places])
         beside = time_of(starts)
-        now = known.covariance[place_of_mass, place_of_mass]
+        now = towards[1]
         found: list[Push] = []
-        for duration in DURATIONS_S:
+        for duration in durations_s:
             used = times <= duration + 1e-9
             block = within[:, used][:, :, used] + np.eye(int(used.sum()))
             taken = np.einsum("ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0])
@@ -454,7 +488,7 @@ class Catalogue:
             # a push that travel ends before is the same push
             longer = counted >= np.searchsorted(times, duration - 0.15)
             lasts = np.minimum(counted / max(len(times), 1) * times[-1], duration)
-            for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == DURATIONS_S[0]))).tolist():
+            for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == durations_s[0]))).tolist():
                 seconds = float(beside[c] + lasts[c])
                 gain = 0.5 * float(np.log(now / after[c])) / seconds
                 place = places[c]
@@ -464,12 +498,22 @@ class Catalogue:
                         float(np.sqrt(after[c])), gain, float(travels[c]),
                     )
                 )  # fmt: skip
-        reaching = [push for push in found if push.std <= target_std]
-        if reaching:
-            return sorted(
-                found, key=lambda push: (push.std > target_std, push.time_s if push.std <= target_std else -push.gain)
-            )
-        return sorted(found, key=lambda push: -push.gain)
+        return best_first(found, target_std)
+
+
+def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
+    """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
+    return sorted(
+        pushes, key=lambda push: (push.std > target_std, push.time_s if push.std <= target_std else -push.gain)
+    )
+
+
+def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]:
+    """When the current of a push changes [s], and to what [A]."""
+    if not shake_A:
+        return np.zeros(1), np.array([current_A])
+    times_s = np.arange(0.0, max(DURATIONS_S), 0.5 * SHAKE_PERIOD_S)
+    return times_s, current_A + shake_A * (1.0 - 2.0 * (np.arange(len(times_s)) % 2))
 
 
 def half_of(std: float) -> float:

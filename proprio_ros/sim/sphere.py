@@ -150,6 +150,11 @@ class SphereRun:
         along = self.axis * float(self.axis @ self.gravity)
         return along, self.gravity - along, -np.cross(self.axis, self.gravity)
 
+    @property
+    def across(self) -> np.ndarray:
+        """Takes a place to what matters of it, shape (3, 3): along the joint's axis the sphere may be anywhere."""
+        return np.eye(3) - (np.outer(self.axis, self.axis) if self.kind == "revolute" else 0.0)
+
     def gravity_at(self, q: float) -> np.ndarray:
         """Gravity in the container's frame at a joint position [m/s^2], shape (3,)."""
         constant, cos, sin = self.gravity_terms()

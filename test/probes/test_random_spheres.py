@@ -218,7 +218,7 @@ def test_when_masses_contradict_each_other(
 ) -> None:
     """Masses within 1 g or 10 % do not contradict each other, and half of the difference is uncertainty."""
     names = ("odd", "second", "third", "empty")
-    data = container._Recorded(
+    data = container.ContainerRuns(
         tuple(SimpleNamespace(run=SimpleNamespace(name=name)) for name in names),  # type: ignore[misc]
         (True, True, True, False),
         (None,) * 4,
@@ -230,7 +230,7 @@ def test_when_masses_contradict_each_other(
         mass = 1e-3 * (one_g if "odd" in fitted else others_g)
         return SimpleNamespace(values=[mass], problem=SimpleNamespace(index={"sphere_mass": 0}))
 
-    monkeypatch.setattr(container, "_solve", solve)
+    monkeypatch.setattr(container, "solve", solve)
     nothing: Any = None
     together = 0.5e-3 * (one_g + others_g)
     apart = container._apart(nothing, data, FACTS, ContainerOptions(), 0, together)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -11,9 +12,12 @@ from proprio_ros.probes.base import Baseline, Body, Example, Probe, Recorded, Sh
 from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
+    from proprio_ros.choosing import Chooser
+    from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.probes.container.identify import ContainerOptions
     from proprio_ros.probes.container.problem import ContainerFacts
+    from proprio_ros.records import Run
     from proprio_ros.robot import Robot
 
 
@@ -108,6 +112,17 @@ class Container(Probe[ContainerJob]):
         super().compile(robot, facts)
         shape, law = facts.container.enclosure.shape, facts.container.law
         compile_kernels(shape, law, facts.solving.integrator, rises=robot.friction_rises)
+
+    def chooser(
+        self, robot: Robot, facts: ContainerJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+    ) -> Chooser:
+        from proprio_ros.probes.container.choosing import SphereUntilSure
+        from proprio_ros.probes.container.identify import find_sphere, half_of
+
+        def whole(runs: Sequence[Run]) -> float | None:
+            return half_of(find_sphere(robot, runs, facts.container, facts.solving, baseline))
+
+        return SphereUntilSure(robot, facts.container, facts.solving, sequence, baseline, whole)
 
     def identify(self, robot: Robot, recorded: Recorded, facts: ContainerJob) -> Estimate:
         from proprio_ros.probes.container.camera import track_of

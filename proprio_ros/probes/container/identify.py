@@ -18,7 +18,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import Estimate, no_answer
+from proprio_ros.identification.estimate import Estimate, Verdict, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -78,6 +78,7 @@ LOST_SHARE = 0.25
 """Where the sphere is, is no longer known when its standard deviation passes this share of the room it has, .."""
 LOST_GROWTH = 2.0
 """.. and so many times what it was when the current came on: not to know where it lay is not chaos."""
+UNPREDICTABLE = "the sphere's bounces made its place unpredictable"
 EMPTY_SIGMAS = 3.0
 """How far from what was stated about it a baseline may be before it is not believed."""
 DISTINCT = 0.03
@@ -118,11 +119,11 @@ class ContainerOptions:
 
 
 @dataclass(frozen=True)
-class _Recorded:
+class ContainerRuns:
     """The runs of a fit.
 
     Attributes:
-        runs: all of them, the baseline's last.
+        runs: all of them, in any order.
         rolling: which have a sphere; tracks: what a camera saw of it, or None.
     """
 
@@ -130,10 +131,10 @@ class _Recorded:
     rolling: tuple[bool, ...]
     tracks: tuple[SphereTrack | None, ...]
 
-    def without(self, rows: Sequence[int]) -> _Recorded:
+    def without(self, rows: Sequence[int]) -> ContainerRuns:
         """All but some."""
         kept = [row for row in range(len(self.runs)) if row not in rows]
-        return _Recorded(
+        return ContainerRuns(
             tuple(self.runs[row] for row in kept),
             tuple(self.rolling[row] for row in kept),
             tuple(self.tracks[row] for row in kept),
@@ -163,11 +164,7 @@ def find_sphere(
         RecordingError: a run cannot be related to the robot at all.
     """
     options = options or ContainerOptions()
-    if not baseline and not np.isfinite(facts.mass_std):
-        raise ConfigurationError(
-            "a sphere cannot be separated from the container that holds it: give recordings of the empty container with "
-            "--baseline, or its mass with --set container.mass=KG"
-        )
+    check_shell(facts, baseline)
     found = Findings()
     usable: list[tuple[PreparedRun, bool, SphereTrack | None]] = []
     seen = tracks or [None] * len(runs)
@@ -180,7 +177,7 @@ def find_sphere(
         else:
             usable.append((prepared, rolls, track))
         screen_run(robot, prepared, found)
-    data = _Recorded(
+    data = ContainerRuns(
         tuple(run for run, _, _ in usable),
         tuple(rolls for _, rolls, _ in usable),
         tuple(track for _, _, track in usable),
@@ -194,12 +191,8 @@ def find_sphere(
         empty, not_empty = _screen_baseline(robot, data, facts, options)
         facts = replace(facts, mass=empty)
 
-    nominal = _solve(robot, data, facts, options, Role.FROZEN)
-    opened = _solve(robot, data, facts, options, Role.FREE, nominal)
-    if not opened.explains and not robot.is_calibrated(joints_of(data.runs)):
-        again = _solve(robot, data, facts, options, Role.FREE)
-        opened = again if again.chi2 < opened.chi2 else opened
-    cut = _lost_at(opened)
+    nominal, opened = fit_sphere(robot, data, facts, options)
+    cut = lost_at(opened)
     if cut:
         cut_runs = list(data.runs)
         for row, used in cut.items():
@@ -208,7 +201,7 @@ def find_sphere(
                 f"{whole.run.name}: after {whole.times_s[used]:.2f} s the sphere's bounces make its place unpredictable; "
                 f"{whole.used - used} later samples were left out"
             )
-            cut_runs[row] = _shortened(whole, used, "the sphere's bounces made its place unpredictable")
+            cut_runs[row] = shortened(whole, used, UNPREDICTABLE)
         lost = [row for row in cut if cut_runs[row].used < MIN_USED]
         data = replace(data, runs=tuple(cut_runs)).without(lost)
         if not any(data.rolling):
@@ -217,14 +210,45 @@ def find_sphere(
                 "the sphere bounces too chaotically to determine its mass: tilt instead of shaking, or use less current",
             )
             return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-        nominal = _solve(robot, data, facts, options, Role.FROZEN)
-        opened = _solve(robot, data, facts, options, Role.FREE, nominal)
+        nominal = solve(robot, data, facts, options, Role.FROZEN)
+        opened = solve(robot, data, facts, options, Role.FREE, nominal)
     return _conclude(robot, data, facts, options, nominal, opened, found, len(runs), not_empty)
 
 
-def _problem(
+def half_of(estimate: Estimate) -> float | None:
+    """Half of the 95 % interval of an accepted sphere [kg]; None where it is not accepted."""
+    std = estimate.value("sphere_mass").std
+    return Z95 * std if estimate.verdict is Verdict.ACCEPTED and isinstance(std, float) else None
+
+
+def check_shell(facts: ContainerFacts, baseline: Sequence[Run]) -> None:
+    """Whether the shell is known at all.
+
+    Raises:
+        ConfigurationError: neither a baseline nor the shell's mass.
+    """
+    if not baseline and not np.isfinite(facts.mass_std):
+        raise ConfigurationError(
+            "a sphere cannot be separated from the container that holds it: give recordings of the empty container with "
+            "--baseline, or its mass with --set container.mass=KG"
+        )
+
+
+def fit_sphere(
+    robot: Robot, data: ContainerRuns, facts: ContainerFacts, options: ContainerOptions
+) -> tuple[FitResult, FitResult]:
+    """The fit with the robot as it is stated, and the one in which all that is open moves."""
+    nominal = solve(robot, data, facts, options, Role.FROZEN)
+    opened = solve(robot, data, facts, options, Role.FREE, nominal)
+    if not opened.explains and not robot.is_calibrated(joints_of(data.runs)):
+        again = solve(robot, data, facts, options, Role.FREE)
+        opened = again if again.chi2 < opened.chi2 else opened
+    return nominal, opened
+
+
+def problem_of(
     robot: Robot,
-    data: _Recorded,
+    data: ContainerRuns,
     facts: ContainerFacts,
     options: ContainerOptions,
     role: Role,
@@ -250,24 +274,33 @@ def _problem(
     return problem, [prior.guesses for prior in priors]
 
 
-def _solve(
+def solve(
     robot: Robot,
-    data: _Recorded,
+    data: ContainerRuns,
     facts: ContainerFacts,
     options: ContainerOptions,
     role: Role,
     start: FitResult | None = None,
+    rough: bool = False,
 ) -> FitResult:
-    """Fit the runs from every guess, or from every end of another fit."""
-    problem, guesses = _problem(robot, data, facts, options, role)
+    """Fit the runs from every guess, or from every end of another fit, which may have had fewer runs.
+
+    ``rough`` is enough to choose the next run by, or to start another fit from.
+    """
+    problem, guesses = problem_of(robot, data, facts, options, role)
     free = list(problem.free)
     if start is not None:
-        ends = start.problem.all_values(start.problem.coordinates.physical(start.solution.internal))
-        starts = ends[_distinct(start)][:, free]
+        starts = _carried_over(start, problem)[:, free]
         if robot.calibration is None:
             starts = np.concatenate([starts, *_with_friction(problem, starts)])
+        iterations, tolerance = (10, 0.03) if rough else (30, 1e-3)
         solution = solvers.levenberg_marquardt(
-            problem, problem.coordinates.internal(starts), None, iterations=30, tolerance=1e-3, persistent=True
+            problem,
+            problem.coordinates.internal(starts),
+            None,
+            iterations=iterations,
+            tolerance=tolerance,
+            persistent=not rough,
         )
         return FitResult.of(problem, solution)
     # every guess of the place goes with every guess of the mass; runs take their n-th guess together
@@ -282,6 +315,15 @@ def _solve(
         problem, internal, problem.simulator.windows, window_iterations=3, iterations=12, tolerance=0.03
     )
     return FitResult.of(problem, solution)
+
+
+def _carried_over(fit: FitResult, problem: ContainerProblem) -> np.ndarray:
+    """The distinct ends of a fit as values of another problem's unknowns, shape (S, N); what the fit had not is at its prior."""
+    ends = fit.problem.all_values(fit.problem.coordinates.physical(fit.solution.internal))[_distinct(fit)]
+    values = np.tile(problem.base, (len(ends), 1))
+    to = [row for row, unknown in enumerate(problem.unknowns) if unknown.key in fit.problem.index]
+    values[:, to] = ends[:, [fit.problem.index[problem.unknowns[row].key] for row in to]]
+    return values
 
 
 def _with_friction(problem: ContainerProblem, starts: np.ndarray) -> list[np.ndarray]:
@@ -312,21 +354,29 @@ def _distinct(fit: FitResult) -> list[int]:
     return kept or [fit.solution.best]
 
 
-def _screen_baseline(
-    robot: Robot,
-    data: _Recorded,
-    facts: ContainerFacts,
-    options: ContainerOptions,
-) -> tuple[float, str]:
-    """What the empty container weighs, and why it may not have been empty (an empty string where all is well)."""
-    baseline = data.without(np.flatnonzero(data.rolling).tolist())
-    empty = baseline.runs
+def fit_empty(
+    robot: Robot, empty: Sequence[PreparedRun], facts: ContainerFacts, options: ContainerOptions
+) -> FitResult:
+    """Weigh the empty container."""
     weighing = SearchOptions(integrator=options.integrator, step_s=options.step_s)
     nominal = solve_load(robot, empty, facts.shell, weighing, Role.FROZEN)
     still = solve_load(robot, empty, facts.shell, weighing, Role.FREE, start=nominal)
     if not still.explains:  # far from the file's values, as a robot that was never calibrated may be
         again = solve_load(robot, empty, facts.shell, weighing, Role.FREE)
         still = again if again.chi2 < still.chi2 else still
+    return still
+
+
+def _screen_baseline(
+    robot: Robot,
+    data: ContainerRuns,
+    facts: ContainerFacts,
+    options: ContainerOptions,
+) -> tuple[float, str]:
+    """What the empty container weighs, and why it may not have been empty (an empty string where all is well)."""
+    baseline = data.without(np.flatnonzero(data.rolling).tolist())
+    empty = baseline.runs
+    still = fit_empty(robot, empty, facts, options)
     row = still.problem.index["payload_mass"]
     mass = float(still.values[row])
     std = float(np.sqrt(Posterior(still.problem, still.values).whole_covariance()[row, row]))
@@ -334,8 +384,8 @@ def _screen_baseline(
     if not still.explains:
         unknown_mass = replace(facts, mass=mass, mass_std=np.inf)
         rolled = replace(baseline, rolling=(True,) * len(empty))
-        moving = _solve(robot, rolled, unknown_mass, options, Role.FROZEN)
-        moving = _solve(robot, rolled, unknown_mass, options, Role.FREE, moving)
+        moving = solve(robot, rolled, unknown_mass, options, Role.FROZEN)
+        moving = solve(robot, rolled, unknown_mass, options, Role.FREE, moving)
         if moving.explains:
             inside = float(moving.values[moving.problem.index["sphere_mass"]])
             return mass, (
@@ -356,7 +406,7 @@ def _screen_baseline(
     return mass, ""
 
 
-def _lost_at(fit: FitResult) -> dict[int, int]:
+def lost_at(fit: FitResult) -> dict[int, int]:
     """Runs in which the sphere's place gets lost, and how many samples come before that."""
     problem = fit.problem
     assert isinstance(problem, ContainerProblem)
@@ -366,31 +416,36 @@ def _lost_at(fit: FitResult) -> dict[int, int]:
         np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free), problem.simulator.special.sphere_runs,
         strict=True,
     ):  # fmt: skip
-        # along the joint's axis the sphere may be anywhere, and it makes no difference
-        seen = np.eye(3) - (np.outer(run.axis, run.axis) if run.kind == "revolute" else 0.0)
-        off = np.einsum("ij,kjf->kif", seen, dx)
+        off = np.einsum("ij,kjf->kif", run.across, dx)
         std = np.sqrt(np.einsum("kif,fg,kig->ki", off, covariance, off).max(axis=1))
-        known = max(LOST_SHARE * 2.0 * problem.container.enclosure.room.min(), LOST_GROWTH * float(std[0]))
-        lost = np.flatnonzero(~(std < known))
-        if len(lost):
-            cut[int(row)] = int(lost[0])
+        used = known_until(std, problem.container)
+        if used < len(std):
+            cut[int(row)] = used
     return cut
 
 
-def _shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
+def known_until(std: np.ndarray, facts: ContainerFacts) -> int:
+    """How many samples come before the sphere's place is lost; std of it, shape (K,) [m]."""
+    known = max(LOST_SHARE * 2.0 * facts.enclosure.room.min(), LOST_GROWTH * float(std[0]))
+    lost = np.flatnonzero(~(std < known))
+    return int(lost[0]) if len(lost) else len(std)
+
+
+def shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
+    """The first samples of a run, and why no more."""
     return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason, hit_limit=False)
 
 
-def _bounces(robot: Robot, data: _Recorded, facts: ContainerFacts, options: ContainerOptions) -> list[str]:
+def _bounces(robot: Robot, data: ContainerRuns, facts: ContainerFacts, options: ContainerOptions) -> list[str]:
     """A sentence if the first halves of the runs are explained, and only what comes after is not."""
     halves = tuple(
-        _shortened(run, (run.used + 1) // 2, run.cut_reason) if rolls else run
+        shortened(run, (run.used + 1) // 2, run.cut_reason) if rolls else run
         for run, rolls in zip(data.runs, data.rolling, strict=True)
     )
     if min(run.used for run, rolls in zip(halves, data.rolling, strict=True) if rolls) < MIN_USED:
         return []
     early = replace(data, runs=halves)
-    fit = _solve(robot, early, facts, options, Role.FREE, _solve(robot, early, facts, options, Role.FROZEN))
+    fit = solve(robot, early, facts, options, Role.FREE, solve(robot, early, facts, options, Role.FROZEN))
     if not fit.explains:
         return []
     mass = float(fit.values[fit.problem.index["sphere_mass"]])
@@ -402,7 +457,7 @@ def _bounces(robot: Robot, data: _Recorded, facts: ContainerFacts, options: Cont
 
 def _stiffness_shift(
     robot: Robot,
-    data: _Recorded,
+    data: ContainerRuns,
     facts: ContainerFacts,
     options: ContainerOptions,
     fit: FitResult,
@@ -410,13 +465,13 @@ def _stiffness_shift(
 ) -> float:
     """By how much the mass would follow if a touch were ``STIFFER`` times as quick [kg]."""
     harder = replace(facts, contact_frequency=STIFFER * facts.contact_frequency, k_e=STIFFER**2 * facts.k_e)
-    other, _ = _problem(robot, data, harder, options, Role.FREE)
+    other, _ = problem_of(robot, data, harder, options, Role.FREE)
     return _shift(data, other, fit.values.copy(), fit, posterior)
 
 
 def _guesses(
     robot: Robot,
-    data: _Recorded,
+    data: ContainerRuns,
     facts: ContainerFacts,
     options: ContainerOptions,
     fit: FitResult,
@@ -455,7 +510,7 @@ def _guesses(
         taken, spread, others = listed[key]
         shifts = []
         for changed in others:
-            other, _ = _problem(robot, data, changed, options, Role.FREE)
+            other, _ = problem_of(robot, data, changed, options, Role.FREE)
             values = other.base.copy()
             values[fit.problem.free] = fit.values[fit.problem.free]
             for row in np.flatnonzero(data.rolling).tolist():  # where it lay moves with the walls
@@ -472,7 +527,9 @@ def _sides(shape: str) -> np.ndarray:
     return np.array(sides.get(shape, np.eye(3)), dtype=float)
 
 
-def _shift(data: _Recorded, other: ContainerProblem, values: np.ndarray, fit: FitResult, posterior: Posterior) -> float:
+def _shift(
+    data: ContainerRuns, other: ContainerProblem, values: np.ndarray, fit: FitResult, posterior: Posterior
+) -> float:
     """By how much the mass would follow another problem that gets these values of all unknowns, to first order [kg]."""
     for row in np.flatnonzero(data.rolling).tolist():  # rest is less deep in a harder wall
         for axis in "xyz":
@@ -486,7 +543,7 @@ def _shift(data: _Recorded, other: ContainerProblem, values: np.ndarray, fit: Fi
 
 
 def _apart(
-    robot: Robot, data: _Recorded, facts: ContainerFacts, options: ContainerOptions, outlier: int, mass: float
+    robot: Robot, data: ContainerRuns, facts: ContainerFacts, options: ContainerOptions, outlier: int, mass: float
 ) -> Contradiction:
     """What a run says that the others predict badly; ``mass`` is what all of them say together [kg]."""
     name = data.runs[outlier].run.name
@@ -503,7 +560,7 @@ def _apart(
     masses = []
     for left_out in (others, [outlier]):  # each with the empty container's runs
         part = data.without(left_out)
-        fit = _solve(robot, part, facts, options, Role.FREE, _solve(robot, part, facts, options, Role.FROZEN))
+        fit = solve(robot, part, facts, options, Role.FREE, solve(robot, part, facts, options, Role.FROZEN))
         masses.append(float(fit.values[fit.problem.index["sphere_mass"]]))
     question = "was the same sphere in the same container, held in the same place?"
     return contradiction(name, "kg", masses[0], masses[1], max(ALIKE_SHARE * abs(mass), ALIKE_KG), SAME_KG, question)
@@ -511,7 +568,7 @@ def _apart(
 
 def _conclude(
     robot: Robot,
-    data: _Recorded,
+    data: ContainerRuns,
     facts: ContainerFacts,
     options: ContainerOptions,
     nominal: FitResult,

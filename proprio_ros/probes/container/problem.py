@@ -411,6 +411,31 @@ class ContainerProblem(Problem):
         off = [seen.between @ paths[seen.rolling_row][0] - seen.track.position for seen in self._seen]
         return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
 
+    def foresee(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What runs that have not been made would show, all of them with a sphere, in one launch.
+
+        Args:
+            values: of all unknowns, shape (N,).
+            columns: of those that matter to each run, shape (R, F).
+
+        Returns:
+            q, v (R, T) and dq (R, T, F) of what the encoder shows; x (R, T, 3) [m] and dx (R, T, 3, F) of the sphere in the
+            container.
+        """
+        p, every = self._all_parameters(values[None])
+        runs, width = len(self.runs), len(self.simulator.parameters)
+        dp = np.take_along_axis(every[0], columns[:, None, :], axis=2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, v, by_p = self.simulator.jacobian(self._worlds(1), p[0], self._identity(runs))
+            x, dx = self.simulator.special.last_path(width)
+            dq, dx = by_p @ dp, dx @ dp[:, None]
+        q, v, x = q.copy(), v.copy(), x.copy()
+        if self._ripples:
+            for row in range(runs):
+                shown, slopes = self._observe(row, values[None], q[None, row], dq[None, row], columns[row])
+                q[row], dq[row] = shown[0], slopes[0]
+        return q, v, dq, x, dx
+
     def path(self, values: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns.
 

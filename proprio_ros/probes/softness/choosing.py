@@ -23,7 +23,7 @@ from proprio_ros.identification.foreseen import SharedUnknowns
 from proprio_ros.identification.gates import MIN_USED
 from proprio_ros.identification.planning import still_run
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
-from proprio_ros.identification.sequential import FASTEST, Push
+from proprio_ros.identification.sequential import FASTEST, Push, best_first
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.identify import UNMOVED_RAD, SqueezeOptions, fit_squeezes
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
@@ -141,37 +141,31 @@ class SqueezesUntilSure(Chooser):
         alive = np.cumprod(alive, axis=1).astype(bool)
         sigma = np.hypot(runs[0].sigma[0], np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s)
         times = runs[0].times_s
+        free = [problem.unknowns[row] for row in problem.free]
+        own = [[f for f, u in enumerate(free) if not u.shared and u.scope == run] for run in range(len(runs))]
+        shared = [next(f for f, u in enumerate(free) if u.key == key) for key in self._shared.keys]
+        rows = np.stack([dq[run][:, shared + mine] for run, mine in enumerate(own)])
+        rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
+        variance = np.array([[free[f].std ** 2 for f in mine] for mine in own])
+        stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
         place = self._shared.at["youngs_modulus"]
         now = self._covariance[place, place]
         seconds = float(beside(np.array([[start[name] for name in robot.model.independent_joints]]))[0])
         found: list[Push] = []
         for duration in DURATIONS_S:
-            counts = alive & (times <= duration + 1e-9)
-            stds = self._shared.stds_after(
-                problem, np.nan_to_num(dq), counts / sigma, self._covariance, "youngs_modulus"
-            )
-            gone = np.where(counts, q - rest, 0.0)
             for c, current in enumerate(currents):
+                last = min(int(np.searchsorted(times, duration + 1e-9)), int(alive[c].sum()))
                 # what its travel ends before is the same push
-                if counts[c].sum() < MIN_USED or (
-                    duration > DURATIONS_S[0] and not counts[c][times > DURATIONS_S[0]].any()
-                ):
+                if last < MIN_USED or (duration > DURATIONS_S[0] and times[last - 1] <= DURATIONS_S[0]):
                     continue
-                if np.abs(gone[c]).max() * per_rad < self._first.min_travel:
+                gone = (q[c, :last] - rest) * drive.transmission
+                if np.abs(gone).max() < self._first.min_travel:
                     continue
-                lasts = seconds + float(times[counts[c]][-1])
-                gain = 0.5 * float(np.log(now / max(stds[c] ** 2, 1e-6 * now))) / lasts
-                ends = float(gone[c][np.argmax(np.abs(gone[c]))]) * drive.transmission
-                found.append(
-                    Push(self._first.joint, dict(start), current, 0.0, duration, lasts, float(stds[c]), gain, ends)
-                )
-        reaching = any(push.std <= target_std for push in found)
-        by_gain = sorted(found, key=lambda push: -push.gain)
-        return (
-            sorted(by_gain, key=lambda p: (p.std > target_std, p.time_s if p.std <= target_std else 0.0))
-            if reaching
-            else by_gain
-        )
+                lasts, std = seconds + float(times[last - 1]), float(stds[c, last - 1])
+                gain = 0.5 * float(np.log(now / max(std**2, 1e-6 * now))) / lasts
+                ends = float(gone[np.argmax(np.abs(gone))])
+                found.append(Push(self._first.joint, dict(start), current, 0.0, duration, lasts, std, gain, ends))
+        return best_first(found, target_std)
 
     def run_of(self, push: Push) -> ProbeRun:
         return replace(

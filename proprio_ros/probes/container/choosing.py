@@ -1,0 +1,343 @@
+"""Weigh a sphere until sure: the pushes of a container, chosen one by one. No ROS here.
+
+After each push all runs so far are fitted together with those of the empty container: robot, shell and sphere. What could be
+pushed next is found in two stages. The rigid catalogue, with shell and sphere as one load, says which pushes stay inside all limits
+and which of them promise much. In the best of these, as far as the sphere leaves the end in which it rests, it is simulated, all in
+one launch, and linearised. A sample counts as long as those up to it tell where the sphere is: after that its bounces are chaos,
+and a linearisation that follows them promises the more the less it can be trusted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from proprio_ros.choosing import Chooser, Found, passes, time_of
+from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeRun, ProbeSequence
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.foreseen import SharedUnknowns
+from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
+from proprio_ros.identification.planning import candidate_joints, still_run
+from proprio_ros.identification.problem import PreparedRun, prepare_run
+from proprio_ros.identification.sequential import (
+    DURATIONS_S,
+    MAX_TRAVEL,
+    SHAKE_PERIOD_S,
+    UNKNOWN_KG,
+    UNKNOWN_STD_KG,
+    Catalogue,
+    Known,
+    Push,
+    best_first,
+)
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.container.identify import (
+    STILL_M,
+    UNPREDICTABLE,
+    ContainerOptions,
+    ContainerRuns,
+    check_shell,
+    fit_empty,
+    fit_sphere,
+    known_until,
+    lost_at,
+    problem_of,
+    shortened,
+    solve,
+)
+from proprio_ros.probes.container.problem import LEVEL, ContainerFacts, ContainerProblem, sphere_run, start_prior
+from proprio_ros.quantity import Sought
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import bent_pose
+from proprio_ros.sim.joint import JointRun
+from proprio_ros.sim.sphere import SphereRun
+from proprio_ros.until import after_standing, run_of
+
+STARTS = 8
+"""Start positions of the driven joint: finer than for a rigid load, since the sphere is to leave its end early in a push."""
+SIMULATED = 40
+"""Pushes in which the sphere is simulated."""
+TILT_MARGIN = LEVEL
+"""rad, beyond that slope: an arm that stands so far off still has the sphere at rest in the same end, and in time."""
+ROLLED_SHARE = 0.5
+"""The sphere leaves its end where it would come to rest this share of its least room away."""
+
+
+class SphereUntilSure(Chooser):
+    """One weighing of a sphere whose pushes are chosen one by one.
+
+    Args:
+        robot: with its calibration where there is one.
+        facts: what is stated about container and sphere.
+        options: how to solve.
+        sequence, whole: see `Chooser`.
+        baseline: runs with the empty container.
+
+    Attributes:
+        catalogue: of all pushes with shell and sphere as one rigid load.
+
+    Raises:
+        ConfigurationError: the sequence has no `until`, or neither a baseline nor the shell's mass is given.
+        RecordingError: a run of the baseline cannot be related to the robot at all.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        facts: ContainerFacts,
+        options: ContainerOptions,
+        sequence: ProbeSequence,
+        baseline: Sequence[Run] = (),
+        whole: Callable[[Sequence[Run]], float | None] | None = None,
+    ) -> None:
+        super().__init__(robot, sequence, Sought("sphere_mass", "kg", label="sphere's mass"), whole)
+        check_shell(facts, baseline)
+        self._options = options
+        self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
+        # where it comes to rest, whatever is stated about where it was in the sample recordings
+        self._resting = replace(facts, start=None, settled=True)
+        joints = candidate_joints(robot)
+        prepared = [prepare_run(robot, run, None, facts.shell) for run in baseline]
+        empty = tuple(run for run in prepared if not unusable(run))
+        self._data = ContainerRuns(empty, (False,) * len(empty), (None,) * len(empty))
+        weighed = fit_empty(robot, empty, facts, options) if empty else None
+        if weighed is not None:
+            facts = replace(facts, mass=float(weighed.values[weighed.problem.index["payload_mass"]]))
+        self._facts = facts
+        rest = bent_pose(robot)
+        still = tuple(
+            prepare_run(robot, still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell) for joint in joints
+        )
+        every = self._problem(still)
+        self._shared = SharedUnknowns(every)
+        for mass in ("payload_mass", "sphere_mass"):  # what is not known at all leaves nothing to be inverted
+            at = self._shared.at[mass]
+            self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
+        self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
+        for joint in joints:  # friction that the file leaves open is half as large as it may be, as in the catalogue
+            friction = every.unknowns[every.index["coulomb", joint]]
+            if friction.value < friction.std:
+                self._values["coulomb", joint] = friction.value + 0.5 * friction.std
+        self._covariance = np.linalg.inv(self._shared.prior)
+        if weighed is not None:
+            self._believe(weighed)
+        self._unknown_kg = UNKNOWN_KG
+        self._fit: FitResult | None = None
+        self._taken = 0
+        self.catalogue = Catalogue(robot, facts.shell, joints, STARTS, self._can_roll)
+        # a rigid load is shell and sphere together
+        as_rigid = np.zeros((len(self.catalogue.keys), len(self._shared.keys)))
+        for row, key in enumerate(self.catalogue.keys):
+            as_rigid[row, self._shared.at[key]] = 1.0
+        as_rigid[self.catalogue.at["payload_mass"], self._shared.at["sphere_mass"]] = 1.0
+        self._as_rigid = as_rigid
+        self._found = Found(float(np.mean(self._unknown_kg)), UNKNOWN_STD_KG)
+
+    # ------------------------------------------------------------------------------------------------- what is known
+
+    def learn(self, runs: Sequence[Run]) -> Found:
+        new = [prepare_run(self.robot, run, None, self._facts.shell) for run in runs[self._taken :]]
+        self._taken = len(runs)
+        usable = tuple(run for run in new if not unusable(run))
+        if usable:
+            data = self._data
+            self._data = ContainerRuns(
+                data.runs + usable,
+                data.rolling + (True,) * len(usable),
+                data.tracks + (None,) * len(usable),
+            )
+            self._fit = self._fitted(self._fit)
+            self._cut_what_is_lost()
+        if self._fit is None:
+            return replace(self._found, runs=0)
+        self._believe(self._fit)
+        at = self._shared.at["sphere_mass"]
+        return Found(
+            self._values["sphere_mass"],
+            float(np.sqrt(self._covariance[at, at])),
+            int(sum(self._data.rolling)),
+            self._fit.reduced_chi2,
+        )
+
+    def _fitted(self, before: FitResult | None) -> FitResult:
+        """All runs together, from where those before ended."""
+        robot, data, facts, options = self.robot, self._data, self._facts, self._options
+        if before is not None:
+            fit = solve(robot, data, facts, options, Role.FREE, before, rough=True)
+            if fit.explains or not before.explains:
+                return fit
+        # the first run, or one that shows that the valley found so far was a wrong one
+        _, whole = fit_sphere(robot, data, facts, options)
+        return whole if before is None or whole.chi2 < fit.chi2 else fit
+
+    def _cut_what_is_lost(self) -> None:
+        """Leave out what comes after the sphere's place is lost."""
+        assert self._fit is not None
+        cut = lost_at(self._fit)
+        if not cut:
+            return
+        runs = list(self._data.runs)
+        for row, used in cut.items():
+            runs[row] = shortened(runs[row], used, UNPREDICTABLE)
+        lost = [row for row in cut if runs[row].used < MIN_USED]
+        self._data = replace(self._data, runs=tuple(runs)).without(lost)
+        if not any(self._data.rolling):
+            self._fit = None
+        else:  # runs have moved up where some were lost, so that what was their own is no start
+            self._fit = self._fitted(None if lost else self._fit)
+
+    def _believe(self, fit: FitResult) -> None:
+        index = fit.problem.index
+        self._values |= {key: float(fit.values[index[key]]) for key in self._shared.keys if key in index}
+        self._covariance = self._shared.covariance_after(fit)
+
+    # ----------------------------------------------------------------------------------------------- what comes next
+
+    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+        beside = time_of(self.robot, self._sequence, pose)
+        shell = self._values["payload_mass"]
+        low, high = (shell + mass for mass in self._unknown_kg)
+        sphere = self._found.value if self._found.runs else float(np.mean(self._unknown_kg))
+        cross = self._covariance[:, self._shared.at["sphere_mass"]]
+        rigid = Known(
+            shell + sphere,
+            self._found.std,
+            self._as_rigid @ self._covariance @ self._as_rigid.T,
+            self._found.runs,
+            towards=(self._as_rigid @ cross, float(cross[self._shared.at["sphere_mass"]])),
+        )
+        chosen: list[Push] = []
+        blocked: list[Push] = []
+        ways: dict[tuple[object, ...], bool] = {}
+        for push in self.catalogue.rank(rigid, beside, target_std, (low, high), durations_s=DURATIONS_S[-1:]):
+            if not self._rolls(push):
+                continue
+            begins = (push.joint, *push.start.values())
+            if begins not in ways:  # from a folded arm there are few
+                ways[begins] = passes(self._machine, self.sequence_of(self.run_of(push)), pose)
+            (chosen if ways[begins] else blocked).append(push)
+            if len(chosen) == SIMULATED:
+                break
+        return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
+
+    def promised(
+        self, pushes: Sequence[Push], sphere_kg: float, time_beside: Callable[[np.ndarray], np.ndarray]
+    ) -> list[Push]:
+        """What pushes would tell of the sphere, each with every duration in which joint and sphere move far enough.
+
+        Args:
+            pushes: of `catalogue`.
+            sphere_kg: for which they are simulated [kg].
+            time_beside: how long a push takes beside itself, as in `Catalogue.rank`.
+        """
+        times = self.catalogue.still(pushes[0]).times_s
+        off, rolled, counts, stds = self._simulated(pushes, sphere_kg)
+        at = self._shared.at["sphere_mass"]
+        now = self._covariance[at, at]
+        names = self.robot.model.independent_joints
+        beside = time_beside(np.array([[push.start[name] for name in names] for push in pushes]))
+        found: list[Push] = []
+        for n, push in enumerate(pushes):
+            counted, told = counts[n].tolist()
+            if told < MIN_USED:
+                continue
+            for duration in DURATIONS_S:
+                last = min(int(np.searchsorted(times, duration + 1e-9)), counted)
+                if duration > DURATIONS_S[0] and counted < np.searchsorted(times, duration - 0.15):
+                    continue  # travel ends it before
+                if push.shake_A and duration < LEAST_SHAKES * SHAKE_PERIOD_S:
+                    continue
+                far = int(np.argmax(np.abs(off[n, :last])))
+                if abs(off[n, far]) < LITTLE_TRAVEL or rolled[n, :last].max() < STILL_M:
+                    continue
+                std = float(stds[n, min(last, told) - 1])
+                seconds = float(beside[n] + times[last - 1])
+                gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
+                travel = float(off[n, far])
+                found.append(replace(push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel))
+        return found
+
+    def _simulated(self, pushes: Sequence[Push], sphere_kg: float) -> tuple[np.ndarray, ...]:
+        """Pushes over the longest duration, all in one launch.
+
+        Returns:
+            How far the joint is from its start [rad] and the sphere from its own [m], shapes (C, T); how many samples there are
+            until travel or speed ends a push, and until the sphere's place is lost, shape (C, 2); the standard deviation of the
+            sphere's mass after each sample [kg], shape (C, T).
+        """
+        problem = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
+        values = problem.base.copy()
+        for key, value in (self._values | {"sphere_mass": sphere_kg}).items():
+            if key in problem.index:
+                values[problem.index[key]] = value
+        keys, unknowns, runs = self._shared.keys, problem.unknowns, problem.runs
+        own: list[list[int]] = [[] for _ in runs]
+        for row in problem.free.tolist():
+            scope = unknowns[row].scope
+            if isinstance(scope, int):
+                own[scope].append(row)
+        columns = np.array([[problem.index.get(key, 0) for key in keys] + rows for rows in own])
+        q, v, dq, x, dx = problem.foresee(values, columns)
+        lacks = [
+            place for place, key in enumerate(keys) if key not in problem.index
+        ]  # of joints that none of them drives
+        dq[..., lacks] = dx[..., lacks] = 0.0
+        off = q - np.array([run.rest.value for run in runs])[:, None]
+        usable = np.array([run.drive.usable_velocity for run in runs])
+        alive = np.isfinite(q) & np.isfinite(x).all(axis=2) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
+        alive = np.cumprod(alive, axis=1).astype(bool)
+        sigma = np.hypot(np.array([run.sigma[0] for run in runs])[:, None], np.abs(v) * self.robot.stamp_jitter_s)
+        across = np.array([run.across for run in problem.simulator.special.sphere_runs])
+        rows = np.where(alive[..., None], dq / sigma[..., None], 0.0)
+        seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
+        variance = np.array([[unknowns[row].std ** 2 for row in rows_of] for rows_of in own])
+        stds, spreads = self._shared.stds_along(rows, variance, self._covariance, "sphere_mass", seen)
+        counted = alive.sum(axis=1)
+        told = np.minimum([known_until(spread, self._facts) for spread in spreads], counted)
+        rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
+        return off, rolled, np.stack([counted, told], axis=1), stds
+
+    def run_of(self, push: Push) -> ProbeRun:
+        return run_of(push, self.robot)
+
+    def stood_still(self) -> None:
+        if self._found.runs == 0:
+            self._unknown_kg = after_standing(self._unknown_kg, self._last)
+
+    # -------------------------------------------------------------------------------------------------- the sphere
+
+    def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
+        """Runs that have not been made as a problem."""
+        data = ContainerRuns(tuple(runs), (True,) * len(runs), (None,) * len(runs))
+        problem, _ = problem_of(self.robot, data, self._facts, self._options, Role.FREE)
+        return problem
+
+    def _geometry(self, run: PreparedRun) -> SphereRun:
+        key = run.run.joint, tuple(run.run.held.items())
+        if key not in self._turning:
+            nothing = JointRun(run.times_s, np.zeros(1), np.zeros(1))
+            self._turning[key] = sphere_run(self.robot, run, self._resting, nothing)
+        return self._turning[key]
+
+    def _can_roll(self, still: PreparedRun, position: float) -> bool:
+        """Whether the sphere rests in a known end where the joint stands, and a push can roll it out of there."""
+        run = self._geometry(still)
+        tilted = [start_prior(run, self._resting, position + tilt) for tilt in (-TILT_MARGIN, 0.0, TILT_MARGIN)]
+        known = all(len(prior.guesses) == 1 for prior in tilted)
+        if not known or self._apart(run, position - TILT_MARGIN, position + TILT_MARGIN):
+            return False
+        return any(self._apart(run, position, position + travel) for travel in (-MAX_TRAVEL, MAX_TRAVEL))
+
+    def _rolls(self, push: Push) -> bool:
+        """Whether a push turns the container so far that the sphere leaves the end in which it rests."""
+        still = self.catalogue.still(push)
+        return self._apart(self._geometry(still), still.rest.value, still.rest.value + push.travel)
+
+    def _apart(self, run: SphereRun, one: float, other: float) -> bool:
+        """Whether the sphere comes to rest elsewhere with the joint at another position."""
+        places = [start_prior(run, self._resting, position).mean for position in (one, other)]
+        moved = float(np.linalg.norm(run.across @ (places[1] - places[0])))
+        return moved > ROLLED_SHARE * float(self._facts.enclosure.room.min())
