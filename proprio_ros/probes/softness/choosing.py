@@ -121,7 +121,7 @@ class SqueezesUntilSure(Chooser):
         options = self._options
         problem = SqueezeProblem(robot, runs, self._facts, squeezing, unknowns, options.integrator, options.step_s)
         known = {u.key: float(v) for u, v in zip(fit.problem.unknowns, fit.values, strict=True)}
-        gap = float(np.mean([value for key, value in known.items() if key[0] == "gap" and isinstance(key, tuple)]))
+        gap = float(np.mean([value for key, value in known.items() if isinstance(key, tuple) and key[0] == "gap"]))
         values = problem.base.copy()
         for row, unknown in enumerate(problem.unknowns):
             if unknown.kind == "gap":
@@ -135,7 +135,6 @@ class SqueezesUntilSure(Chooser):
         per_rad = abs(drive.transmission)
         travel = np.abs(q - rest) * per_rad
         alive = np.isfinite(q) & np.isfinite(dq).all(axis=2) & (np.abs(v) < FASTEST)
-        alive = np.cumprod(alive, axis=1).astype(bool)
         # it ends at the sample where it is seen to have gone so far
         alive &= np.concatenate([np.ones((len(runs), 1), bool), travel[:, :-1] < self._farthest_m], axis=1)
         alive = np.cumprod(alive, axis=1).astype(bool)
