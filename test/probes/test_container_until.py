@@ -74,7 +74,7 @@ def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure
 
 
 def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: SphereUntilSure) -> None:
-    """The filter, and the closed form that takes all samples of a run at once."""
+    """The filter against all samples of a run at once."""
     pushes = [replace(push, duration_s=0.5) for push in chooser.ranked(BENT, 0.0)[:6]]
     problem = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
     shared, covariance = chooser._shared, chooser._covariance
@@ -82,7 +82,6 @@ def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: Sphere
     values[problem.index["sphere_mass"]] = 0.02
     _, v, dq = problem.simulate(values[None], problem.free)
     weight = (np.arange(v.shape[2]) < 20) / problem.runs[0].sigma[0] * np.ones((len(pushes), 1))
-    together = shared.stds_after(problem, dq[0], weight, covariance, "sphere_mass")
     free = [problem.unknowns[row] for row in problem.free]
     own = [[f for f, u in enumerate(free) if not u.shared and u.scope == run] for run in range(len(pushes))]
     rows = np.zeros((len(pushes), v.shape[2], len(shared.keys) + len(own[0])))
@@ -93,7 +92,13 @@ def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: Sphere
     seen = np.zeros((*rows.shape[:2], 3, rows.shape[2]))
     seen[:, :, 0, shared.at["sphere_mass"]] = 1.0
     stds, spreads = shared.stds_along(rows * weight[..., None], variance, covariance, "sphere_mass", seen)
-    assert stds[:, -1] == pytest.approx(together, rel=1e-5)
+    at = shared.at["sphere_mass"]
+    for run, whitened in enumerate(rows * weight[..., None]):
+        before = np.diag([*np.zeros(len(shared.keys)), *variance[run]])
+        before[: len(shared.keys), : len(shared.keys)] = covariance
+        along = whitened @ before
+        after = before - along.T @ np.linalg.solve(along @ whitened.T + np.eye(len(along)), along)
+        assert stds[run, -1] == pytest.approx(np.sqrt(after[at, at]), rel=1e-5)
     assert np.all(np.diff(stds, axis=1) <= 1e-9) and spreads == pytest.approx(stds)
 
 
