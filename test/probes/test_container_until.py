@@ -48,7 +48,7 @@ def chooser() -> SphereUntilSure:
 
 def test_the_shipped_sequence_says_what_it_wants() -> None:
     sequence = load_sequence("container_until", ROBOT)
-    assert sequence.until == UNTIL and sequence.hand == "container" and not sequence.runs
+    assert sequence.until == Until(2e-3, "kg", 60.0) and sequence.hand == "container" and not sequence.runs
 
 
 def test_a_shell_that_nobody_knows_is_refused() -> None:
