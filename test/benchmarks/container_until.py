@@ -188,7 +188,9 @@ def line(name: str, cases: Sequence[Case]) -> None:
     print(
         f"| {name} | {len(said)} of {len(cases)} | {100 * np.mean([c.met for c in said]):.0f} % | "
         f"{1e3 * np.median([c.half for c in said]):.2f} | {1e3 * np.sqrt(np.mean([c.error**2 for c in said])):.2f} | "
-        f"{100 * np.mean([c.holds for c in said]):.1f} % | {fixed_holds} | {np.median([c.time_s for c in said]):.0f} | "
+        f"{100 * np.mean([c.holds for c in said]):.1f} % | "
+        f"{Z95 * np.sqrt(np.mean([(c.error / c.half) ** 2 for c in said])):.2f} | {fixed_holds} | "
+        f"{np.median([c.time_s for c in said]):.0f} | "
         f"{np.median([c.runs for c in said]):.0f} | {ratio}{f' (fixed never there: {never})' if never else ''} | "
         f"{np.median(decided):.2f}, {decided.max():.2f} | {np.median([c.ended_s for c in said]):.1f} | {ends} |",
         flush=True,
@@ -197,10 +199,11 @@ def line(name: str, cases: Sequence[Case]) -> None:
 
 def table(cases: Sequence[Case], references: Sequence[str]) -> None:
     print(
-        "| calibration | answers | target met | median half interval, g | rms error, g | interval holds | fixed: holds | "
+        "| calibration | answers | target met | median half interval, g | rms error, g | interval holds | error over std, rms | "
+        "fixed: holds | "
         "median time, s | runs | time over fixed | decision, median and longest, s of CPU | the last, s of CPU | ended by |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for reference in references:
         mine = [case for case in cases if case.reference == reference]
         line(f"reference {reference}", [case for case in mine if case.mass > 0.0])
