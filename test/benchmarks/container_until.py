@@ -216,7 +216,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=9000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--reference", nargs="+", default=["none", "shipped"], choices=["none", "shipped"])
-    parser.add_argument("--half", type=float, default=1e-3, help="target [kg]")
+    parser.add_argument("--half", type=float, default=2e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
     parser.add_argument(
         "--fixed-every", type=int, default=1, help="make the fixed sequence with every so manieth robot"
