@@ -121,10 +121,13 @@ class Chooser(ABC):
 
     Attributes:
         robot, sought: See there.
+        no_push: What is said where `ranked` has none.
 
     Raises:
         ConfigurationError: The sequence has no `until`.
     """
+
+    no_push = "no push of any joint stays inside the limits with what the hand may hold"
 
     def __init__(
         self,
@@ -233,7 +236,7 @@ class Chooser(ABC):
         ranked = self.ranked(pose, self.sought.std_of(inner, self._found.value))
         ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)]
         if not ranked:
-            return end("nothing", "no push of any joint stays inside the limits with what the hand may hold")
+            return end("nothing", self.no_push)
         in_time = [push for push in ranked if elapsed_s + push.time_s <= self._until.at_most_s]
         if not in_time:
             return end(

@@ -44,6 +44,9 @@ FAR = 5.0
 NAMED_AT_MOST = 3
 PAUSE_S, PAUSE_STEPS = 0.03, 4.0
 """A gap between two samples that is longer than both is a pause; the second in usual steps of its recording."""
+UNEVEN_S, UNEVEN_SHARE = 1e-3, 0.15
+"""Steps that scatter by more than both are uneven; the second in usual steps of their run. At 1 rad/s a millisecond is an encoder's
+count."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,25 @@ def paused(runs: Sequence[PreparedRun]) -> list[Reason]:
             "paused",
             f"{where}: the joint states pause for {1e3 * longest_s:.0f} ms: a computer that is busy elsewhere pushes and holds an "
             "arm too late; keep it free and record again",
+        )
+    ]
+
+
+def uneven(runs: Sequence[PreparedRun]) -> list[Reason]:
+    """What else may be wrong with it: stamps that are not when the positions were read, which shows in their steps."""
+    widest_s, every_s, where = 0.0, 0.0, ""
+    for prepared in runs:
+        steps_s = np.diff(prepared.run.times_s)
+        usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+        if len(steps_s) and steps_s.std() > max(widest_s, UNEVEN_S, UNEVEN_SHARE * usual_s):
+            widest_s, every_s, where = float(steps_s.std()), usual_s, prepared.run.name
+    if not where:
+        return []
+    return [
+        Reason(
+            "uneven",
+            f"{where}: the joint states come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms: a computer that "
+            "is busy elsewhere stamps positions when it did not read them; keep it free and record again",
         )
     ]
 
@@ -292,7 +314,7 @@ def judge(
         withheld = refusal.withheld
         found.reasons[:0] = refusal.reasons
         if verdict is Verdict.REJECTED:
-            found.reasons += paused(assessed.runs)
+            found.reasons += paused(assessed.runs) or uneven(assessed.runs)
     else:
         value, std = assessed.value, assessed.std
         name, unit = assessed.name, fit.problem.unknowns[assessed.row].unit

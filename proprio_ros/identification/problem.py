@@ -554,7 +554,7 @@ def _from_quantity(
 def _of_one_kind(robot: Robot, free: Sequence[Unknown]) -> tuple[list[Key], np.ndarray]:
     """Keys and prior covariance of the torque constants among some unknowns; motors of one kind err together in part."""
     constants = [unknown for unknown in free if unknown.kind == "torque_constant"]
-    kinds = [robot.drive_trains[str(unknown.scope)].nominal_torque_constant for unknown in constants]
+    kinds = [robot.drive_trains[str(unknown.scope)].nominal_effort_per_current for unknown in constants]
     std = np.array([unknown.std for unknown in constants])
     alike = np.array([[one == other for other in kinds] for one in kinds], dtype=float).reshape(len(std), len(std))
     shares = COMMON_SHARE * alike + (1.0 - COMMON_SHARE) * np.eye(len(std))

@@ -20,6 +20,7 @@ CODES = {
     "unsimulated": "no guess could be simulated",
     "stamps_off": "the joint moved earlier or later than the stamps of its input allow",
     "paused": "the joint states of a rejected recording paused, as on a computer that is busy elsewhere",
+    "uneven": "the joint states of a rejected recording came unevenly, as from a computer that is busy elsewhere",
     "drift": "the empty hand contradicts the calibration",
     "on_bound": "the value ended on a bound of the search",
     "misfit": "the best simulation does not follow the recording",

@@ -210,6 +210,18 @@ def test_a_pause_is_named_where_the_recording_is_rejected(calibrated: Robot, lif
     assert last.startswith("paused: the joint states pause for ")
 
 
+def test_uneven_stamps_are_named_where_the_recording_is_rejected(calibrated: Robot, lift: Run) -> None:
+    rng = np.random.default_rng(3)
+    inner = lift.times_s[1:-1]
+    shaken = inner + rng.uniform(-0.4, 0.4, len(inner)) * float(np.median(np.diff(inner)))
+    times_s = np.concatenate([lift.times_s[:1], shaken, lift.times_s[-1:]])
+    estimate = weigh(calibrated, [replace(lift, name="uneven", times_s=times_s)])
+    last = estimate.reasons[-1]
+    assert estimate.verdict is Verdict.REJECTED and last.code == "uneven", estimate.reasons
+    assert last.startswith("uneven: the joint states come every 25 ms and scatter by ")
+    assert not any(reason.code == "uneven" for reason in weigh(calibrated, [bumped(lift)]).reasons)
+
+
 def test_a_mass_on_the_bound_of_the_search() -> None:
     """A pendulum that swings down as with 50 kg at its tip, where at most 20 kg are searched."""
     pendulum = load_robot("pendulum")

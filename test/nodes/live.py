@@ -39,7 +39,7 @@ UP_S = 300.0
 noticed at once."""
 SOON_S = 60.0
 """What happens within a second on an idle computer. It costs time only where a test fails."""
-INTERRUPTED = ("aborted", "refuses", "not ready", "fallen silent", "the joint states pause for")
+INTERRUPTED = ("aborted", "refuses", "not ready", "fallen silent", "the joint states pause for", " scatter by ")
 """What a busy computer does to a probe, and is said. A rejected one without that is another matter."""
 
 

@@ -52,6 +52,8 @@ class SqueezesUntilSure(Chooser):
         ConfigurationError: The sequence has no `until`, or no run of its own.
     """
 
+    no_push = "no current moves the fingers far enough inside their limits: is the block between them, and are they free to move?"
+
     def __init__(
         self,
         robot: Robot,
