@@ -218,7 +218,7 @@ def test_uneven_stamps_are_named_where_the_recording_is_rejected(calibrated: Rob
     estimate = weigh(calibrated, [replace(lift, name="uneven", times_s=times_s)])
     last = estimate.reasons[-1]
     assert estimate.verdict is Verdict.REJECTED and last.code == "uneven", estimate.reasons
-    assert last.startswith("uneven: the joint states come every 25 ms and scatter by ")
+    assert last.startswith("uneven: the joint states come every ") and " ms and scatter by " in last
     assert not any(reason.code == "uneven" for reason in weigh(calibrated, [bumped(lift)]).reasons)
 
 
