@@ -130,7 +130,7 @@ def error_and_hit(estimate: Estimate, mass: float) -> tuple[float, bool]:
 def test_the_repositorys_own_recordings(realistic: Level) -> None:
     for folder in realistic.folders("container_sphere_*"):
         off, hit = error_and_hit(realistic.find([folder]), truth_of(folder)["sphere_mass"])
-        assert abs(off) < 1.0e-3 and hit, folder.name
+        assert abs(off) < 1.3e-3 and hit, folder.name
 
 
 @pytest.mark.parametrize(
