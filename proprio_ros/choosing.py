@@ -273,7 +273,7 @@ class Chooser(ABC):
 
     def sequence_of(self, run: ProbeRun) -> ProbeSequence:
         """A sequence of one push, which stays where it ends."""
-        return replace(self._sequence, name="chosen", runs=(run,), until=None, home={})
+        return alone(self._sequence, run)
 
     def _left_out(self, push: Push) -> bool:
         return any(push.joint == joint and abs(push.start[joint] - place) < NEAR_RAD for joint, place in self._ended_at)
@@ -296,6 +296,11 @@ class Chooser(ABC):
 
     def _half(self, std: float) -> float:
         return float(np.hypot(self.sought.half_of(std, self._found.value), self._widening))
+
+
+def alone(sequence: ProbeSequence, run: ProbeRun) -> ProbeSequence:
+    """A push made as a sequence makes its own, after which the arm stays where it ends."""
+    return replace(sequence, name="chosen", runs=(run,), until=None, home={})
 
 
 def time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) -> Callable[[np.ndarray], np.ndarray]:

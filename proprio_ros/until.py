@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from proprio_ros.choosing import Chooser, Found, passes, time_of
+from proprio_ros.choosing import Chooser, Found, alone, passes, time_of
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
 from proprio_ros.identification.sequential import (
@@ -196,9 +196,7 @@ def _chosen(
         ranked = catalogue.rank(known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg)
         for push in ranked:
             run = run_of(push, robot)
-            if elapsed_s + push.time_s <= at_most_s and passes(
-                machine, replace(sequence, runs=(run,), until=None, home={}), here
-            ):
+            if elapsed_s + push.time_s <= at_most_s and passes(machine, alone(sequence, run), here):
                 break
         else:
             break

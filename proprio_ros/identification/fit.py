@@ -23,7 +23,7 @@ from proprio_ros.identification.problem import (
     load_unknowns,
 )
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.unknowns import Role
+from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import key_of, label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
@@ -106,6 +106,11 @@ class FitResult:
     @property
     def reduced_chi2(self) -> float:
         return self.chi2 / self.dof
+
+    def values_of(self, unknowns: Sequence[Unknown]) -> np.ndarray:
+        """Its values of another problem's unknowns, theirs where it has none, shape (N,)."""
+        index = self.problem.index
+        return np.array([float(self.values[index[u.key]]) if u.key in index else u.value for u in unknowns])
 
     def column(self, name: str) -> int:
         """Place of an unknown among the free ones."""

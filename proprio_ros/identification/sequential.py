@@ -254,11 +254,7 @@ class Catalogue:
             return replace(self.nothing_known(), prepared=prepared)
         start = None
         if before is not None and before.fit is not None:
-            index = {unknown.key: row for row, unknown in enumerate(before.fit.problem.unknowns)}
-            values = [
-                float(before.fit.values[index[u.key]]) if u.key in index else u.value for u in self._unknowns(usable)
-            ]
-            start = replace(before.fit, values=np.array(values))
+            start = replace(before.fit, values=before.fit.values_of(self._unknowns(usable)))
         fit = solve_load(self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True)
         return replace(self.after(fit, len(usable)), prepared=prepared)
 

@@ -177,8 +177,7 @@ class Jobs:
             estimate = self.identify(job, bag, setting.options, partial(self._results.publish, setting))
         except RecordingError as error:
             raise JobError(f"{job.reason or error}; recording: {bag}") from error
-        if plan.until is not None:
-            assert chooser is not None
+        if chooser is not None and plan.until is not None:
             sought, target = chooser.sought, plan.until.half_interval
             choices = [choice_of(decision) for decision in job.decisions]
             self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))

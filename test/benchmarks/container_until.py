@@ -29,9 +29,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from coverage import MATCHED
-from random_arm import EFFECTS, HiddenRobot, draw_robot
-from spheres import FACTS, HEAVIEST_KG, LIGHTEST_KG, Boxed, box
+from random_arm import HiddenRobot
+from spheres import FACTS, Boxed, box, drawn
 from until_sure import Bench, calibrated
 
 from proprio_ros.errors import ProprioError
@@ -132,7 +131,7 @@ def one_case(
     while with_fixed and not reached and len(made) < FIXED_AT_MOST:
         for probe in fixed.runs:
             made += other.push(probe, sphere)
-        reached = Z95 * follower.learn(made).std <= Z95 * chooser.found.std
+        reached = follower.learn(made).std <= chooser.found.std
     fixed_error, fixed_half = answer_of(find(made), mass) if made else (float("nan"), float("nan"))
     return Case(
         seed, mass, reference, decision.ended_by, estimate.verdict.value, "; ".join(estimate.reasons[:2]), error, half,
@@ -143,12 +142,7 @@ def one_case(
 
 def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
     seed, reference, until, fixed_every = job
-    rng = np.random.default_rng([seed, 31])
-    hidden = draw_robot(rng, EFFECTS, MATCHED)
-    sphere = box(
-        float(np.exp(rng.uniform(np.log(LIGHTEST_KG), np.log(HEAVIEST_KG)))), float(rng.uniform(0.2, 0.5)),
-        float(rng.uniform(0.001, 0.003)), float(rng.uniform(0.5, 1.0)),
-    )  # fmt: skip
+    rng, hidden, sphere = drawn(seed)
     robot = calibrated(hidden, reference, rng)
     if robot is None:
         print(f"seed {seed}: not calibrated", file=sys.stderr, flush=True)

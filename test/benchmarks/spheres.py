@@ -164,14 +164,20 @@ class Recorded:
     rolling: tuple[Run, ...]
 
 
-def recorded(seed: int, effects: Collection[str] = EFFECTS) -> Recorded:
-    """One robot's recordings."""
+def drawn(seed: int, effects: Collection[str] = EFFECTS) -> tuple[np.random.Generator, HiddenRobot, Boxed]:
+    """One robot and its sphere, and the generator that goes on from them."""
     rng = np.random.default_rng([seed, 31])
     hidden = draw_robot(rng, effects, MATCHED)
     sphere = box(
         float(np.exp(rng.uniform(np.log(LIGHTEST_KG), np.log(HEAVIEST_KG)))), float(rng.uniform(0.2, 0.5)),
         float(rng.uniform(0.001, 0.003)), float(rng.uniform(0.5, 1.0)),
     )  # fmt: skip
+    return rng, hidden, sphere
+
+
+def recorded(seed: int, effects: Collection[str] = EFFECTS) -> Recorded:
+    """One robot's recordings."""
+    rng, hidden, sphere = drawn(seed, effects)
     empty = tuple(run_of(probe, hidden, None, rng) for probe in EMPTY_PROBES)
     baseline, rolling = [], []
     for choices in PROBES:

@@ -281,9 +281,8 @@ class SphereUntilSure(Chooser):
                 own[scope].append(row)
         columns = np.array([[problem.index.get(key, 0) for key in keys] + rows for rows in own])
         q, v, dq, x, dx = problem.foresee(values, columns)
-        lacks = [
-            place for place, key in enumerate(keys) if key not in problem.index
-        ]  # of joints that none of them drives
+        # of joints that none of them drives
+        lacks = [place for place, key in enumerate(keys) if key not in problem.index]
         dq[..., lacks] = dx[..., lacks] = 0.0
         off = q - np.array([run.rest.value for run in runs])[:, None]
         usable = np.array([run.drive.usable_velocity for run in runs])

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.choosing import Chooser, Found, time_of
+from proprio_ros.choosing import Chooser, Found, alone, time_of
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
 from proprio_ros.identification.fit import FitResult
@@ -181,4 +181,4 @@ class SqueezesUntilSure(Chooser):
 
     def sequence_of(self, run: ProbeRun) -> ProbeSequence:
         """A sequence of one squeeze, after which the fingers let go."""
-        return replace(self._sequence, name="chosen", runs=(run,), until=None, from_here=(), home=dict(run.start))
+        return replace(alone(self._sequence, run), from_here=(), home=dict(run.start))

@@ -196,12 +196,8 @@ def fit_squeezes(
     """
     data = _Recorded(tuple(runs), (True,) * len(runs))
     if before is not None:
-        known = {
-            unknown.key: float(value) for unknown, value in zip(before.problem.unknowns, before.values, strict=True)
-        }
         unknowns = block_unknowns(robot, data.runs, data.squeezing, facts, Role.FREE)
-        values = np.array([known.get(unknown.key, unknown.value) for unknown in unknowns])
-        fit = _solve(robot, data, facts, options, Role.FREE, replace(before, values=values))
+        fit = _solve(robot, data, facts, options, Role.FREE, replace(before, values=before.values_of(unknowns)))
         if fit.explains:
             return fit
     return _solve(robot, data, facts, options, Role.FREE, _solve(robot, data, facts, options, Role.FROZEN))
