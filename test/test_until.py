@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,19 @@ import yaml
 
 from proprio_ros.choosing import Decision
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSample, Phase
-from proprio_ros.excitation.plans import ProbeSequence, Until, as_text, check_sequence, load_sequence
+from proprio_ros.excitation.machine import ExcitationMachine, JointSample
+from proprio_ros.excitation.plans import Until, as_text, check_sequence, load_sequence
 from proprio_ros.paper import hand as paper_hand
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.base import Probe
-from proprio_ros.records import InputRecord, JointRecord, Recording, Run
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import load_robot
 from proprio_ros.runs import cut_runs
 from proprio_ros.until import UntilSure, chosen_known
 
+sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
+
+from pushed_arm import Hand
 
 ROBOT = load_robot("open_manipulator_x")
 UNTIL = Until(4e-3, "kg", 60.0)
@@ -107,48 +109,8 @@ def paper_hand_facts() -> Any:
     return PayloadFacts(shape=PayloadShape.of("sphere", 0.04))
 
 
-@dataclass
-class Hand:
-    """A virtual arm that the excitation's machine drives, sequence after sequence; encoders and currents in whole counts."""
-
-    robot: Robot
-    arm: Any
-    time_s: float = 10.0
-    runs: list[Run] = field(default_factory=list)
-
-    def sample(self) -> JointSample:
-        joints, scale = self._joints()
-        position = scale * paper_hand.COUNT_RAD * np.rint(self.arm.encoder_rad() / paper_hand.COUNT_RAD)
-        velocity = scale * paper_hand.COUNT_RAD_S * np.rint(self.arm.velocity_rad_s() / paper_hand.COUNT_RAD_S)
-        named = [dict(zip(joints, row.tolist(), strict=True)) for row in (position, velocity)]
-        return JointSample(self.time_s, *named)
-
-    def _joints(self) -> tuple[tuple[str, ...], np.ndarray]:
-        joints = tuple(self.robot.drive_trains)
-        return joints, np.array([self.robot.drive_trains[joint].transmission for joint in joints])
-
-    def make(self, sequence: ProbeSequence) -> None:
-        machine, now = ExcitationMachine(self.robot), self.sample()
-        joints, scale = self._joints()
-        machine.start(sequence, now)
-        stamps: list[int] = []
-        places: list[list[float]] = []
-        currents: list[list[float]] = []
-        command = Command(dict(now.position))
-        while machine.busy:
-            before, command = command, machine.tick(self.time_s, now)
-            stamps.append(round(1e9 * now.time_s))
-            places.append([now.position[joint] for joint in joints])
-            currents.append([paper_hand._counted(command.current_A.get(joint, 0.0)) for joint in joints])
-            for tick in range(25):  # what is commanded comes into effect 4 ms later
-                paper_hand._drive(self.arm, before if tick < 4 else command, joints, scale)
-            self.time_s += 0.025
-            now = self.sample()
-        assert machine.phase is Phase.DONE, machine.message
-        times = np.array(stamps)
-        inputs = InputRecord(times, joints, np.array(currents), "/applied_effort")
-        record = JointRecord(times, joints, np.array(places))
-        self.runs += cut_runs(Recording("sure", record, inputs), joints=list(joints))
+class Weighing(Hand):
+    """The arm, and a weighing of what it holds."""
 
     def weigh(self, until: Until) -> tuple[UntilSure, list[Decision]]:
         sequence = replace(load_sequence("payload_until", self.robot), until=until)
@@ -161,7 +123,7 @@ class Hand:
         return chooser, decisions
 
 
-def hand(mass_kg: float, position: Mapping[str, float] | None = None, coulomb: float | None = None) -> Hand:
+def hand(mass_kg: float, position: Mapping[str, float] | None = None, coulomb: float | None = None) -> Weighing:
     """A robot of which all is known, but perhaps not how much its joints really rub."""
     pytest.importorskip("mujoco")
     from proprio_ros.virtual.arm import VirtualArm
@@ -174,7 +136,7 @@ def hand(mass_kg: float, position: Mapping[str, float] | None = None, coulomb: f
     robot = paper_hand.known_robot()
     arm = VirtualArm(robot, truth, position=position or PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
     arm.hold(Payload(mass_kg))
-    return Hand(robot, arm)
+    return Weighing(robot, arm)
 
 
 @pytest.mark.long

@@ -118,7 +118,7 @@ class Weighed:
 def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | None = None) -> Weighed:
     """Weigh what is held until sure, after runs with the empty container, or with its mass stated where there are none."""
     pytest.importorskip("mujoco")
-    from test_until import Hand
+    from pushed_arm import Hand
 
     from proprio_ros.virtual.arm import VirtualArm
     from proprio_ros.virtual.robot import PARKED
