@@ -224,7 +224,9 @@ def _made_by(
     body = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
     scope = {
         **known,
-        "self": SimpleNamespace(values=values, conventions=importlib.import_module("proprio_ros.bags").OUR_DRIVER),
+        "self": SimpleNamespace(
+            values=values, conventions=importlib.import_module("proprio_ros.recordings.bags").OUR_DRIVER
+        ),
         "node": SimpleNamespace(values=values),
     }
     # a kind of connection, and which of its arguments are type, name and quality of service
@@ -387,15 +389,16 @@ def _parameter(parameter: Any) -> tuple[str, str, str, str]:
 
 def settings() -> str:
     """The page about settings, robot files, calibrations and limits."""
-    from proprio_ros import bags, reading
-    from proprio_ros.calibration import NOISE, RANGES
-    from proprio_ros.drivers import COLUMNS, FORMS, INPUT
+    from proprio_ros.calibration_files.pushes import NOISE, RANGES
+    from proprio_ros.inputs import reading
+    from proprio_ros.inputs.settings import SEARCH, probe_file
     from proprio_ros.kinds import KINDS
     from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
     from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
     from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
+    from proprio_ros.recordings import bags
+    from proprio_ros.recordings.drivers import COLUMNS, FORMS, INPUT
     from proprio_ros.robot import robot_file, urdf
-    from proprio_ros.settings import SEARCH, probe_file
 
     parts = [
         NOTE,

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch, Rectangle
 
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.replay import ReplayOptions, replay
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.robot import load_robot
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"

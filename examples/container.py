@@ -2,7 +2,7 @@
 
 # %% Calibrate the joint that will move, with an empty hand
 from proprio_ros import calibrate, weigh
-from proprio_ros.resources import resource
+from proprio_ros.inputs.resources import resource
 
 
 def bag(name: str) -> str:

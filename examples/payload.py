@@ -2,7 +2,7 @@
 
 # %% What the recordings hold, before any fit
 from proprio_ros import calibrate, check, weigh
-from proprio_ros.resources import resource
+from proprio_ros.inputs.resources import resource
 
 
 def bag(name: str) -> str:

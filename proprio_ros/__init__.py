@@ -13,17 +13,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from proprio_ros.api import calibrate, check, plan, weigh
+from proprio_ros.version import __version__
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from proprio_ros.pipeline.api import calibrate, check, plan, weigh
+
 __all__ = ["__version__", "calibrate", "check", "plan", "weigh"]
 
 
 def __getattr__(name: str) -> Any:
     """The calls for scripts and notebooks, loaded with all they need when they are first asked for."""
     if name in __all__:
-        from proprio_ros import api
+        from proprio_ros.pipeline import api
 
         return getattr(api, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,12 +15,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-from proprio_ros import __version__, progress, schema
+from proprio_ros import progress, schema
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line, printable
+from proprio_ros.inputs.reading import path_problem
+from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.quantity import shown, spec_for
-from proprio_ros.reading import path_problem
-from proprio_ros.settings import parse_settings
+from proprio_ros.version import __version__
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 LONGEST_WORD = 100_000
@@ -422,7 +423,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     _refuse_unwritable(options.report)
     settings = _settings(options.set)
     # heavy imports only now, so that --help and a mistyped option answer at once
-    from proprio_ros.replay import ReplayOptions, replay
+    from proprio_ros.pipeline.replay import ReplayOptions, replay
 
     estimate = replay(
         options.bags,
@@ -446,7 +447,7 @@ def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     else:
         _print(_as_text(estimate))
     if options.report:
-        from proprio_ros.replay import write_report
+        from proprio_ros.pipeline.replay import write_report
 
         write_report(estimate, Path(options.report), command=shlex.join(["proprio", *given]), sources=options.bags)
         print(f"proprio: report written to {printable(options.report)}", file=sys.stderr)
@@ -468,8 +469,8 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
         if not path:
             raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
         references[path] = known
-    from proprio_ros.calibrating import calibrate_from_bags, refresh_from_bags
-    from proprio_ros.replay import ReplayOptions
+    from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
+    from proprio_ros.pipeline.replay import ReplayOptions
 
     about = ReplayOptions(
         robot=options.robot,
@@ -508,7 +509,7 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
-    from proprio_ros.checking import as_json, check_bags
+    from proprio_ros.pipeline.check import as_json, check_bags
 
     robot, checks = check_bags(
         options.bags,
@@ -527,7 +528,7 @@ def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
-    from proprio_ros.resources import check_new_yaml, write_in_one_step
+    from proprio_ros.inputs.resources import check_new_yaml, write_in_one_step
     from proprio_ros.robot.new_file import new_robot_file
 
     output = Path(options.output)
@@ -550,9 +551,9 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     if options.count < 1:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
     settings = _settings(options.set)
-    from proprio_ros.api import Plans
-    from proprio_ros.calibrating import plan_probes
-    from proprio_ros.replay import ReplayOptions
+    from proprio_ros.pipeline.api import Plans
+    from proprio_ros.pipeline.calibrate import plan_probes
+    from proprio_ros.pipeline.replay import ReplayOptions
 
     asked = ReplayOptions(robot=options.robot, settings=settings, calibration=options.calibration)
     plans = Plans(*plan_probes(masses, asked, options.count, _progress), masses)
@@ -610,7 +611,7 @@ def _span(text: str | None) -> tuple[int, int | None] | None:
 
 def _warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = parse_settings(options.set)
-    from proprio_ros.replay import ReplayOptions, compile_for
+    from proprio_ros.pipeline.replay import ReplayOptions, compile_for
 
     for name in [options.probe] if options.probe else [probe.name for probe in all_probes()]:
         compile_for(ReplayOptions(probe=name, robot=options.robot, settings=settings))
@@ -650,7 +651,7 @@ def _batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = _settings(options.set)
     from proprio_ros.batch.job import refuse_device, run_batch
     from proprio_ros.batch.rows import Job
-    from proprio_ros.replay import ReplayOptions
+    from proprio_ros.pipeline.replay import ReplayOptions
 
     refuse_device(options.device)
     asked = ReplayOptions(

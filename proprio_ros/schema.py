@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from proprio_ros import __version__
+from proprio_ros.version import __version__
 
 
 def header(kind: str) -> dict[str, str]:

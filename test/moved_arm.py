@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.bags import JOINT_STATE, RawMessage, _types, write_messages
+from proprio_ros.recordings.bags import JOINT_STATE, RawMessage, _types, write_messages
 
 STEP_S = 0.001
 

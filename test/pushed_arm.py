@@ -10,9 +10,9 @@ import numpy as np
 from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSample, Phase
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.paper import hand as paper_hand
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
-from proprio_ros.runs import cut_runs
 
 
 @dataclass

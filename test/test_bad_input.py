@@ -17,15 +17,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
-from proprio_ros.bags import RawMessage, read_point_file, read_recording, read_text_recording, write_messages
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.cli import main
 from proprio_ros.errors import LONGEST_SENTENCE, ConfigurationError, ProprioError, RecordingError, one_line, printable
-from proprio_ros.forms import Choice, Number, Numbers, Perhaps, Text, Truth, Whole
-from proprio_ros.reading import json_of, yaml_of
+from proprio_ros.inputs.forms import Choice, Number, Numbers, Perhaps, Text, Truth, Whole
+from proprio_ros.inputs.reading import json_of, yaml_of
+from proprio_ros.inputs.resources import resource, share_directory
+from proprio_ros.inputs.settings import SEARCH, parse_settings
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.recordings.bags import RawMessage, read_point_file, read_recording, read_text_recording, write_messages
 from proprio_ros.records import JointRecord
-from proprio_ros.resources import resource, share_directory
-from proprio_ros.settings import SEARCH, parse_settings
 from proprio_ros.sim.mesh import read_mesh
 
 BAGS = share_directory() / "bags"
@@ -124,7 +124,7 @@ def test_yaml_that_nobody_means(text: str, words: str) -> None:
 
 
 def test_yaml_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("proprio_ros.reading.MOST_NODES", 100)
+    monkeypatch.setattr("proprio_ros.inputs.reading.MOST_NODES", 100)
     with pytest.raises(ValueError, match="more than 100 values"):
         yaml_of("- 1\n" * 200)
 
@@ -138,7 +138,7 @@ def test_yaml_as_before() -> None:
 
 
 def test_yaml_is_parsed_once_and_belongs_to_who_reads_it() -> None:
-    from proprio_ros.reading import _parsed
+    from proprio_ros.inputs.reading import _parsed
 
     text = "shared: &s [1]\nalias: *s\nonly here: {x: [1, 2]}"
     first = yaml_of(text)
@@ -339,13 +339,13 @@ def bytes_of(path: Path, topic: str) -> list[tuple[str, int, bytes]]:
 def test_more_than_is_read_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("MOST_MESSAGES", "MOST_BYTES", "MOST_BYTES_OF_ONE"):
         with monkeypatch.context() as patch:
-            patch.setattr(f"proprio_ros.bags.{name}", 20)
+            patch.setattr(f"proprio_ros.recordings.bags.{name}", 20)
             with pytest.raises(RecordingError, match="holds more than is read"):
                 read(BAG)
 
 
 def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from proprio_ros.bags import _zstd
+    from proprio_ros.recordings.bags import _zstd
 
     folder = tmp_path / "bag"
     shutil.copytree(BAG, folder)
@@ -358,7 +358,7 @@ def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch:
     )
     (folder / "metadata.yaml").write_text(metadata)
     assert len(read(folder).joints.times_ns) == len(read(BAG).joints.times_ns)
-    monkeypatch.setattr("proprio_ros.bags.MOST_UNPACKED", len(whole) - 1)
+    monkeypatch.setattr("proprio_ros.recordings.bags.MOST_UNPACKED", len(whole) - 1)
     with pytest.raises(RecordingError, match="unpacks to over"):
         read(folder)
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from proprio_ros import __version__
 from proprio_ros.cli import main
 from proprio_ros.identification.reasons import CODES
-from proprio_ros.resources import resource
+from proprio_ros.inputs.resources import resource
+from proprio_ros.version import __version__
 
 jsonschema = pytest.importorskip("jsonschema")
 ROOT = Path(__file__).resolve().parents[1]

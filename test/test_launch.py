@@ -13,8 +13,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from proprio_ros.errors import ProprioError
+from proprio_ros.inputs.resources import resource
 from proprio_ros.nodes.arguments import check_arguments
-from proprio_ros.resources import resource
 from proprio_ros.virtual.objects import Container, parse_object
 
 REPOSITORY = Path(__file__).resolve().parents[1]

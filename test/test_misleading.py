@@ -19,15 +19,15 @@ from proprio_ros.identification.judge import FAR, Assessment, Useful
 from proprio_ros.identification.problem import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs, replay, write_report
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import spec_for
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, bag_recording, bag_runs, replay, write_report
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
 from proprio_ros.schema import reason_codes
-from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 BALL = "realistic_s00_fixed_light_ball_20g_joint3"

@@ -14,15 +14,15 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from machines import REAL, pendulum_urdf
 
-from proprio_ros.bags import read_recording, write_recording
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.motions import motion_of
+from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, replay
+from proprio_ros.recordings.bags import read_recording, write_recording
+from proprio_ros.recordings.motions import motion_of
+from proprio_ros.recordings.runs import UnderController, cut_runs
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
-from proprio_ros.replay import ReplayOptions, bag_recording, replay
 from proprio_ros.robot import load_robot
-from proprio_ros.runs import UnderController, cut_runs
 
 GRAVITY = 9.80665
 ROBOT = """name: {name}

@@ -177,7 +177,7 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
     assert done.returncode == 3, done.stderr  # too wide: the arm is not calibrated
     assert json.loads(done.stdout)["estimates"][0]["value"] == pytest.approx(0.05, abs=1e-3)
     located = subprocess.run(
-        ["python3", "-c", "import proprio_ros.resources as r; print(r.__file__, r.share_directory())"],
+        ["python3", "-c", "import proprio_ros.inputs.resources as r; print(r.__file__, r.share_directory())"],
         cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600, check=True,
     )  # fmt: skip
     assert located.stdout.split() == [

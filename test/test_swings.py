@@ -15,18 +15,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 from swings import ROBOT, URDF, as_run, facts, machine_of, released
 
-from proprio_ros.bags import BOOL, JOINT_STATE, RawMessage, _types, read_recording, write_messages
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.checking import check_bags
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.recordings.bags import BOOL, JOINT_STATE, RawMessage, _types, read_recording, write_messages
+from proprio_ros.recordings.runs import RELEASE_S, cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
-from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import RELEASE_S, cut_runs
 
 START_NS = 1_000_000_000
 MASSES_KG = (0.55, 1.0, 0.8)

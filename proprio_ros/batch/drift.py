@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.batch.episodes import Episode
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import ProprioError, RecordingError
-from proprio_ros.identification.motion_prior import fit_empty
-from proprio_ros.motion_calibration import MotionCalibration
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.inputs.resources import write_in_one_step
+from proprio_ros.pipeline.replay import ReplayOptions, bag_motion, prepare
 from proprio_ros.quantity import Z95
-from proprio_ros.replay import ReplayOptions, bag_motion, prepare
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed, number, table
-from proprio_ros.resources import write_in_one_step
 from proprio_ros.threads import one_blas_thread
 
 DAY_NS = 86_400_000_000_000

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proprio_ros.identification.running import RunningEstimate
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.running import RunningEstimate
+from proprio_ros.pipeline.replay import Prepared
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
-from proprio_ros.replay import Prepared
 from proprio_ros.robot import Robot
 
 LEAST_S = 0.5

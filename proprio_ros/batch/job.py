@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.bags import is_text_recording
 from proprio_ros.batch.drift import drift_of, evenly, readable, write_drift
 from proprio_ros.batch.episodes import Episode, episodes_of
 from proprio_ros.batch.local import CHUNK, processors, run_local
@@ -15,11 +14,12 @@ from proprio_ros.batch.on_ray import ray_or_refuse, run_ray
 from proprio_ros.batch.page import COLUMNS, MOST_REPORTS, named, odd, path_of, span_of, write_batch_page
 from proprio_ros.batch.rows import GRASP, Job
 from proprio_ros.batch.store import Store
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.datasets import marked, open_data_set
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
-from proprio_ros.motions import SHORTEST_S
-from proprio_ros.replay import ReplayOptions, prepare, replay, write_report
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, prepare, replay, write_report
+from proprio_ros.recordings.bags import is_text_recording
+from proprio_ros.recordings.datasets import marked, open_data_set
+from proprio_ros.recordings.motions import SHORTEST_S
 
 MOST_EMPTY = 20
 """Episodes that calibrate an arm."""

@@ -14,11 +14,11 @@ import numpy as np
 from proprio_ros.batch.drift import Period, drift_parts
 from proprio_ros.batch.rows import EPISODE, FAILED, GRASP, PART
 from proprio_ros.batch.store import Store
+from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import shown
 from proprio_ros.records import Span
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import bars, document, framed, provenance, table
-from proprio_ros.resources import write_in_one_step
 
 COLUMNS = (
     "source_name", "source", "episode", "episode_index", "segment", "kind", "recorded_ns", "quantity", "unit", "value", "std",

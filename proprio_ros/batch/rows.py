@@ -11,18 +11,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from proprio_ros import __version__
-from proprio_ros.bags import is_text_recording, parts_of
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.grasps import Grasp, Grasps
-from proprio_ros.datasets import parts_of_episode
 from proprio_ros.errors import ProprioError, one_line
 from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.pipeline.replay import Prepared, ReplayOptions, identify, prepare, read_for
 from proprio_ros.probes.base import Recorded
+from proprio_ros.recordings.bags import is_text_recording, parts_of
+from proprio_ros.recordings.datasets import parts_of_episode
 from proprio_ros.records import Span
-from proprio_ros.replay import Prepared, ReplayOptions, identify, prepare, read_for
 from proprio_ros.schema import calibration_used, reason_codes
 from proprio_ros.threads import one_blas_thread
+from proprio_ros.version import __version__
 
 Row = dict[str, Any]
 

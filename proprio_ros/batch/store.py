@@ -16,9 +16,9 @@ from typing import IO, Any
 
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import GRASP, Job, Row, source_name
-from proprio_ros.datasets import arrow
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.resources import write_in_one_step
+from proprio_ros.inputs.resources import write_in_one_step
+from proprio_ros.recordings.datasets import arrow
 
 PARTITION = "source_name"
 

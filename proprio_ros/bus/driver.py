@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from proprio_ros.bus.dynamixel import DynamixelBus, Goal, Reading, ServoHealth
+from proprio_ros.clock import RoundTrips
 from proprio_ros.errors import BusError, PortLostError
-from proprio_ros.realtime import RoundTrips
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
 

@@ -32,8 +32,8 @@ from proprio_ros.bus.control_table import (
     model_name,
     servo_model,
 )
+from proprio_ros.calibration_files.motors import MotorIdentity, Motors
 from proprio_ros.errors import BusError, PortLostError, RobotError
-from proprio_ros.motors import MotorIdentity, Motors
 from proprio_ros.robot import Robot
 
 REPLY_TIMEOUT_S = 0.020

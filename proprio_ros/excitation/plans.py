@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, one_line
-from proprio_ros.reading import finite, yaml_file
-from proprio_ros.resources import resource, resource_names
+from proprio_ros.inputs.reading import finite, yaml_file
+from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.calibration_files.one_joint import JointCalibration
+from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, plain
-from proprio_ros.joint_calibration import JointCalibration
-from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
 

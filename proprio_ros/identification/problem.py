@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.held_joints import Motion, held_motions, loads_of_yielding
+from proprio_ros.identification.locked_joints import Motion, held_motions, loads_of_yielding
 from proprio_ros.identification.unknowns import Coordinates, Role, Unknown
 from proprio_ros.kinds import KINDS, Key, Scope
 from proprio_ros.quantity import Quantity

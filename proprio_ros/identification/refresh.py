@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.calibration import RANGES, Calibration
+from proprio_ros.calibration_files.pushes import RANGES, Calibration
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.experiment_design.planning import weighable
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings, screen_run, unusable
-from proprio_ros.identification.planning import weighable
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.reasons import Reason

@@ -15,8 +15,9 @@ from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.experiment_design.planning import advise, weighable
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import (
     NOT_EMPTY,
@@ -28,7 +29,6 @@ from proprio_ros.identification.calibration_estimate import (
 )
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.gates import Findings, contradicting, never_reversed, screen_run, unusable
-from proprio_ros.identification.planning import advise, weighable
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.problem import (
     DRIVE_TERMS,

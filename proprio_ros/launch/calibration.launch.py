@@ -27,9 +27,9 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from proprio_ros.errors import ProprioError
+from proprio_ros.inputs.resources import resource
 from proprio_ros.nodes.arguments import check_arguments
 from proprio_ros.probes import all_probes
-from proprio_ros.resources import resource
 
 RELEASE_S = "15.0"
 """From SIGINT to SIGTERM [s]: a job that is under way is ended and its recording written before a node goes."""

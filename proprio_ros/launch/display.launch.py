@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.resources import resource, share_directory
+from proprio_ros.inputs.resources import resource, share_directory
 from proprio_ros.robot import RobotModel
 
 ARGUMENTS = (

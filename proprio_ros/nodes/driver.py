@@ -13,16 +13,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from proprio_ros.bags import TEMPERATURES
 from proprio_ros.bus.driver import ArmDriver, ArmSample, BusState, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
+from proprio_ros.calibration_files.motors import Motors
+from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.motors import Motors
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.nodes.senders import Senders
-from proprio_ros.realtime import Pacer, StampClock
+from proprio_ros.recordings.bags import TEMPERATURES
 from proprio_ros.robot import load_robot
 
 _D = DriverSettings()

@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 
 from proprio_ros.errors import ConfigurationError, ProprioError
-from proprio_ros.handing_on import CONTROLLERS, check_tool, load_at, together
+from proprio_ros.live.payload_export import CONTROLLERS, check_tool, load_at, together
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import Answer, ManagedNode
 

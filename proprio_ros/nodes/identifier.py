@@ -23,10 +23,11 @@ from rclpy.parameter import Parameter as RosParameter
 from std_msgs.msg import String
 
 from proprio_ros import progress
-from proprio_ros.bags import EFFORT_UNITS
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
-from proprio_ros.keeping import Keeping
+from proprio_ros.inputs.settings import parse_settings
+from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
+from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.exciting import CALL_S, Excitation
 from proprio_ros.nodes.handing_on import HandingOn
 from proprio_ros.nodes.identifier_parameters import PARAMETERS, services
@@ -38,10 +39,9 @@ from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, Answer, LongService, ManagedNode, run_node
 from proprio_ros.nodes.weighing import Weighing
+from proprio_ros.recordings.bags import EFFORT_UNITS
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
-from proprio_ros.session import Session, as_parameters, check_settings, prepare_identification, recover
-from proprio_ros.settings import parse_settings
 
 
 class IdentifierNode(ManagedNode):

@@ -14,14 +14,14 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
-from proprio_ros.bags import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES, RawMessage
-from proprio_ros.calibration import Moment
+from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.live.session import LiveEstimate, Session, as_parameters
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
-from proprio_ros.replay import ReplayOptions
+from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.recordings.bags import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES, RawMessage
 from proprio_ros.robot import DriveTrain
-from proprio_ros.session import LiveEstimate, Session, as_parameters
 
 STALE_S = 0.5
 SILENT_S = 3.0

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from proprio_ros.choosing import Decision
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import Until
+from proprio_ros.experiment_design.choosing import Decision
 
 ROBOT = "robot"
 """The job that calibrates the robot."""

@@ -18,30 +18,14 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from proprio_ros import progress
-from proprio_ros.answers import interval_of, live_answer, refusal_of
-from proprio_ros.bags import RawMessage
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.choosing import Chooser, Decision
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import as_text, check_sequence, load_sequence
+from proprio_ros.experiment_design.choosing import Chooser, Decision
+from proprio_ros.experiment_design.until import chosen_known
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.keeping import Keeping
-from proprio_ros.nodes.exciting import READY_S, Excitation
-from proprio_ros.nodes.inputs import Inputs
-from proprio_ros.nodes.job import REFRESH, ROBOT, WEIGH, Job, JobError
-from proprio_ros.nodes.parameters import value_of
-from proprio_ros.nodes.refreshing import refresh_robot
-from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.runtime import ManagedNode
-from proprio_ros.nodes.weighing import Weighing
-from proprio_ros.probes import all_probes, probe_named
-from proprio_ros.probes.base import Probe
-from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, aged_robot, replay, write_report
-from proprio_ros.report import write_calibration_report
-from proprio_ros.report.choices_page import Choice, write_choices
-from proprio_ros.robot import Robot
-from proprio_ros.session import (
+from proprio_ros.inputs.settings import Settings, parse_settings
+from proprio_ros.live.answers import interval_of, live_answer, refusal_of
+from proprio_ros.live.session import (
     LiveEstimate,
     Session,
     as_parameters,
@@ -52,8 +36,24 @@ from proprio_ros.session import (
     replay_command,
     robot_of_settings,
 )
-from proprio_ros.settings import Settings, parse_settings
-from proprio_ros.until import chosen_known
+from proprio_ros.live.workspace import Keeping
+from proprio_ros.nodes.exciting import READY_S, Excitation
+from proprio_ros.nodes.inputs import Inputs
+from proprio_ros.nodes.job import REFRESH, ROBOT, WEIGH, Job, JobError
+from proprio_ros.nodes.parameters import value_of
+from proprio_ros.nodes.refreshing import refresh_robot
+from proprio_ros.nodes.results import Results
+from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.nodes.weighing import Weighing
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, aged_robot, replay, write_report
+from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.probes.base import Probe
+from proprio_ros.recordings.bags import RawMessage
+from proprio_ros.records import Run
+from proprio_ros.report import write_calibration_report
+from proprio_ros.report.choices_page import Choice, write_choices
+from proprio_ros.robot import Robot
 
 CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""

@@ -26,10 +26,10 @@ from rclpy.duration import Duration
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
+from proprio_ros.clock import run_in_real_time
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.runtime import COMMANDS
 from proprio_ros.nodes.switching import Controllers, switch_kind
-from proprio_ros.realtime import run_in_real_time
 
 TOLD_PERIOD_S = 0.05
 SILENT_S = 0.25

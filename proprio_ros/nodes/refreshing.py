@@ -7,21 +7,21 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from proprio_ros.calibrating import refresh_from_bags
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import as_text, load_sequence
+from proprio_ros.experiment_design.until import chosen_refresh
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.keeping import Keeping
+from proprio_ros.inputs.settings import Settings
+from proprio_ros.live.session import robot_of_settings
+from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.results import Results
+from proprio_ros.pipeline.calibrate import refresh_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, aged_robot
 from proprio_ros.quantity import shown
-from proprio_ros.replay import ReplayOptions, aged_robot
 from proprio_ros.report import write_calibration_report
 from proprio_ros.robot import Robot
-from proprio_ros.session import robot_of_settings
-from proprio_ros.settings import Settings
-from proprio_ros.until import chosen_refresh
 
 REFRESH_S = 30.0
 """All pushes of a refresh take so long at most; what they leave open a whole calibration has to learn."""

@@ -13,13 +13,14 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
-from proprio_ros.answers import as_diagnostics, calibration_as_diagnostics, interval_of
-from proprio_ros.at_work import RunningFeed, running_entries, running_words
-from proprio_ros.choosing import Decision, words_of
+from proprio_ros.experiment_design.choosing import Decision, words_of
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.running import RunningEstimate
-from proprio_ros.keeping import Keeping
+from proprio_ros.identification.regression.running import RunningEstimate
+from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
+from proprio_ros.live.online_estimator import RunningFeed, running_entries, running_words
+from proprio_ros.live.session import Setting
+from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.job import WEIGH, Job
 from proprio_ros.nodes.numeric import StampedEstimates
@@ -28,7 +29,6 @@ from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Probe
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import hand_path, zero_pose
-from proprio_ros.session import Setting
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
+from proprio_ros.clock import run_in_real_time
 from proprio_ros.errors import ProprioError
+from proprio_ros.inputs.resources import share_directory
 from proprio_ros.nodes.parameters import AUTOSTART, Parameter, declare
-from proprio_ros.realtime import run_in_real_time
-from proprio_ros.resources import share_directory
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 """The last message reaches those who come later, too."""

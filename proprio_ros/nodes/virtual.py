@@ -16,11 +16,11 @@ from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from proprio_ros.clock import Pacer
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
-from proprio_ros.realtime import Pacer
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.effort_driver import UNITS, EffortDriver, PositionDriver

@@ -15,22 +15,22 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from threadpoolctl import threadpool_limits
 
-from proprio_ros.answers import interval_of, refusal_of
-from proprio_ros.at_work import NO_MOTIONS, RunningFeed, any_moved
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.keeping import Keeping
+from proprio_ros.inputs.settings import parse_settings
+from proprio_ros.live.answers import interval_of, refusal_of
+from proprio_ros.live.online_estimator import NO_MOTIONS, RunningFeed, any_moved
+from proprio_ros.live.session import Session
+from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
+from proprio_ros.pipeline.replay import ReplayOptions
 from proprio_ros.probes import probe_at_work
-from proprio_ros.replay import ReplayOptions
 from proprio_ros.robot import Robot
-from proprio_ros.session import Session
-from proprio_ros.settings import parse_settings
 
 RUNNING_PERIOD_S = 0.1
 UNFED_S = 2.0

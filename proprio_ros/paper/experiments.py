@@ -35,6 +35,7 @@ from proprio_ros.paper.ways import (
     paper_sphere,
     timed,
 )
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
 from proprio_ros.probes.container.problem import ContainerFacts, SphereTrack
 from proprio_ros.probes.payload.identify import WeighingOptions, weigh
@@ -42,7 +43,6 @@ from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, replay
 from proprio_ros.robot import Robot
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape

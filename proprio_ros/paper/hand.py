@@ -17,9 +17,9 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSample, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, PointTrack, Recording, Run
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
 from proprio_ros.virtual.arm import VirtualArm
 from proprio_ros.virtual.objects import Container, HandObject
 from proprio_ros.virtual.robot import PARKED

@@ -26,10 +26,10 @@ from proprio_ros.identification.problem import (
     robot_unknowns,
 )
 from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint, inertial_parameters
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot, pseudo_inertia, rotation_about
-from proprio_ros.sim.chain import ChainSimulator, attach_payload_joint, inertial_parameters
 from proprio_ros.sim.joint import JointRun, JointSimulator
 from proprio_ros.sim.joint_kernels import PARAMETERS
 from proprio_ros.sim.payload import joint_coefficients

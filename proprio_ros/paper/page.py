@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.paper import quoted
 from proprio_ros.paper.experiments import CUBES, EVALUATIONS, OBJECTS, STARTS_KG, Rows
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import document, framed, provenance, table
-from proprio_ros.resources import write_in_one_step
 
 COLORS = ("agreeing", "answer", "current", "measured", "apart")
 """Of series in one plot, classes of the style sheet."""

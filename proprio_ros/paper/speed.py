@@ -19,12 +19,12 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run, reduced_model
 from proprio_ros.identification.solvers import levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.inputs.resources import share_directory
 from proprio_ros.paper.hand import stated_robot
 from proprio_ros.paper.ways import Answer, answered, paper_mass, timed
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
-from proprio_ros.replay import ReplayOptions, bag_runs
-from proprio_ros.resources import share_directory
 from proprio_ros.sim.joint import INDEX
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.inputs.resources import share_directory, write_in_one_step
 from proprio_ros.paper.experiments import EXPERIMENTS, Rows, experiment
-from proprio_ros.resources import share_directory, write_in_one_step
 from proprio_ros.threads import one_blas_thread
 
 Task = tuple[str, int]

@@ -13,6 +13,8 @@ from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.paper.softbody import SOFT_INDEX, SoftBody, SoftRun
+from proprio_ros.paper.softbody_kernels import SOFT_PARAMETERS
 from proprio_ros.probes.container.problem import (
     ContainerFacts,
     ContainerProblem,
@@ -27,8 +29,6 @@ from proprio_ros.sim.energies import young
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.payload import PayloadFacts
-from proprio_ros.sim.softbody import SOFT_INDEX, SoftBody, SoftRun
-from proprio_ros.sim.softbody_kernels import SOFT_PARAMETERS
 
 _Answer = TypeVar("_Answer")
 _Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]

@@ -15,17 +15,17 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.settings import Settings
+from proprio_ros.inputs.settings import Settings
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from proprio_ros.bags import TextRecording
-    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.identification.running import RunningWeight
-    from proprio_ros.motions import Motion
+    from proprio_ros.identification.regression.running import RunningWeight
+    from proprio_ros.recordings.bags import TextRecording
+    from proprio_ros.recordings.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.calibration_estimate import HeldOutRun
 from proprio_ros.identification.estimate import RunFit, UnknownRow
 from proprio_ros.kinds import KINDS, label_of

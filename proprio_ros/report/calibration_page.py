@@ -8,12 +8,12 @@ from pathlib import Path
 
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.kinds import KINDS
 from proprio_ros.quantity import shown
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import pictures
 from proprio_ros.report.html import document, framed, listed, provenance, table
-from proprio_ros.resources import write_in_one_step
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",

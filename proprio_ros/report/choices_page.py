@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import Sought, shown_unit
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import document, framed, table
-from proprio_ros.resources import write_in_one_step
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from proprio_ros import __version__
 from proprio_ros.quantity import spec_for
+from proprio_ros.version import __version__
 
 SCRIPT = Path(__file__).with_name("chart.js").read_text(encoding="utf-8")
 """Of ``chart.py``; the only script of a page."""

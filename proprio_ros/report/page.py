@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.report import pictures
 from proprio_ros.report.html import document, framed, listed, number, provenance, table
-from proprio_ros.resources import write_in_one_step
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.reading import path_problem
+from proprio_ros.inputs.reading import path_problem
 from proprio_ros.robot.tree import RobotModel
 
 PACKAGE = "robot_descriptions:"
@@ -45,7 +45,7 @@ def read_model(source: str) -> RobotModel:
     if problem:
         raise RobotError(f"{one_line(source, 60)}: {problem}")
     if is_bag(path):
-        from proprio_ros.bags import read_description  # only here: it brings the readers of bags along
+        from proprio_ros.recordings.bags import read_description  # only here: it brings the readers of bags along
 
         return RobotModel.from_urdf_string(read_description(path), f"/robot_description of {path.name}")
     if path.suffix == ".xacro":

@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from proprio_ros.forms import Form, Number
+from proprio_ros.inputs.forms import Form, Number
 from proprio_ros.robot.geometry import FloatArray
 
 STEP_S = 0.002

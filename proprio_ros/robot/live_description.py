@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from proprio_ros.errors import ProprioError, RobotError
-from proprio_ros.resources import write_in_one_step
+from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.robot.description import check_masses
 from proprio_ros.robot.tree import RobotModel
 

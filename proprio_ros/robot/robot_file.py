@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration import NOISE, RANGES, TERMS, Calibration, check_complete
-from proprio_ros.drift import FORMS, Drift
+from proprio_ros.calibration_files.drift import FORMS, Drift
+from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.calibration_files.one_joint import JointCalibration
+from proprio_ros.calibration_files.pushes import NOISE, RANGES, TERMS, Calibration, check_complete
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
-from proprio_ros.joint_calibration import JointCalibration
+from proprio_ros.inputs.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
+from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml_of
+from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.kinds import Key
-from proprio_ros.motion_calibration import MotionCalibration
 from proprio_ros.quantity import Quantity
-from proprio_ros.reading import LONGEST_PATH, path_problem, text_of, yaml_of
-from proprio_ros.resources import resource, resource_names
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, is_bag, is_description, read_model
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
 from proprio_ros.robot.drives import KINDS_OF_DRIVE, Drive, required

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from proprio_ros.errors import RobotError
-from proprio_ros.reading import LONGEST_TEXT
+from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.urdf import Joint, Link, UrdfReader
 

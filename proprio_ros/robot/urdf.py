@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.reading import LONGEST_TEXT
+from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen, motion, pseudo_inertia, rotation_from_rpy, transform
 
 JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")

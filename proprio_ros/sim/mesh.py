@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.reading import path_problem
+from proprio_ros.inputs.reading import path_problem
 
 MAX_CELLS = 64
 """Cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed."""

@@ -21,10 +21,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 from arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
 
 import proprio_ros.batch.local as local
-from proprio_ros.bags import write_recording
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import Job
-from proprio_ros.motions import Motion
+from proprio_ros.recordings.bags import write_recording
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import JointRecord, Recording
 
 STEP_S, RATE_HZ = 0.002, 50.0

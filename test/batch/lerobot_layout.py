@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.motions import Motion
+from proprio_ros.recordings.motions import Motion
 
 PER_CHUNK = 1000
 

@@ -32,11 +32,11 @@ from proprio_ros.batch.job import run_batch
 from proprio_ros.batch.page import named, span_of
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.cli import main
-from proprio_ros.datasets import episode_of, open_data_set, read_episode
 from proprio_ros.errors import ConfigurationError, RecordingError
-from proprio_ros.replay import ReplayOptions, prepare, read_for, replay
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, prepare, read_for, replay
+from proprio_ros.recordings.datasets import episode_of, open_data_set, read_episode
 
 MASSES_KG = (0.0, 0.05, 0.1)
 PROFILE = "title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n"
@@ -132,7 +132,7 @@ def test_units_are_those_of_the_profile(tmp_path: Path) -> None:
     degrees = replace(motion, position=np.rad2deg(motion.position))
     folder = write_data_set(tmp_path / "set", [degrees], FOUR.constants, rate_hz=50.0)
     columns = {"position_unit": "deg", "percent": ("j4",)}
-    from proprio_ros.datasets import Columns
+    from proprio_ros.recordings.datasets import Columns
 
     given: dict[str, Any] = {"names": {}, "effort_unit": "N.m", "nominal_torque_constants": {"j1": 1.0}}
     found = read_episode(folder, 0, Columns(**columns), limits={"j4": (-1.0, 1.0)}, **given)
@@ -457,7 +457,7 @@ def test_the_command_says_what_is_wrong_before_it_begins(
 @pytest.mark.long
 def test_the_commands_object(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    from proprio_ros.resources import resource
+    from proprio_ros.inputs.resources import resource
 
     given = ["--calibration", str(fleet / "arm.yaml"), "--effort-unit", "N.m", "--set", "payload.com=[0.015,0,0]"]
     glob = str(fleet / "data" / "bags" / "[01]")

@@ -37,8 +37,8 @@ from lerobot_layout import write_data_set
 
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.rows import Job, rows_of
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.replay import ReplayOptions, replay
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 
 SECONDS, BAGS_SHARE, BROKEN = 12.0, 0.1, 10
 MASSES_KG = [0.005 * n for n in range(41)]

@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "excitation"))
 from hand import ROBOT, Hand
 from test_softness import EDGE_M, GAP_M, calibrated, made
 
-from proprio_ros.choosing import Decision
 from proprio_ros.excitation.plans import ProbeSequence, Until, load_sequence
+from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.softness import SoftnessJob

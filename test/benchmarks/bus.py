@@ -18,7 +18,7 @@ from case import REPOSITORY, Case, Row, Timing
 
 from proprio_ros.bus.driver import ArmDriver, BusState, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
-from proprio_ros.realtime import Pacer, run_in_real_time
+from proprio_ros.clock import Pacer, run_in_real_time
 from proprio_ros.robot import load_robot
 
 GOAL_HZ = 150.0

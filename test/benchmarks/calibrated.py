@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from proprio_ros.identification.problem import KnownLoad, Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.pipeline.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
 from proprio_ros.probes.payload.identify import weigh
-from proprio_ros.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 

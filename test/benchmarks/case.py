@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.bags import read_recording
 from proprio_ros.identification.problem import PreparedRun, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.inputs.settings import Settings
+from proprio_ros.pipeline.replay import DEFAULT_ROBOT
 from proprio_ros.probes.payload.facts import payload_facts
+from proprio_ros.recordings.bags import read_recording
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import Run
-from proprio_ros.replay import DEFAULT_ROBOT
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
-from proprio_ros.settings import Settings
 from proprio_ros.sim.payload import PayloadFacts
 
 REPOSITORY = Path(__file__).resolve().parents[2]

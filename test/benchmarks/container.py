@@ -24,6 +24,8 @@ from proprio_ros.identification.problem import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
 from proprio_ros.probes.container.problem import (
@@ -36,9 +38,7 @@ from proprio_ros.probes.container.problem import (
 from proprio_ros.probes.payload.paper import FRAME_S
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
-from proprio_ros.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import SPHERE_INDEX, Contact, Enclosure, SphereRun, SphereSimulator, paper_contact
 

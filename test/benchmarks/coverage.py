@@ -52,9 +52,9 @@ from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 MASSES_KG = (0.01, 0.02, 0.05, 0.1)

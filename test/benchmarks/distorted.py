@@ -26,11 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from machines import REAL
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.identification.motion_prior import fit_empty
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.pipeline.replay import ReplayOptions, bag_motion
 from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.quantity import Z95
-from proprio_ros.replay import ReplayOptions, bag_motion
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 

@@ -30,17 +30,17 @@ from coverage import DIAMETER_M, facts_of
 from random_arm import EFFECTS_DEFAULT, JOINTS, SPREAD, HiddenRobot, ball, draw_robot
 from until_sure import Bench, calibrated
 
-from proprio_ros.calibration import Moment
-from proprio_ros.drift import FRICTION, Drift, aged
+from proprio_ros.calibration_files.drift import FRICTION, Drift, aged
+from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.experiment_design.sequential import half_of
+from proprio_ros.experiment_design.until import chosen_refresh
 from proprio_ros.identification.refresh import refresh
 from proprio_ros.identification.robot_calibration import LoadedRun
-from proprio_ros.identification.sequential import half_of
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.until import chosen_refresh
 
 MASSES_KG = (0.01, 0.02, 0.05, 0.1)
 MADE_S, WARM_C = 1.7e9, 35.0

@@ -28,8 +28,8 @@ from random_arm import EFFECTS_DEFAULT, SPREAD, ball, draw_robot
 from until_sure import MASSES_KG, Bench, calibrated
 
 from proprio_ros.excitation.plans import Until, load_sequence
+from proprio_ros.experiment_design.until import UntilSure
 from proprio_ros.records import Run
-from proprio_ros.until import UntilSure
 
 EARLIEST_S, STEP_S = 0.2, 0.1
 

@@ -19,8 +19,8 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import JointRecord, Recording
-from proprio_ros.runs import cut_runs
 
 WRIST = "joint4"
 KINDS = ("coulomb", "viscous", "armature")

@@ -17,7 +17,7 @@ PARTS = f"""
 import json
 import time
 started = time.perf_counter()
-from proprio_ros.replay import replay
+from proprio_ros.pipeline.replay import replay
 ready = time.perf_counter()
 estimate = replay([{str(BAG)!r}])
 print(json.dumps({{"import": ready - started, **estimate.timing_s}}))

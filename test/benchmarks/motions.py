@@ -29,8 +29,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 from arm_in_motion import FOUR, SIX, Twin, write_robot
 from motion_bound import bound
 
-from proprio_ros.identification.motion_fit import fit_motions
-from proprio_ros.identification.motion_prior import fit_calibrated, fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_motions
+from proprio_ros.identification.regression.motion_prior import fit_calibrated, fit_empty
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import load_robot
 

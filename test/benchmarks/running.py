@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 
 from virtual_pick_and_place import Worker
 
-from proprio_ros.identification.motion_prior import fit_empty
-from proprio_ros.identification.running import RunningWeight
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.identification.regression.running import RunningWeight
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
 Day = tuple[list[Motion], list[tuple[float, Motion]]]

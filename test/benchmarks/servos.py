@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from machines import pendulum_urdf
 from test_voltage import write
 
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.replay import ReplayOptions, replay
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 
 ARM_M, ROD_KG, GRAVITY = 0.1, 0.01, 9.80665
 KNOWN_KG = (0.3, 0.7, 1.1)

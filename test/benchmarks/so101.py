@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.bags import JOINT_STATE, RawMessage, _types, write_messages
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.replay import ReplayOptions, replay
-from proprio_ros.resources import share_directory
+from proprio_ros.inputs.resources import share_directory
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.recordings.bags import JOINT_STATE, RawMessage, _types, write_messages
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 MIDDLE = np.array([0.0, -0.3, 0.3, 0.4, 0.0, 0.2])

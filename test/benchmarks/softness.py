@@ -19,19 +19,19 @@ from case import Row, Timing, measure, measure_in_turn
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
 
+from proprio_ros.paper.softbody import (
+    SOFT_INDEX,
+    SOFT_PARAMETERS,
+    SoftBody,
+    SoftRun,
+)
+from proprio_ros.paper.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.quasistatic import QuasiStatic
 from proprio_ros.sim.response import Response, build
 from proprio_ros.sim.runtime import FLOAT
-from proprio_ros.sim.softbody import (
-    SOFT_INDEX,
-    SOFT_PARAMETERS,
-    SoftBody,
-    SoftRun,
-)
-from proprio_ros.sim.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SQUEEZE_PARAMETERS, SqueezeRun, SqueezeSimulator
 
 EDGE, MASS, TRAVEL = 0.03, 0.023, 0.023

@@ -21,9 +21,9 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 ARM_M, GRAVITY, SPREAD_M2 = 0.1, 9.81, 0.0025

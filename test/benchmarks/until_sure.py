@@ -36,14 +36,14 @@ from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, Hidden
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.machine import approach_s
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, Until, load_sequence
+from proprio_ros.experiment_design.sequential import half_of
+from proprio_ros.experiment_design.until import UntilSure, chosen_known
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.identification.sequential import half_of
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
-from proprio_ros.until import UntilSure, chosen_known
 
 MASSES_KG = (0.01, 0.02, 0.05, 0.1)
 CALIBRATION_KG, EMPTY_S, REFERENCE_S = 0.3e-3, 60.0, 120.0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from proprio_ros.realtime import run_in_real_time, run_like_others
+from proprio_ros.clock import run_in_real_time, run_like_others
 
 
 @pytest.fixture(autouse=True)

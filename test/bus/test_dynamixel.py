@@ -15,8 +15,8 @@ import pytest
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode, servo_model
 from proprio_ros.bus.dynamixel import TRIES, BusServo, DynamixelBus, Goal, servos_of
+from proprio_ros.calibration_files.motors import MotorIdentity, other_arm
 from proprio_ros.errors import BusError, PortLostError, RobotError
-from proprio_ros.motors import MotorIdentity, other_arm
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.protocol import crc16
 from proprio_ros.virtual.servo import REBOOT_S, VirtualServo

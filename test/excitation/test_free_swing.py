@@ -24,8 +24,8 @@ from proprio_ros.excitation.machine import (
 )
 from proprio_ros.excitation.plans import LEAST_CURRENT_A, ProbeRun, ProbeSequence, load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.recordings.runs import MOVING_SPAN, cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording
-from proprio_ros.runs import MOVING_SPAN, cut_runs
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proprio_ros.bags import read_recording, write_recording
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.machine import MOST_LOST_RUNS, Command, ExcitationMachine, Guards, JointSample, Phase
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
+from proprio_ros.recordings.bags import read_recording, write_recording
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.robot.kinematics import clearance
-from proprio_ros.runs import cut_runs
 
 ROBOT = load_robot("open_manipulator_x")
 JOINTS = tuple(ROBOT.drive_trains)

@@ -14,19 +14,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proprio_ros.choosing import Decision
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ProbeSequence, Until, check_sequence, load_sequence
+from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.softness import SoftnessJob
 from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
-from proprio_ros.runs import cut_runs
 from proprio_ros.virtual.objects import SoftBlock
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -13,9 +13,9 @@ from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 

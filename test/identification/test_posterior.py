@@ -12,7 +12,7 @@ from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import KnownLoad, Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proprio_ros.bags import read_recording
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.identification.problem import KnownLoad, Problem, load_unknowns, prepare_run
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.recordings.bags import read_recording
+from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.runs import cut_runs
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 FACTS = PayloadFacts(

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.fit import CHI2_95, FitResult, SearchOptions, _split, misfit_profile, solve_load
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import Problem, prepare_run
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
 from proprio_ros.quantity import Z95
-from proprio_ros.replay import ReplayOptions, bag_runs, replay
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 

@@ -15,11 +15,11 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.probes.payload.identify import weigh
-from proprio_ros.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.payload import PayloadFacts
 
 REFERENCES = ("fixed_reference_100g_joint3_x1", "fixed_reference_100g_joint2_x2", "fixed_reference_100g_joint2_x3")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.bus.control_table import OperatingMode, servo_model
-from proprio_ros.motions import Motion
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 from proprio_ros.virtual.arm import VirtualArm
 from proprio_ros.virtual.objects import Payload

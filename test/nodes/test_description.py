@@ -23,11 +23,11 @@ from live import HEARD, LATCHED, Client, comes_up, replayed_alike, wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from proprio_ros.calibrating import write_calibration
-from proprio_ros.identification.motion_prior import fit_empty
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_prior import fit_empty
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import joint_state, values_of
+from proprio_ros.pipeline.calibrate import write_calibration
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long

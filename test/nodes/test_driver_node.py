@@ -20,12 +20,12 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from proprio_ros.motors import MotorIdentity
+from proprio_ros.calibration_files.motors import MotorIdentity
+from proprio_ros.clock import run_in_real_time, run_like_others
 from proprio_ros.nodes.driver import DriverNode
 from proprio_ros.nodes.messages import labelled, values_of
 from proprio_ros.nodes.runtime import LATCHED
 from proprio_ros.nodes.senders import Senders
-from proprio_ros.realtime import run_in_real_time, run_like_others
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth

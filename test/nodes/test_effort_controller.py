@@ -22,7 +22,7 @@ from domains import free_domain
 from live import Client, running, wait_for
 from std_msgs.msg import Float64MultiArray
 
-from proprio_ros.bags import read_recording
+from proprio_ros.recordings.bags import read_recording
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.effort_driver import FOREIGN_JOINTS
 

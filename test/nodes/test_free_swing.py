@@ -16,7 +16,7 @@ from domains import free_domain
 from live import HEARD, running, wait_for
 from std_msgs.msg import Bool
 
-from proprio_ros.calibration import Calibration
+from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth
 

@@ -22,14 +22,14 @@ from message_packages import build
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.handing_on import CONTROLLERS
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.live.payload_export import CONTROLLERS
+from proprio_ros.live.session import setting_of
 from proprio_ros.nodes import identifier
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.base import Carried
-from proprio_ros.replay import ReplayOptions, replay
-from proprio_ros.session import setting_of
 
 pytestmark = pytest.mark.long
 

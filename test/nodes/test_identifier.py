@@ -24,22 +24,22 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from visualization_msgs.msg import Marker
 
-from proprio_ros.at_work import current_A
-from proprio_ros.bags import RawMessage, read_motors, read_temperatures, write_messages
-from proprio_ros.choosing import Decision
+from proprio_ros.calibration_files.motors import MotorIdentity
 from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.experiment_design.choosing import Decision
+from proprio_ros.experiment_design.sequential import Push
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.identification.sequential import Push
-from proprio_ros.motors import MotorIdentity
+from proprio_ros.inputs.resources import resource
+from proprio_ros.live.online_estimator import current_A
+from proprio_ros.live.session import Session, setting_of
 from proprio_ros.nodes import driver, identifier, jobs, messages
 from proprio_ros.nodes.job import WEIGH, Job, JobError
+from proprio_ros.pipeline.replay import ReplayOptions
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Sought
-from proprio_ros.replay import ReplayOptions
-from proprio_ros.resources import resource
+from proprio_ros.recordings.bags import RawMessage, read_motors, read_temperatures, write_messages
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.session import Session, setting_of
 
 MASS = Sought("mass", "kg")
 BOX = {"container.inner_size": [0.06, 0.04, 0.04], "sphere.radius": 0.01}

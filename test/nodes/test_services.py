@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from domains import free_domain
 from live import Client, replayed_alike, running, wait_for
 
-from proprio_ros.bags import read_recording
 from proprio_ros.nodes.graph import Graph
+from proprio_ros.recordings.bags import read_recording
 from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long

@@ -22,8 +22,8 @@ from live import HEARD, Client, replayed_alike, running, wait_for, warm_up
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
+from proprio_ros.inputs.resources import resource
 from proprio_ros.quantity import shown, spec_for
-from proprio_ros.resources import resource
 
 pytestmark = pytest.mark.long
 

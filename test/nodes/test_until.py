@@ -22,15 +22,15 @@ from domains import free_domain
 from live import HEARD, Client, replayed_alike, running
 from visualization_msgs.msg import Marker, MarkerArray
 
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.calibration import Calibration, Moment
+from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.excitation.plans import ProbeRun, load_sequence
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.keeping import Keeping
+from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import jobs, refreshing
 from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.messages import labelled
-from proprio_ros.replay import ReplayOptions
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth
 

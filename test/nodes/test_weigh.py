@@ -21,11 +21,11 @@ from domains import free_domain
 from live import Client, comes_up, replayed_alike, running, wait_for
 from virtual_pick_and_place import HIGHEST, LOWEST
 
-from proprio_ros.bags import write_recording
-from proprio_ros.calibrating import calibrate_from_bags
 from proprio_ros.nodes.messages import labelled, time_ns
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.recordings.bags import write_recording
 from proprio_ros.records import JointRecord, Recording
-from proprio_ros.replay import ReplayOptions
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth
 

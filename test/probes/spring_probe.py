@@ -14,12 +14,12 @@ from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
 from proprio_ros.identification.judge import Assessment, judge, rejected
 from proprio_ros.identification.problem import KnownLoad, Problem, joints_of, prepare_run, robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.inputs.settings import Settings, number
 from proprio_ros.kinds import KINDS, Kind
 from proprio_ros.probes.base import Example, Probe, Recorded
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.settings import Settings, number
 from proprio_ros.sim.joint import JointRun, JointSimulator, harmless
 from proprio_ros.sim.joint_kernels import (
     CARRIED,

@@ -17,6 +17,8 @@ from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
 from proprio_ros.probes.container.problem import (
@@ -28,10 +30,8 @@ from proprio_ros.probes.container.problem import (
     start_prior,
 )
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, bag_runs, replay
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.schema import reason_codes
-from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import Enclosure, SphereRun
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from proprio_ros.cli import main
+from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.probes import PROBES, all_probes, probe_named
-from proprio_ros.replay import ReplayOptions, replay, write_report
 
 LINE = "spring=spring_probe:Spring"
 BAGS = [f"realistic_s00_empty_{number}_joint3/bag_mcap" for number in ("00", "01", "02")]

@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.paper.softbody import SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import Run
@@ -20,7 +21,6 @@ from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.response import Response, response
-from proprio_ros.sim.softbody import SOFT_INDEX, SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SQUEEZE_PARAMETERS, SqueezeRun, SqueezeSimulator
 
 EDGE = 0.03

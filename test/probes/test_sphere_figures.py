@@ -13,9 +13,9 @@ import pytest
 
 from proprio_ros.cli import _as_text
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
-from proprio_ros.replay import ReplayOptions, replay, write_report
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "report"))
 

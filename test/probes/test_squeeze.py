@@ -18,14 +18,14 @@ from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.problem import KnownLoad, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay, write_report
 from proprio_ros.probes.softness.facts import block_facts
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
-from proprio_ros.replay import ReplayOptions, bag_runs, replay, write_report
 from proprio_ros.robot import FingerTravel, Robot, load_robot
-from proprio_ros.settings import Settings, probe_file
 from proprio_ros.sim.energies import lame, young
 from proprio_ros.sim.mesh import box
 

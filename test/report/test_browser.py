@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from proprio_ros.calibrating import calibrate_from_bags
-from proprio_ros.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.html import POLICY
 

@@ -20,9 +20,9 @@ from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import HeldOutRun
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.probes.softness.detail import SqueezeCurve
 from proprio_ros.probes.softness.figures import squeeze_figure
-from proprio_ros.replay import ReplayOptions, replay, write_report
 from proprio_ros.report.calibration_figures import held_out_figure
 from proprio_ros.report.html import SCRIPT, document
 from proprio_ros.report.notebook import card

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from proprio_ros.errors import RobotError
-from proprio_ros.keeping import Keeping
-from proprio_ros.replay import ReplayOptions
-from proprio_ros.resources import resource
+from proprio_ros.inputs.resources import resource
+from proprio_ros.inputs.settings import Settings
+from proprio_ros.live.session import robot_of_settings
+from proprio_ros.live.workspace import Keeping
+from proprio_ros.pipeline.replay import ReplayOptions
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
-from proprio_ros.session import robot_of_settings
-from proprio_ros.settings import Settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -117,7 +117,7 @@ def test_a_calibration_of_another_urdf_is_refused(tmp_path: Path) -> None:
 
 
 def test_without_torque_constants_the_parameters_that_help_are_named(tmp_path: Path) -> None:
-    from proprio_ros.session import as_parameters
+    from proprio_ros.live.session import as_parameters
 
     heard = LiveDescription(TOPIC, tmp_path)
     heard.hear(ARM)

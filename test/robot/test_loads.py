@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from proprio_ros.identification.held_joints import joint_torque
+from proprio_ros.identification.locked_joints import joint_torque
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.robot.loads import Loads
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from proprio_ros.bags import _types
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
-from proprio_ros.forms import Text
-from proprio_ros.reading import yaml_of
+from proprio_ros.inputs.forms import Text
+from proprio_ros.inputs.reading import yaml_of
+from proprio_ros.recordings.bags import _types
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.description import hand_link, read_model
 from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proprio_ros.checking import check_bags
 from proprio_ros.cli import main
-from proprio_ros.resources import resource
+from proprio_ros.inputs.resources import resource
+from proprio_ros.pipeline.check import check_bags
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drives import DutyCycle, PositionServo
 

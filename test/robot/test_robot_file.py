@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import RobotError
-from proprio_ros.resources import resource_names
+from proprio_ros.inputs.resources import resource_names
 from proprio_ros.robot import bare_settings, load_robot, with_recorded_torque
 
 sys.path.insert(0, str(Path(__file__).parent))

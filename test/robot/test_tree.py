@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import RobotError
-from proprio_ros.resources import resource
+from proprio_ros.inputs.resources import resource
 from proprio_ros.robot import JOINT_KINDS, ReducedModel, RobotModel, load_robot, rotation_from_rpy, transform
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -14,8 +14,8 @@ import warp as wp
 
 from proprio_ros import progress
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.pipeline.replay import ReplayOptions, compile_for, replay
 from proprio_ros.probes import all_probes
-from proprio_ros.replay import ReplayOptions, compile_for, replay
 from proprio_ros.sim import runtime
 
 runtime.start()  # it decides where kernels are kept

@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from proprio_ros.errors import SimulationError
+from proprio_ros.paper.softbody import SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.response import Response, build
-from proprio_ros.sim.softbody import SOFT_PARAMETERS, SoftBody, SoftRun
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SQUEEZE_PARAMETERS, SqueezeRun, SqueezeSimulator
 
 ONE = np.zeros(1, dtype=np.int32)

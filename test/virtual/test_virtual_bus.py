@@ -13,8 +13,8 @@ import dynamixel_sdk as sdk
 import pytest
 
 from proprio_ros.bus.control_table import XM430_W350
+from proprio_ros.clock import run_in_real_time, run_like_others
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.realtime import run_in_real_time, run_like_others
 from proprio_ros.virtual.bus import Faults, VirtualBus
 from proprio_ros.virtual.port import MemoryPort, PtyPort
 from proprio_ros.virtual.protocol import BROADCAST_ID, Code, Instruction, Parser, encode_instruction

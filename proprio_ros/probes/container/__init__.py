@@ -8,12 +8,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.probes.base import Baseline, Body, Example, Probe, Recorded, Shapes
-from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
-    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.probes.container.identify import ContainerOptions
     from proprio_ros.probes.container.problem import ContainerFacts

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from proprio_ros.bags import read_point_file, read_points
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.inputs.reading import path_problem
 from proprio_ros.probes.container.problem import SphereTrack
-from proprio_ros.reading import path_problem
+from proprio_ros.recordings.bags import read_point_file, read_points
 from proprio_ros.records import Run
 
 MOST_PLACES = 2000

@@ -14,14 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.choosing import Chooser, Found, passes, time_of
 from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeRun, ProbeSequence
-from proprio_ros.identification.fit import FitResult
-from proprio_ros.identification.foreseen import SharedUnknowns
-from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
-from proprio_ros.identification.planning import candidate_joints, still_run
-from proprio_ros.identification.problem import PreparedRun, prepare_run
-from proprio_ros.identification.sequential import (
+from proprio_ros.experiment_design.choosing import Chooser, Found, passes, time_of
+from proprio_ros.experiment_design.planning import candidate_joints, still_run
+from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
+from proprio_ros.experiment_design.sequential import (
     DURATIONS_S,
     MAX_TRAVEL,
     SHAKE_PERIOD_S,
@@ -32,6 +29,10 @@ from proprio_ros.identification.sequential import (
     Push,
     best_first,
 )
+from proprio_ros.experiment_design.until import after_standing, run_of
+from proprio_ros.identification.fit import FitResult
+from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
+from proprio_ros.identification.problem import PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import (
     STILL_M,
@@ -54,7 +55,6 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import SphereRun
-from proprio_ros.until import after_standing, run_of
 
 STARTS = 8
 """Start positions of the driven joint: finer than for a rigid load, since the sphere is to leave its end early in a push."""

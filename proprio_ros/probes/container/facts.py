@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError, SimulationError
-from proprio_ros.forms import Choice, Form, Number, Numbers, Perhaps, Text, Truth
+from proprio_ros.inputs.forms import Choice, Form, Number, Numbers, Perhaps, Text, Truth
+from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.probes.container.problem import ContainerFacts
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import rotation_from_rpy
-from proprio_ros.settings import Settings, read
 from proprio_ros.sim.sphere import LAWS, Enclosure
 
 DECIDING = ("container.inner_size", "container.centre", "sphere.radius")

@@ -8,14 +8,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.probes.base import Body, Carried, Example, Probe, Recorded, Shapes
-from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
-    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.identification.running import RunningWeight
+    from proprio_ros.identification.regression.running import RunningWeight
     from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
     from proprio_ros.records import Run
@@ -128,8 +128,8 @@ class Payload(Probe[PayloadJob]):
     def chooser(
         self, robot: Robot, facts: PayloadJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
     ) -> Chooser:
+        from proprio_ros.experiment_design.until import UntilSure
         from proprio_ros.quantity import Z95
-        from proprio_ros.until import UntilSure
 
         def whole(runs: Sequence[Run]) -> float | None:
             std = self.identify_so_far(robot, runs, facts).values[0].std
@@ -138,7 +138,7 @@ class Payload(Probe[PayloadJob]):
         return UntilSure(robot, facts.payload, sequence, whole)
 
     def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> RunningWeight:
-        from proprio_ros.identification.running import CENTRE_STD_M, RunningWeight
+        from proprio_ros.identification.regression.running import CENTRE_STD_M, RunningWeight
 
         assert robot.motion_calibration is not None
         centre_m = [float(axis) for axis in facts.payload.com]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.forms import Choice, Form, Number, Numbers
-from proprio_ros.settings import Settings, read
+from proprio_ros.inputs.forms import Choice, Form, Number, Numbers
+from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.sim.payload import SHAPES, PayloadFacts, PayloadShape
 
 FORMS: dict[str, Form] = {

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
-from proprio_ros.identification.motion_estimate import UNEXPLAINED_SHARE
-from proprio_ros.identification.one_joint_fit import STRETCH_S
-from proprio_ros.identification.one_joint_known import KnownJointFit, weigh_by_joint
-from proprio_ros.joint_calibration import JointCalibration
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_estimate import UNEXPLAINED_SHARE
+from proprio_ros.identification.regression.one_joint_fit import STRETCH_S
+from proprio_ros.identification.regression.one_joint_known import KnownJointFit, weigh_by_joint
 from proprio_ros.probes.payload.moving import WIDEST_SHARE, MotionDetail
 from proprio_ros.quantity import shown
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 

@@ -11,18 +11,18 @@ from itertools import chain
 
 import numpy as np
 
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
-from proprio_ros.identification.motion_estimate import unexplained_torque, unlike_urdf
-from proprio_ros.identification.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
-from proprio_ros.identification.motion_prior import fit_calibrated
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.rigid_body import inertia_about_centre, nearest_body
-from proprio_ros.identification.weak_form import PARAMETERS
-from proprio_ros.motion_calibration import MotionCalibration
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_estimate import unexplained_torque, unlike_urdf
+from proprio_ros.identification.regression.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
+from proprio_ros.identification.regression.motion_prior import fit_calibrated
+from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
 from proprio_ros.quantity import shown
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
+from proprio_ros.robot.regressor import PARAMETERS
 from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0

@@ -9,12 +9,12 @@ import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
-from proprio_ros.identification.motion_estimate import UNEXPLAINED_SHARE, URDF_RATIO
-from proprio_ros.identification.motion_fit import URDF_SHARE, relative_torque_std
-from proprio_ros.identification.one_joint_fit import STRETCH_S, OneJointFit, fit_one_joint
-from proprio_ros.motions import Motion
+from proprio_ros.identification.regression.motion_estimate import UNEXPLAINED_SHARE, URDF_RATIO
+from proprio_ros.identification.regression.motion_fit import URDF_SHARE, relative_torque_std
+from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, fit_one_joint
 from proprio_ros.probes.payload.moving import WIDEST_SHARE, MotionDetail
 from proprio_ros.quantity import Quantity, shown
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 

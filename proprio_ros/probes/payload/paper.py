@@ -25,8 +25,8 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
-from proprio_ros.published import FRAME_S, PROBE_FRAMES
 from proprio_ros.quantity import shown
+from proprio_ros.recordings.published import FRAME_S, PROBE_FRAMES
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointSimulator

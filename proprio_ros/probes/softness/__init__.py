@@ -9,14 +9,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.probes.base import Body, Example, Limit, Probe, Recorded, Shapes
-from proprio_ros.settings import Settings, probe_file
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from proprio_ros.choosing import Chooser
     from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.probes.softness.identify import SqueezeOptions
     from proprio_ros.probes.softness.problem import BlockFacts

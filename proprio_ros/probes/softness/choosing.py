@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.choosing import Chooser, Found, alone, time_of
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.experiment_design.choosing import Chooser, Found, alone, time_of
+from proprio_ros.experiment_design.planning import still_run
+from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
+from proprio_ros.experiment_design.sequential import FASTEST, Push, best_first
 from proprio_ros.identification.fit import FitResult
-from proprio_ros.identification.foreseen import SharedUnknowns
 from proprio_ros.identification.gates import MIN_USED
-from proprio_ros.identification.planning import still_run
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
-from proprio_ros.identification.sequential import FASTEST, Push, best_first
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.identify import UNMOVED_RAD, SqueezeOptions, fit_squeezes
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns

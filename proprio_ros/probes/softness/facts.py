@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.forms import Choice, Form, Number, Numbers, Perhaps, Text, Whole
+from proprio_ros.inputs.forms import Choice, Form, Number, Numbers, Perhaps, Text, Whole
+from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts
 from proprio_ros.quantity import Quantity
-from proprio_ros.settings import Settings, read
 from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
 from proprio_ros.sim.mesh import read_mesh
 from proprio_ros.sim.quasistatic import CONTACTS

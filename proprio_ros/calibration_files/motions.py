@@ -1,0 +1,243 @@
+"""What motions of an arm with an empty hand say about it: bodies, rotors, gears and friction, with their covariance.
+
+It is the section ``motion_calibration`` of a robot file that ``extends`` the robot it was made with:
+
+    motion_calibration:
+      version: 2                                                 # of what stands here; files of another one are refused
+      runs: [{name: .., duration_s: 50.0, load_kg: 0.0}, ..]     # load_kg: of a weighed reference
+      torque_scale: {value: 1.0, std: 0.01}                      # true torque over that of the robot file's torque constants
+      arm_over_urdf: 1.04                                        # what the torques say the arm weighs, over its URDF's masses
+      joints: [{name: joint1, torque_constant_N_m_per_A: 1.78, residual_N_m: 0.02, correlated_windows: 3.5}, ..]
+      unknowns:
+        coulomb[joint1]: {value: 0.05, std: 0.004, unit: N m, run_to_run: 0.01}
+      correlation: |                                             # lower triangle, a line per unknown in the order above
+        1
+      deviations: |                                              # which way each stretch pulls, in the unknowns' std
+        0.1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from proprio_ros.calibration_files.pushes import (
+    check_section,
+    correlation_of,
+    numbers_of,
+    part_of,
+    read_as,
+    read_forms,
+    runs_of,
+    short,
+    triangle_of,
+)
+from proprio_ros.errors import RobotError
+from proprio_ros.inputs.forms import Form, Number, Text, shortly
+from proprio_ros.kinds import name_of
+
+FloatArray = NDArray[np.float64]
+
+BODY_TERMS: Mapping[str, str] = {
+    "body_mass": "kg",
+    **{f"body_moment_{axis}": "kg m" for axis in "xyz"},
+    **{f"body_inertia_{axes}": "kg m^2" for axes in ("xx", "xy", "xz", "yy", "yz", "zz")},
+}
+"""Parameters of the body behind a joint, about the joint's frame, and their units; everything up to the next joint is one body."""
+DRIVE_TERMS: Mapping[str, str] = {
+    "armature": "kg m^2",
+    "load_friction": "1",
+    "torque_share": "1",
+    **{f"coulomb_{wave}": "N m" for wave in ("sine", "cosine", "sine_twice", "cosine_twice")},
+}
+"""Of rotor and gears, the same in every run: also by how much more than its constant says a motor's torque is, and Coulomb friction
+that goes with sine and cosine of the joint's angle, and of twice the angle."""
+FRICTION_TERMS: Mapping[str, str] = {"viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
+"""What differs from run to run."""
+ARM_TERMS = len(BODY_TERMS) + len(DRIVE_TERMS)
+"""Per joint, that do not differ from run to run."""
+TERMS = ARM_TERMS + len(FRICTION_TERMS)
+UNITS: Mapping[str, str] = {**BODY_TERMS, **DRIVE_TERMS, **FRICTION_TERMS}
+VERSION = 2
+"""Of the section; 1 had no such number, no torque constants and no friction that goes with the angle."""
+Key = tuple[str, str]
+"""Kind of a term, and its joint."""
+_LARGEST = 1e5
+_LEAST_STD = 1e-15
+_RUN: dict[str, Form] = {
+    "name": Text(longest=9000),
+    "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
+    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
+}
+_JOINT: dict[str, Form] = {
+    "name": Text(),
+    "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
+    "residual_N_m": Number("what the model leaves over; 0: the joint did not move", "N m", 0.0, 1e4),
+    "correlated_windows": Number("over so many windows the residuals are correlated", "", 1.0, 1e4),
+}
+_SCALE: dict[str, Form] = {
+    "value": Number("true torque over the robot file's", "", 0.05, 20.0),
+    "std": Number("relative", "", 0.0, 10.0, open=True),
+}
+
+
+def term_keys(joints: tuple[str, ...]) -> tuple[Key, ...]:
+    """All terms of an arm in the order of a calibration's arrays: bodies joint by joint, then every other kind joint by joint."""
+    bodies = [(kind, joint) for joint in joints for kind in BODY_TERMS]
+    return (*bodies, *((kind, joint) for kind in (*DRIVE_TERMS, *FRICTION_TERMS) for joint in joints))
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCalibration:
+    """An arm as motions with an empty hand show it, in torques as the robot file's torque constants make them of currents.
+
+    n joints have P = 20 n terms, see `term_keys`.
+
+    Attributes:
+        joints: Parents before children, length n.
+        torque_constants: That the currents were multiplied with [N m/A], shape (n,).
+        values: Friction is the mean of the runs; shape (P,).
+        covariance: As a prior of the next fit, correlated residuals and the robot file's own priors counted; shape (P, P).
+        deviations: Which way each stretch of 2.5 s pulls the values: the sum of the rows' outer products is a covariance that
+            assumes nothing about the residuals within a stretch; shape (stretches, P).
+        friction_spread: Standard deviation of viscous friction, Coulomb friction and offset from run to run, in the order of
+            `FRICTION_TERMS` and then of the joints; shape (3 n,).
+        residual: rms of the mean torque in a window that is left over [N m], shape (n,).
+        correlation: Over how many windows the residuals of a joint are correlated: so much less they say; shape (n,).
+        torque_scale: True torque over that of the robot file's constants; 1 where no reference was held.
+        torque_scale_std: How well that is known, relative.
+        arm_over_urdf: By how much the torques of the arm's own bodies are those that its URDF says.
+        fingerprint: Of the URDF.
+        runs: One mapping per run: name, duration_s, load_kg.
+    """
+
+    joints: tuple[str, ...]
+    torque_constants: FloatArray
+    values: FloatArray
+    covariance: FloatArray
+    deviations: FloatArray
+    friction_spread: FloatArray
+    residual: FloatArray
+    correlation: FloatArray
+    torque_scale: float
+    torque_scale_std: float
+    arm_over_urdf: float
+    fingerprint: str
+    runs: tuple[Mapping[str, Any], ...]
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Kind and joint of every term, length P."""
+        return term_keys(self.joints)
+
+    @property
+    def stretches(self) -> int:
+        """Of 2.5 s that were fitted."""
+        return len(self.deviations)
+
+    @property
+    def std(self) -> FloatArray:
+        """Of every value, shape (P,): the larger of what the fit and what its stretches say."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), (self.deviations**2).sum(axis=0)))
+
+    @property
+    def friction(self) -> slice:
+        """Where viscous friction, Coulomb friction and offset stand."""
+        return slice(ARM_TERMS * len(self.joints), TERMS * len(self.joints))
+
+    def as_settings(self) -> dict[str, Any]:
+        """Plain numbers for the file, whose ``model_fingerprint`` is that of the URDF."""
+        std = np.sqrt(np.diag(self.covariance))
+        unknowns: dict[str, Any] = {}
+        for row, (kind, joint) in enumerate(self.keys):
+            entry = {"value": short(self.values[row], 15), "std": short(std[row], 15), "unit": UNITS[kind]}
+            if kind in FRICTION_TERMS:
+                entry["run_to_run"] = short(self.friction_spread[row - self.friction.start])
+            unknowns[name_of((kind, joint))] = entry
+        numbers = zip(self.torque_constants, self.residual, self.correlation, strict=True)
+        return {
+            "version": VERSION,
+            "runs": [dict(run) for run in self.runs],
+            "torque_scale": {"value": short(self.torque_scale), "std": short(self.torque_scale_std)},
+            "arm_over_urdf": short(self.arm_over_urdf),
+            "joints": [
+                dict(zip(_JOINT, (joint, short(constant, 15), short(rms), short(windows)), strict=True))
+                for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
+            ],
+            "unknowns": unknowns,
+            "correlation": triangle_of(self.covariance / std[:, None] / std),
+            "deviations": "".join(" ".join(f"{c:.9g}" for c in row) + "\n" for row in self.deviations / std),
+        }
+
+    @classmethod
+    def from_settings(cls, section: Any, where: str) -> MotionCalibration:
+        """Read the section of a robot file; the fingerprint stands elsewhere in the file.
+
+        Raises:
+            RobotError: It is of another version, a key is missing, a number is none, or the correlations belong to no covariance.
+        """
+        check_section(section, where)
+        if section.get("version", 1) != VERSION:
+            raise RobotError(
+                f"{where}: version {shortly(section.get('version', 1))} is of another release, this one reads {VERSION}: calibrate "
+                "again with the same recordings (`proprio calibrate`), which takes seconds"
+            )
+        runs = runs_of(section, _RUN, where)
+        stated = part_of(section, "joints", list, where)
+        entries = [read_forms(entry, _JOINT, f"{where}: joints: {n}") for n, entry in enumerate(stated, 1)]
+        joints = tuple(entry[0] for entry in entries)
+        numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
+        keys = term_keys(joints)
+        unknowns = part_of(section, "unknowns", Mapping, where)
+        names = [name_of(key) for key in keys]
+        if not joints or set(unknowns) != set(names):
+            wrong = sorted(set(names) ^ {str(name) for name in unknowns}) or ["no joints"]
+            raise RobotError(f"{where}: unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again")
+        # a file may have been written again in another order: its correlations follow that
+        place = [list(unknowns).index(name) for name in names]
+        values, stds, spread = [], [], []
+        for key, name in zip(keys, names, strict=True):
+            unit, at = UNITS[key[0]], f"{where}: unknowns: {name}"
+            forms: dict[str, Form] = {
+                "value": Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST),
+                "std": Number(unit=unit, lowest=_LEAST_STD, highest=_LARGEST),
+            }
+            if key[0] in FRICTION_TERMS:
+                forms["run_to_run"] = Number(unit=unit, lowest=0.0, highest=_LARGEST)
+            entry = unknowns[name]
+            if isinstance(entry, Mapping) and entry.get("unit") != unit:
+                raise RobotError(f"{at}: unit must be {unit!r}, got {shortly(entry.get('unit'))}")
+            value, std, *more = read_forms(entry, forms, at, ("unit",))
+            values.append(value)
+            stds.append(std)
+            spread += more
+        scale = np.array(stds)
+        correlation = correlation_of(part_of(section, "correlation", str, where), len(keys), f"{where}: correlation")
+        correlation = correlation[np.ix_(place, place)]
+        if np.linalg.eigvalsh(correlation)[0] < -1e-9:
+            raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
+        rows = numbers_of(part_of(section, "deviations", str, where), f"{where}: deviations")
+        if not rows or any(len(row) != len(keys) for row in rows) or not np.all(np.isfinite(rows)):
+            raise RobotError(f"{where}: deviations must be rows of {len(keys)} finite numbers; calibrate again")
+        torque_scale, torque_scale_std = read_forms(
+            part_of(section, "torque_scale", Mapping, where), _SCALE, f"{where}: torque_scale"
+        )
+        return cls(
+            joints,
+            numbers[:, 0],
+            np.array(values),
+            correlation * scale[:, None] * scale,
+            np.array(rows)[:, place] * scale,
+            np.array(spread),
+            numbers[:, 1],
+            numbers[:, 2],
+            torque_scale,
+            torque_scale_std,
+            read_as(section.get("arm_over_urdf"), Number("", "", -100.0, 100.0), f"{where}: arm_over_urdf"),
+            "",
+            tuple(runs),
+        )

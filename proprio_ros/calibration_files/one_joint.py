@@ -1,0 +1,125 @@
+"""What motions with known loads say about a robot of one joint under a controller: its torque, rotor and friction.
+
+It is the section ``joint_calibration`` of a robot file that ``extends`` the robot it was made with:
+
+    joint_calibration:
+      joint: pendulum
+      torque_constant_N_m_per_A: 1.21              # that the currents were multiplied with
+      torque_scale: 0.4 ..                         # the terms, see `TERMS`, by name
+      spread: 0.04                                 # by which recordings differ beyond their own error, relative to the mass
+      residual_N_m: 0.1                            # that the model leaves over, in a window
+      runs: [{name: .., duration_s: 6.0, load_kg: 0.5, read_kg: 0.52, std_kg: 0.03}, ..]    # each weighed by the others
+      without: |                                   # the terms, a line for each run left out
+        0.4 ..
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.calibration_files.pushes import check_section, numbers_of, part_of, read_as, runs_of, short
+from proprio_ros.errors import RobotError
+from proprio_ros.inputs.forms import Form, Number, Text
+from proprio_ros.records import FloatArray
+
+TERMS: Mapping[str, str] = {
+    "scale": "1",
+    "armature": "kg m^2",
+    "viscous": "N m s/rad",
+    "coulomb": "N m",
+    "load_friction": "1",
+    "heavy_load_friction": "1/(N m)",
+}
+"""All in torques as the robot file's torque constant makes them of currents: ``scale`` is such a torque over the true one, the two
+shares of load friction are of the true torque and of its square."""
+FEWEST_RUNS = 3
+"""Of fewer, none says by how much they differ."""
+_LARGEST = 1e6
+_RUN: dict[str, Form] = {
+    "name": Text(longest=9000),
+    "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
+    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
+    "read_kg": Number(unit="kg", lowest=-1e6, highest=1e6),
+    "std_kg": Number(unit="kg", lowest=0.0, highest=1e6),
+}
+_FORMS: dict[str, Form] = {
+    "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
+    **{term: Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST) for term, unit in TERMS.items()},
+    "spread": Number("by which recordings differ, relative", "", 0.0, 10.0, open=True),
+    "residual_N_m": Number("left over", "N m", 0.0, 1e4, open=True),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class JointCalibration:
+    """One joint as motions with known loads show it.
+
+    Attributes:
+        joint: Its name.
+        torque_constant: That the currents were multiplied with [N m/A].
+        values: See `TERMS`, shape (6,).
+        without: The same from all recordings but one, shape (runs, 6).
+        spread: By how much masses of recordings differ beyond what each knows of its own error, relative.
+        residual: rms of the windows' mean torque that is left over [N m].
+        runs: One mapping per recording: name, duration_s, load_kg; read_kg, std_kg: what the others make of it.
+    """
+
+    joint: str
+    torque_constant: float
+    values: FloatArray
+    without: FloatArray
+    spread: float
+    residual: float
+    runs: tuple[Mapping[str, Any], ...]
+
+    @property
+    def loads_kg(self) -> FloatArray:
+        """What was held, shape (runs,)."""
+        return np.array([float(run["load_kg"]) for run in self.runs])
+
+    @property
+    def std(self) -> FloatArray:
+        """Of every term, by leaving out one recording at a time, shape (6,)."""
+        apart = self.without - self.without.mean(axis=0)
+        return np.sqrt((len(apart) - 1) / len(apart) * np.square(apart).sum(axis=0))
+
+    def as_settings(self) -> dict[str, Any]:
+        """Plain numbers for the file."""
+        return {
+            "joint": self.joint,
+            "torque_constant_N_m_per_A": short(self.torque_constant, 15),
+            **{term: short(value, 15) for term, value in zip(TERMS, self.values, strict=True)},
+            "spread": short(self.spread),
+            "residual_N_m": short(self.residual),
+            "runs": [dict(run) for run in self.runs],
+            "without": "".join(" ".join(f"{value:.15g}" for value in row) + "\n" for row in self.without),
+        }
+
+    @classmethod
+    def from_settings(cls, section: Any, where: str) -> JointCalibration:
+        """Read the section of a robot file.
+
+        Raises:
+            RobotError: A key is missing, or a number is none.
+        """
+        check_section(section, where)
+        runs = runs_of(section, _RUN, where)
+        joint = part_of(section, "joint", str, where)
+        numbers = [read_as(section.get(key), form, f"{where}: {key}") for key, form in _FORMS.items()]
+        rows = numbers_of(part_of(section, "without", str, where), f"{where}: without")
+        if (
+            len(runs) < FEWEST_RUNS
+            or len(rows) != len(runs)
+            or any(len(row) != len(TERMS) for row in rows)
+            or not np.all(np.isfinite(rows))
+        ):
+            raise RobotError(
+                f"{where}: without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; "
+                "calibrate again"
+            )
+        constant, *terms, spread, residual = numbers
+        return cls(joint, constant, np.array(terms), np.array(rows), spread, residual, tuple(runs))

@@ -1,0 +1,1 @@
+"""What to push next: candidates, predicted precision, sequences chosen one by one, and when to stop."""

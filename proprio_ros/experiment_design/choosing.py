@@ -1,0 +1,337 @@
+"""Until sure: what a sequence with `until` does after each of its runs, whatever is identified. No ROS here.
+
+A probe says what the runs so far tell, which runs could be made next, and what each of them would tell. The first of them that the
+excitation's guards let through is made. It ends when half the 95 % interval is as small as asked, when no run promises more than a
+tenth of what is missing, when time is over, or when nothing can be pushed; and says which.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.excitation.machine import ExcitationMachine, approach_s
+from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence
+from proprio_ros.experiment_design.sequential import WORTH, Push
+from proprio_ros.identification.gates import MISFIT_LIMIT
+from proprio_ros.quantity import Sought, shown
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+
+STANDS_RAD = 0.1
+"""What moves less at the motor's shaft stands still, and says nothing."""
+STILL_TRIES = 3
+"""So many pushes in a row that move nothing: then the joint sticks, or what it holds is too heavy."""
+NEAR_RAD = 0.4
+"""No further push begins so near where one has ended at a limit."""
+SHOWN_AT_MOST = 5
+MISFIT_RUNS = 3
+"""From so many runs on, a fit that does not explain them ends it."""
+TRIED_AT_MOST = 200
+"""Pushes that the excitation's guards are asked about."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the runs so far say.
+
+    Attributes:
+        value, std: Of what is sought, in its unit.
+        runs: That could be used; 0: nothing is known yet.
+        reduced_chi2: Of their fit.
+    """
+
+    value: float
+    std: float
+    runs: int = 0
+    reduced_chi2: float = 0.0
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What to do after the runs so far.
+
+    Attributes:
+        run: The next push; None: there is none, and `reason` says why.
+        reason: Why this push, or why no further.
+        ended_by: "target", "worth", "time", "stuck", "misfit" or "nothing"; empty while there is a push.
+        value, half: Of what is sought, as it is known, and of its 95 % interval; before any run what may be.
+        promised: Half interval that the push promises.
+        push: The chosen one; others: those after it, best first, one of each joint and direction.
+        decided_s: What deciding took.
+        sought: What is identified; is_known: whether any run has said anything of it.
+    """
+
+    run: ProbeRun | None
+    reason: str
+    ended_by: str
+    value: float
+    half: float
+    promised: float
+    push: Push | None
+    others: tuple[Push, ...]
+    decided_s: float
+    sought: Sought
+    is_known: bool = True
+
+    def as_entries(self) -> dict[str, object]:
+        """Keys and values, flat."""
+        entries: dict[str, object] = {
+            self.sought.name: self.value, "half_interval": self.half, "promised": self.promised,
+            "decided_s": round(self.decided_s, 3),
+        }  # fmt: skip
+        if self.ended_by:
+            entries["ended_by"] = self.ended_by
+        for name, push in (("push", self.push), *((f"other.{n}", each) for n, each in enumerate(self.others, 1))):
+            if push is not None:
+                entries[name] = f"{push.words}, {push.time_s:.1f} s, {self.said_of(push)}"
+        return entries
+
+    def said_of(self, push: Push) -> str:
+        """The interval that a push promises, in words."""
+        return self.sought.said(self.sought.half_of(push.std, self.value))
+
+
+def words_of(decision: Decision) -> str:
+    """What is known, and what comes next, in two short lines."""
+    sought = decision.sought
+    known = f"{shown(sought.unit, decision.value, spec='.1f')} {sought.said(decision.half, ' ')}"
+    if not decision.is_known:
+        known = "not weighed yet" if sought.unit == "kg" else "not known yet"
+    if decision.push is None:
+        return f"{known}\nended by: {decision.ended_by}"
+    push = f"{decision.push.joint} {shown('A', decision.push.current_A, spec='+.0f')}"
+    return f"{known}\nnext: {push}, then {sought.said(decision.promised)}"
+
+
+class Chooser(ABC):
+    """One identification whose pushes are chosen one by one.
+
+    Args:
+        robot: With its calibration where there is one.
+        sequence: With `until`; its settings of ways, rest and brake count for every push.
+        sought: What is identified.
+        whole: Half of the 95 % interval, as it is sought, that the answer from these runs will have, with all that widens it; None
+            where there is no answer. It is asked before the target counts as met.
+
+    Attributes:
+        robot, sought: See there.
+        no_push: What is said where `ranked` has none.
+
+    Raises:
+        ConfigurationError: The sequence has no `until`.
+    """
+
+    no_push = "no push of any joint stays inside the limits with what the hand may hold"
+
+    def __init__(
+        self,
+        robot: Robot,
+        sequence: ProbeSequence,
+        sought: Sought,
+        whole: Callable[[Sequence[Run]], float | None] | None = None,
+    ) -> None:
+        if sequence.until is None:
+            raise ConfigurationError(f"{sequence.name}: has no `until`; all its runs are made as they stand")
+        self.robot, self.sought = robot, sought
+        self._sequence, self._until = sequence, sequence.until
+        self._machine, self._whole = ExcitationMachine(robot), whole
+        self._found = Found(float("nan"), float("inf"))
+        self._runs = self._still = 0
+        self._stuck: dict[str, int] = {}
+        self._ended_at: list[tuple[str, float]] = []
+        self._widening = 0.0
+        self._last: Push | None = None
+
+    # --- what a probe knows -------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def learn(self, runs: Sequence[Run]) -> Found:
+        """What all runs so far say; there are more than before."""
+
+    @abstractmethod
+    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+        """Pushes inside all limits, best first.
+
+        Args:
+            pose: Where the arm stands [rad or m].
+            target_std: That is asked for, before all that widens an answer, in the unit of what is sought.
+        """
+
+    @abstractmethod
+    def run_of(self, push: Push) -> ProbeRun:
+        """A push as a run of a sequence."""
+
+    def stood_still(self) -> None:
+        """Told when the last push moved nothing."""
+        return
+
+    # --- what comes next ----------------------------------------------------------------------------------------------
+
+    @property
+    def first_runs(self) -> int:
+        """How many runs the sequence has of its own, before any is chosen."""
+        return len(self._sequence.runs)
+
+    @property
+    def found(self) -> Found:
+        """What the runs so far say."""
+        return self._found
+
+    @property
+    def half(self) -> float:
+        """Of the 95 % interval so far, as it is sought."""
+        return self._half(self._found.std)
+
+    def next(self, runs: Sequence[Run], pose: Mapping[str, float], elapsed_s: float) -> Decision:
+        """What to do now.
+
+        Args:
+            runs: All so far, the newest last.
+            pose: Where the arm stands [rad or m].
+            elapsed_s: Since the sequence began.
+        """
+        began = time.perf_counter()
+        self._take_in(runs)
+        target, said, count = self._until.half_interval, self.sought.said, _count(len(runs))
+        known = self._found.runs > 0
+        half = self.half
+
+        def end(by: str, reason: str, others: Sequence[Push] = ()) -> Decision:
+            took = time.perf_counter() - began
+            return Decision(
+                None, reason, by, self._found.value, half, half, None, tuple(others), took, self.sought, known
+            )
+
+        if known and half <= target and self._whole is not None:
+            whole = self._whole(runs)
+            if whole is None:
+                return end("misfit", f"the interval would be {said(half)} after {count}, but they give no answer")
+            if whole > target:  # guesses and runs that differ widen it: from now on that counts
+                inner = self.sought.half_of(self._found.std, self._found.value)
+                self._widening = float(np.sqrt(max(whole**2 - inner**2, 0.0)))
+                half = self.half
+        if known and half <= target:
+            return end("target", f"sure: {said(half)} after {count} and {elapsed_s:.0f} s")
+        if self._found.runs >= MISFIT_RUNS and self._found.reduced_chi2 > MISFIT_LIMIT:
+            return end(
+                "misfit",
+                f"misfit: no {self.sought.label} explains {_count(self._found.runs)} together (reduced chi-square "
+                f"{self._found.reduced_chi2:.1f}), further ones would not help: did anything touch the arm, and is this its "
+                "calibration?",
+            )
+        if self._still >= STILL_TRIES:
+            joints = " and ".join(self._stuck)
+            return end(
+                "stuck",
+                f"{STILL_TRIES} pushes of {joints} moved nothing: the joint sticks, or what the hand holds is too heavy for "
+                "the currents that its limits allow",
+            )
+        inner = max(target**2 - self._widening**2, 0.0) ** 0.5
+        ranked = self.ranked(pose, self.sought.std_of(inner, self._found.value))
+        ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)]
+        if not ranked:
+            return end("nothing", self.no_push)
+        in_time = [push for push in ranked if elapsed_s + push.time_s <= self._until.at_most_s]
+        if not in_time:
+            return end(
+                "time",
+                f"the {self._until.at_most_s:g} s are over: {said(half)} after {count}, {said(target)} was asked for",
+                _varied(ranked),
+            )
+        best = min(in_time, key=lambda push: push.std)
+        if known and half - self._half(best.std) < WORTH * (half - target):
+            return end(
+                "worth",
+                f"no push promises more than a tenth of what is missing: {said(half)} after {count} and {elapsed_s:.0f} s, "
+                f"{said(self._half(best.std))} after the best, {said(target)} was asked for",
+                _varied(ranked),
+            )
+        for number, push in enumerate(in_time[:TRIED_AT_MOST]):
+            run = self.run_of(push)
+            if not passes(self._machine, self.sequence_of(run), pose):
+                continue
+            promised = self._half(push.std)
+            reason = f"{push.words} promises {said(promised)} after {push.time_s:.1f} s"
+            others = _varied(in_time[number + 1 :], push)
+            took = time.perf_counter() - began
+            self._last = push
+            return Decision(
+                run, reason, "", self._found.value, half, promised, push, others, took, self.sought, known
+            )  # fmt: skip
+        return end("nothing", "no way to any start keeps the clearance: move the arm to a higher pose")
+
+    def leave_out(self, decision: Decision) -> None:
+        """No push from near where this one's joint was to start: it ended at a limit, or too low."""
+        if decision.push is not None:
+            self._ended_at.append((decision.push.joint, decision.push.start[decision.push.joint]))
+
+    def sequence_of(self, run: ProbeRun) -> ProbeSequence:
+        """A sequence of one push, which stays where it ends."""
+        return alone(self._sequence, run)
+
+    def _left_out(self, push: Push) -> bool:
+        return any(push.joint == joint and abs(push.start[joint] - place) < NEAR_RAD for joint, place in self._ended_at)
+
+    def _take_in(self, runs: Sequence[Run]) -> None:
+        if len(runs) == self._runs:
+            return
+        joint = runs[-1].joint
+        # of one push and its repetitions with more current
+        moved = max(float(np.abs(run.position - run.position[0]).max()) for run in runs[self._runs :])
+        if moved < STANDS_RAD * abs(self.robot.drive_trains[joint].transmission):
+            self._still += 1
+            self._stuck[joint] = self._stuck.get(joint, 0) + 1
+            self.stood_still()
+        else:
+            self._still = 0
+            self._stuck.pop(joint, None)
+        self._runs = len(runs)
+        self._found = self.learn(runs)
+
+    def _half(self, std: float) -> float:
+        return float(np.hypot(self.sought.half_of(std, self._found.value), self._widening))
+
+
+def alone(sequence: ProbeSequence, run: ProbeRun) -> ProbeSequence:
+    """A push made as a sequence makes its own, after which the arm stays where it ends."""
+    return replace(sequence, name="chosen", runs=(run,), until=None, home={})
+
+
+def time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) -> Callable[[np.ndarray], np.ndarray]:
+    """How long a push takes beside itself, by its start, shape (S, N) to (S,) [s]: the way there from a pose, rest and brake."""
+    here = np.array([pose.get(name, 0.0) for name in robot.model.independent_joints])
+    beside_s = sequence.settle_s + sequence.brake_s
+    return lambda starts: beside_s + approach_s(np.abs(starts - here).max(axis=1), sequence.approach_velocity)
+
+
+def passes(machine: ExcitationMachine, sequence: ProbeSequence, pose: Mapping[str, float]) -> bool:
+    """Whether the excitation's guards would let a sequence of one push through, and the way to it."""
+    driven = {name: pose[name] for name in machine.joints}
+    try:
+        check_sequence(sequence, machine.robot)
+        machine.check_way(driven, {**driven, **sequence.runs[0].start}, sequence)
+    except (ConfigurationError, ExcitationError):
+        return False
+    return True
+
+
+def _count(runs: int) -> str:
+    return f"{runs} run" + "s" * (runs != 1)
+
+
+def _varied(pushes: Sequence[Push], chosen: Push | None = None) -> tuple[Push, ...]:
+    """The best of each joint and direction."""
+    seen = set() if chosen is None else {(chosen.joint, chosen.current_A > 0.0)}
+    found = []
+    for push in pushes:
+        kind = (push.joint, push.current_A > 0.0)
+        if kind not in seen:
+            seen.add(kind)
+            found.append(push)
+    return tuple(found[:SHOWN_AT_MOST])

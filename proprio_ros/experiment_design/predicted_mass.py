@@ -1,0 +1,134 @@
+"""About how well a recording determines a payload's mass, before anything is fitted.
+
+From what moved and from what is known about the robot alone: no recorded torque is looked at, so nothing here says that the
+recording is any good, only what it would tell if the robot were as its file says. What came out later was within a factor of two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from proprio_ros.identification.gates import STEADY
+from proprio_ros.identification.regression.motion_fit import (
+    BLOCK_S,
+    HOP_SHARE,
+    WINDOW_S,
+    equations,
+    relative_torque_std,
+    terms_of,
+)
+from proprio_ros.kinds import Key
+from proprio_ros.quantity import Z95
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.robot.geometry import rotation_about
+from proprio_ros.robot.regressor import PARAMETERS, body_parameters
+
+DRIFT_SHARE = 0.05
+"""Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
+SMALL_SHARE = 0.05
+"""First moments and inertia are those of an object of this part of the arm's mass."""
+
+
+def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
+    """Half the 95 % interval of a light object's mass [kg], and what every further kg adds to it [1].
+
+    As if the same motion had been made once more with an empty hand.
+
+    Raises:
+        RecordingError: the motion is of no use.
+    """
+    joints = motion.joints
+    held = dict(motion.held)
+    part = equations(robot, motion, joints)
+    model = robot.model.lock(list(joints), held, robot.gravity)
+    count = len(model.joint_names)
+    terms = terms_of(robot, joints, held, 2)
+    spread = np.array([term.std for term in terms])
+    none = np.zeros_like(part.friction)
+    gears = np.zeros((len(part.right), count))
+    matrix = np.vstack(
+        [
+            np.hstack([part.payload, part.arm, part.rotor, gears, part.friction, none]),
+            np.hstack([np.zeros_like(part.payload), part.arm, part.rotor, gears, none, part.friction]),
+        ]
+    )
+    arm = part.arm @ np.concatenate([body_parameters(pseudo) for pseudo in model.pseudo_inertia])
+    weight = np.zeros(len(arm))
+    for joint in range(count):
+        mine = part.joint == joint
+        # gravity may do nothing on a vertical axis; what moves it then is of the size of friction
+        friction = robot.drive_trains[model.joint_names[joint]].coulomb
+        if mine.any():
+            size = max(float(np.sqrt(np.mean(arm[mine] ** 2))), friction.value + 0.5 * friction.std)
+            weight[mine] = 1.0 / (DRIFT_SHARE * size)
+    # neighbouring windows share one error
+    weight /= np.sqrt(BLOCK_S / (WINDOW_S * HOP_SHARE))
+    scaled = matrix * np.tile(weight, 2)[:, None]
+    small = SMALL_SHARE * spread[0]
+    spread[1:PARAMETERS] *= small / spread[0]
+    covariance = np.linalg.inv(spread[:, None] * (scaled.T @ scaled) * spread[None, :] + np.eye(len(spread)))
+    share = max(relative_torque_std(robot, name) for name in model.joint_names)
+    return float(Z95 * spread[0] * np.sqrt(covariance[0, 0])), Z95 * share
+
+
+def mass_from_run(robot: Robot, run: Run) -> float | None:
+    """Half the 95 % interval of a light object's mass [kg] from one run, by how much torque is not known over what a kg takes.
+
+    None where the joint does not turn, lifts nothing, or is driven by a current that changes: a controller's, whose torque and
+    friction are not those of one push.
+    """
+    joint = robot.model.joint(run.joint)
+    if joint.kind == "prismatic" or len(run.times_s) < 3:
+        return None
+    driving = run.input_current_A[run.input_times_s < run.times_s[-1]]
+    if np.ptp(driving) > STEADY * np.abs(driving).max():
+        return None
+    drive = robot.drive_trains[run.joint]
+    held = {name: value for name, value in run.held.items() if name in robot.model.independent_joints}
+    model = robot.model.lock([run.joint], held, robot.gravity)
+    body, body_from_hand = model.frames[robot.payload_frame]
+    if body < 0:
+        return None
+    gravity = (model.placement[0][:3, :3]).T @ model.gravity  # in the joint's frame at position zero
+    axis = model.axes[0]
+    middle = float(run.position[len(run.position) // 2])
+    turned = rotation_about(axis, -middle) @ gravity
+    hand = body_from_hand[:3, 3]
+    first = model.pseudo_inertia[0][:3, 3]
+    second = model.pseudo_inertia[0][:3, :3]
+    duration = float(run.times_s[-1] - run.times_s[0])
+    acceleration = 2.0 * float(run.position[-1] - run.position[0]) / max(duration, 1e-3) ** 2
+    speed = abs(float(run.position[-1] - run.position[0])) / max(duration, 1e-3)
+    across = hand - (hand @ axis) * axis
+    per_kg = -float(axis @ np.cross(hand, turned)) + float(across @ across) * acceleration
+    arm = -float(axis @ np.cross(first, turned)) + float(np.trace(second) - axis @ second @ axis) * acceleration
+    if abs(per_kg) < 1e-6:
+        return None
+    current = float(driving.mean())
+    way = np.sign(run.position[-1] - run.position[0])
+    torque = drive.torque_constant.value * current
+    name = run.joint
+    slope: dict[Key, float] = {
+        ("torque_constant", name): current,
+        ("coulomb", name): -way,
+        ("viscous", name): -way * speed,
+        ("load_friction", name): -way * abs(torque),
+        ("armature", name): -acceleration,
+        "arm_scale": -arm,
+    }
+    spreads = {key: getattr(drive, key[0]).std if isinstance(key, tuple) else robot.arm_scale.std for key in slope}
+    covariance = np.diag([spreads[key] ** 2 for key in slope])
+    if robot.calibration is not None:
+        # what is known together is known better
+        keys = list(slope)
+        there = [
+            (row, robot.calibration.keys.index(key)) for row, key in enumerate(keys) if key in robot.calibration.keys
+        ]
+        for row, at in there:
+            for column, other in there:
+                covariance[row, column] = robot.calibration.covariance[at, other]
+    gradient = np.array(list(slope.values()))
+    variance = float(gradient @ covariance @ gradient) + robot.torque_disturbance**2
+    return Z95 * float(np.sqrt(variance)) / abs(per_kg)

@@ -1,0 +1,517 @@
+"""The next push, chosen by what is known after those before: sequential design of a weighing.
+
+What the runs so far say of object and robot is one Gaussian, as every weighing has it. A catalogue of pushes (start poses, joints,
+currents, square waves, durations) is simulated at the mass found so far, all in one launch, and linearised; what each would take
+from the variance of the mass follows in closed form. The push with the largest expected gain of information about the mass per
+second is the next (Chaloner & Verdinelli 1995, Statistical Science 10(3), on D_s-optimality; one step ahead), time on the way
+included.
+
+An expected gain depends on where the arm is pushed, not on what came out there, so that stopping by it does not select for
+small errors (in a linear Gaussian model the width of an interval is independent of its error; Berger & Wolpert 1988, sec. 4.2).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from proprio_ros.experiment_design.planning import (
+    CLEARANCE_M,
+    LIMIT_MARGIN,
+    PUSHES,
+    candidate_joints,
+    per_mass_of,
+    still_run,
+    travel_range,
+)
+from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
+from proprio_ros.identification.fit import FitResult, SearchOptions, solve_load
+from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
+from proprio_ros.identification.problem import (
+    PAYLOAD_TERMS,
+    RIPPLE_TERMS,
+    PreparedRun,
+    Problem,
+    load_unknowns,
+    prepare_run,
+)
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.quantity import Z95, Quantity, shown
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
+from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
+from proprio_ros.sim.payload import PayloadFacts
+
+STARTS, POSES = 6, 3
+"""Start positions of a driven joint, and positions of each held joint that matters, over their ranges."""
+DURATIONS_S = (0.3, 0.5, 0.7)
+SHAKE_PERIOD_S = 0.2
+SHAKE_OF_PUSH = 0.5
+"""Amplitude of a square wave, as a part of the current beyond balance and friction."""
+MAX_TRAVEL = 0.6
+"""rad, at which a push ends."""
+LOOKAHEAD_S = 0.08
+"""The excitation's guards look so far ahead; what would end a run there is no candidate."""
+FASTEST = 5.5
+"""rad/s, below the speed at which the excitation ends a sequence."""
+STEP_S = 1.0 / 120.0
+UNKNOWN_KG = (0.0, 0.12)
+"""What a hand may hold before anything is known."""
+PATH_RAD = tuple(float(q) for q in np.linspace(-1.05, 1.05, 8))
+"""From a start, where the height above the base's plane is looked at."""
+UNKNOWN_STD_KG = 0.1
+OWN = ("q0", "v0", "onset", "disturbance")
+WORTH = 0.1
+"""A push that promises less than this part of what is missing is not made."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A push that could be made.
+
+    Attributes:
+        joint, start, current_A, shake_A, duration_s: As in a probe sequence; start of all joints that matter [rad].
+        time_s: With the way to its start, rest and brake.
+        std: Of the mass after it, as predicted [kg].
+        gain: Information about the mass per second [nat/s].
+        travel: Where it goes: signed, foreseen [rad].
+    """
+
+    joint: str
+    start: Mapping[str, float]
+    current_A: float
+    shake_A: float
+    duration_s: float
+    time_s: float
+    std: float
+    gain: float
+    travel: float
+
+    @property
+    def words(self) -> str:
+        """What it is, for people."""
+        shake = f" +-{shown('A', self.shake_A, spec='.0f')}" if self.shake_A else ""
+        start = ", ".join(f"{name} {position:+.2f}" for name, position in self.start.items() if position)
+        return f"{self.joint} {shown('A', self.current_A, spec='+.0f')}{shake} from ({start})"
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the runs so far say.
+
+    Attributes:
+        mass, std: Of the object [kg]; before any run std is `UNKNOWN_STD_KG`.
+        covariance: Of all shared unknowns of a catalogue and the mass, shape (F, F).
+        runs: That could be used.
+        fit: Of them; None where there was none.
+        prepared: All of them, as the fit takes them.
+        towards: Where a part of the mass is sought, the covariance of that part with all unknowns, shape (F,), and its variance
+            [kg^2]; None: all of the mass is sought.
+    """
+
+    mass: float
+    std: float
+    covariance: np.ndarray
+    runs: int
+    fit: FitResult | None = None
+    prepared: tuple[PreparedRun, ...] = ()
+    towards: tuple[np.ndarray, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where pushes begin: a joint, its start and those of the others, and the simulator's parameters as they follow from the mass.
+
+    Attributes:
+        p, p_per_kg: shape (P,); dp, dp_per_kg: by the shared unknowns, then the run's own, shape (P, F + 4).
+        own_variance: Of the run's own unknowns, shape (4,).
+        heights: Above the base's plane along `PATH_RAD` [m].
+    """
+
+    prepared: PreparedRun
+    start: dict[str, float]
+    p: np.ndarray
+    p_per_kg: np.ndarray
+    dp: np.ndarray
+    dp_per_kg: np.ndarray
+    own_variance: np.ndarray
+    heights: np.ndarray
+
+
+class Catalogue:
+    """All pushes of a robot with an object in its hand, prepared once; see `Catalogue.rank`.
+
+    Args:
+        robot: With its calibration where there is one.
+        facts: Of the object.
+        joints: That may be driven; default all that carry the hand against gravity.
+        starts: Positions of the driven joint over its range.
+        suits: Whether a push may begin where the driven joint stands at a position [rad] in the pose of a run; default: anywhere.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        facts: PayloadFacts | None = None,
+        joints: Sequence[str] | None = None,
+        starts: int = STARTS,
+        suits: Callable[[PreparedRun, float], bool] | None = None,
+    ) -> None:
+        self.robot, self.facts = robot, facts or PayloadFacts()
+        self._starts, self._suits = starts, suits
+        self.joints = tuple(joints or candidate_joints(robot))
+        rest = bent_pose(robot)
+        first = [self._still(joint, rest) for joint in self.joints]
+        every = Problem(robot, first, self.facts, self._unknowns(first))
+        self._shared = SharedUnknowns(every)
+        self.keys, self.at = self._shared.keys, self._shared.at
+        mass = self.at["payload_mass"]
+        self._shared.prior[mass, mass] += UNKNOWN_STD_KG**-2
+        self._places = [place for joint in self.joints for place in self._places_of(joint)]
+
+    def _unknowns(self, runs: Sequence[PreparedRun]) -> list:
+        return load_unknowns(self.robot, runs, self.facts, Role.FREE, 0.03)
+
+    def _still(self, joint: str, pose: Mapping[str, float]) -> PreparedRun:
+        return prepare_run(self.robot, still_run(joint, pose, 0.01, max(DURATIONS_S)), None, self.facts)
+
+    def _places_of(self, joint: str) -> list[_Place]:
+        robot = self.robot
+        rest = zero_pose(robot)
+        matters = self._still(joint, bent_pose(robot)).coefficients.pose
+        others = [name for name in matters if name in robot.drive_trains]
+        found = []
+        for held in itertools.product(*(travel_range(robot, name, POSES) for name in others)):
+            pose = rest | {name: round(float(q), 2) for name, q in zip(others, held, strict=True)}
+            starts = [round(float(q), 2) for q in travel_range(robot, joint, self._starts)]
+            starts = [q for q in starts if clearance(robot, pose | {joint: q}) >= CLEARANCE_M]
+            if not starts:
+                continue
+            still = self._still(joint, pose | {joint: starts[0]})
+            if self._suits is not None:
+                starts = [q for q in starts if self._suits(still, q)]
+            if not starts:
+                continue
+            runs = [
+                replace(
+                    still,
+                    run=replace(
+                        still.run,
+                        position=np.full_like(still.run.position, q),
+                        before_position=np.full_like(still.run.before_position, q),
+                    ),
+                    rest=Quantity(q, still.rest.std),
+                )
+                for q in starts
+            ]
+            problem = Problem(robot, runs, self.facts, self._unknowns(runs))
+            values = np.tile(problem.base, (2, 1))
+            values[:, problem.index["payload_mass"]] = 0.0, 1.0
+            # friction that the file leaves open is half as large as it may be, as in a plan
+            row = problem.index["coulomb", joint]
+            coulomb = problem.unknowns[row]
+            values[:, row] += 0.5 * coulomb.std * (coulomb.value < coulomb.std)
+            keys = [key for key in self.keys if key in problem.index]
+            columns = np.array([problem.index[key] for key in keys])
+            to = [self.at[key] for key in keys]
+            for r, q in enumerate(starts):
+                own = np.array([problem.index[kind, r] for kind in OWN])
+                p, dp = problem.parameters(values, np.concatenate([columns, own]))
+                slopes = np.zeros((2, p.shape[-1], len(self.keys) + len(OWN)))
+                slopes[..., to] = dp[:, r, :, : len(columns)]
+                slopes[..., len(self.keys) :] = dp[:, r, :, len(columns) :]
+                variance = np.array([problem.unknowns[o].std ** 2 for o in own])
+                start = {**pose, joint: q}
+                heights = np.array([clearance(robot, start | {joint: q + off}) for off in PATH_RAD])
+                found.append(
+                    _Place(
+                        runs[r], start, p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0], variance, heights
+                    )
+                )  # fmt: skip
+        return found
+
+    # ------------------------------------------------------------------------------------------------------- knowledge
+
+    def nothing_known(self) -> Known:
+        """Before the first run."""
+        return Known(0.5 * sum(UNKNOWN_KG), UNKNOWN_STD_KG, np.linalg.inv(self._shared.prior), 0)
+
+    def known(self, runs: Sequence[Run], before: Known | None = None) -> Known:
+        """What runs with the object say, robot and object together.
+
+        Args:
+            runs: So far.
+            before: What the same runs without the last said: the fit starts there.
+        """
+        prepared = () if before is None else before.prepared
+        prepared += tuple(prepare_run(self.robot, run, None, self.facts) for run in runs[len(prepared) :])
+        usable = [run for run in prepared if run.run.joint in self.joints and not unusable(run)]
+        if not usable:
+            return replace(self.nothing_known(), prepared=prepared)
+        start = None
+        if before is not None and before.fit is not None:
+            start = replace(before.fit, values=before.fit.values_of(self._unknowns(usable)))
+        fit = solve_load(self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True)
+        return replace(self.after(fit, len(usable)), prepared=prepared)
+
+    def after(self, fit: FitResult, runs: int) -> Known:
+        """What a fit says of all shared unknowns, those of joints that it does not know among them."""
+        covariance = self._shared.covariance_after(fit)
+        place = self.at["payload_mass"]
+        mass = float(fit.values[fit.problem.index["payload_mass"]])
+        return Known(mass, float(np.sqrt(covariance[place, place])), covariance, runs, fit)
+
+    def foreseen(self, known: Known, push: Push, load_kg: float | None = None) -> Known:
+        """What would be known after a push, to first order.
+
+        Args:
+            known: Before it.
+            push: Of this catalogue.
+            load_kg: What is known to be in the hand [kg]; None: the object.
+        """
+        place = self._place_of(push)
+        currents, shakes = np.array([push.current_A]), np.array([push.shake_A])
+        mass = known.mass if load_kg is None else load_kg
+        rows, spread, times, _, _ = self._rows(
+            self._simulator([place], currents, shakes), np.zeros(1, int), [place], mass, load_kg is not None
+        )
+        used = times <= push.duration_s + 1e-9
+        along = rows[0][used] @ known.covariance
+        within = along @ rows[0][used].T + spread[0][used] @ spread[0][used].T + np.eye(int(used.sum()))
+        covariance = known.covariance - along.T @ np.linalg.solve(within, along)
+        at = self.at["payload_mass"]
+        return replace(
+            known, covariance=covariance, std=float(np.sqrt(max(covariance[at, at], 0.0))), runs=known.runs + 1
+        )
+
+    def still(self, push: Push) -> PreparedRun:
+        """Where a push of this catalogue begins, as a run in which nothing moves."""
+        return self._place_of(push).prepared
+
+    def standing(self, push: Push) -> PreparedRun:
+        """The same with the current of the push, over the longest duration."""
+        still = self.still(push)
+        times_s, currents_A = _input_of(push.current_A, push.shake_A)
+        return replace(still, run=replace(still.run, input_times_s=times_s, input_current_A=currents_A))
+
+    def _place_of(self, push: Push) -> _Place:
+        return next(p for p in self._places if p.prepared.run.joint == push.joint and p.start == push.start)
+
+    # --------------------------------------------------------------------------------------------------------- ranking
+
+    def rank(
+        self,
+        known: Known,
+        time_of: Callable[[np.ndarray], np.ndarray],
+        target_std: float = 0.0,
+        unknown_kg: tuple[float, float] = UNKNOWN_KG,
+        load_kg: float | None = None,
+        durations_s: Sequence[float] = DURATIONS_S,
+    ) -> list[Push]:
+        """Pushes inside all limits, best first.
+
+        Args:
+            known: So far.
+            time_of: Seconds of a push beside its duration, by the joints' starts, shape (n, joints of the model) -> (n,).
+            target_std: Of the mass [kg]; among pushes that reach it the quickest is best.
+            unknown_kg: What the hand may hold while no run says it [kg].
+            load_kg: What is known to be in the hand [kg]: pushes that tell of the robot, for the sake of a mass that `known` has
+                been foreseen to be weighed; None: the object.
+            durations_s: Of `DURATIONS_S`, ascending.
+        """
+        if load_kg is not None:
+            known = replace(known, mass=load_kg)
+        low, high = (known.mass - 2.0 * known.std, known.mass + 2.0 * known.std) if known.runs else unknown_kg
+        low, high = (max(low, 0.0), max(high, 1e-3)) if load_kg is None else (load_kg, load_kg)
+        place_of, currents, shakes = self._pushes(low, high)
+        if not len(place_of):
+            return []
+        places = [self._places[i] for i in place_of]
+        simulator = self._simulator(places, currents, shakes)
+        mean = float(np.clip(known.mass, low, high))
+        fits = self._fitting(simulator, places, (low, high) if high - low > 0.004 else (mean,))
+        chosen = np.flatnonzero(fits)
+        if not len(chosen):
+            return []
+        return self._scored(
+            known, simulator, chosen, [places[c] for c in chosen], currents[chosen], shakes[chosen], mean, time_of, target_std,
+            load_kg is not None, durations_s,
+        )  # fmt: skip
+
+    def _pushes(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Places, mean currents and amplitudes of all pushes that suit masses from low to high [kg]."""
+        per_mass = per_mass_of(self.facts)
+        place_of, currents, shakes = [], [], []
+        for number, place in enumerate(self._places):
+            c, drive, q = place.prepared.coefficients, place.prepared.drive, place.prepared.rest.value
+            loads = [c.arm + mass * (c.payload @ per_mass) for mass in (low, high)]
+            balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
+            largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
+            dry = drive.coulomb.value + 0.5 * drive.coulomb.std
+            limit = self.robot.motors[place.prepared.run.joint].current_limit_A
+            for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
+                for push in PUSHES:
+                    beyond = dry + drive.load_friction.value * abs(edge) + push * largest
+                    current = round((edge + sign * beyond) / drive.torque_constant.value, 3)
+                    wave = round(SHAKE_OF_PUSH * push * largest / drive.torque_constant.value, 3)
+                    for shake in (0.0, wave) if push == PUSHES[-1] else (0.0,):
+                        if abs(current) + shake <= limit and min(abs(current - shake), abs(current + shake)) > 0.01:
+                            place_of.append(number)
+                            currents.append(current)
+                            shakes.append(shake)
+        return np.array(place_of), np.array(currents), np.array(shakes)
+
+    def _simulator(self, places: Sequence[_Place], currents: np.ndarray, shakes: np.ndarray) -> JointSimulator:
+        runs = []
+        for place, current, shake in zip(places, currents, shakes, strict=True):
+            drive, run = place.prepared.drive, place.prepared.run
+            times, given = _input_of(current, shake)
+            friction = drive.coulomb.value + drive.load_friction.value * abs(current) * drive.torque_constant.value
+            lightest = float(place.prepared.coefficients.arm[0]) + 0.5 * drive.armature.value
+            fine = self.robot.friction_velocity * lightest / max(friction, 1e-6)
+            runs.append(
+                JointRun(
+                    run.times_s, times, given, (0.0, 0.0, 1.0), self.robot.friction_velocity, STEP_S,
+                    float(np.clip(fine, 2e-4, STEP_S)),
+                )
+            )  # fmt: skip
+        return JointSimulator(runs)
+
+    def _fitting(self, simulator: JointSimulator, places: Sequence[_Place], masses: Sequence[float]) -> np.ndarray:
+        """Which pushes stay inside all limits with each of the masses, shape (C,)."""
+        count = len(places)
+        fits = np.ones(count, dtype=bool)
+        start = np.array([place.prepared.rest.value for place in places])
+        joints = [self.robot.model.joint(place.prepared.run.joint) for place in places]
+        lower = np.array([joint.lower for joint in joints]) + LIMIT_MARGIN
+        upper = np.array([joint.upper for joint in joints]) - LIMIT_MARGIN
+        worlds = np.arange(count, dtype=np.int32)
+        reach = np.zeros((count, 2))
+        for mass in masses:
+            p = np.array([place.p + mass * place.p_per_kg for place in places])
+            with np.errstate(over="ignore", invalid="ignore"):
+                q, v, _ = simulator.jacobian(worlds, p, np.zeros((count, len(INDEX), 1)))
+            q, v = np.where(np.isfinite(q), q, 1e3), np.where(np.isfinite(v), v, 1e3)
+            off = q - start[:, None]
+            # until it has gone so far, and the sample at which that is seen
+            under_way = np.concatenate([np.ones((count, 1), bool), (np.abs(off) < MAX_TRAVEL)[:, :-1]], axis=1)
+            under_way = np.cumprod(under_way, axis=1).astype(bool)
+            ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
+            here = np.where(under_way, q, start[:, None])
+            low, high = np.minimum(ahead, here).min(axis=1), np.maximum(ahead, here).max(axis=1)
+            reach[:, 0], reach[:, 1] = np.minimum(reach[:, 0], low - start), np.maximum(reach[:, 1], high - start)
+            fits &= (low > lower) & (high < upper) & (np.where(under_way, np.abs(v), 0.0).max(axis=1) < FASTEST)
+            fits &= np.abs(np.where(under_way, off, 0.0)).max(axis=1) >= LITTLE_TRAVEL
+            fits &= under_way.sum(axis=1) >= 2 * MIN_USED
+        # the lowest point on the way, at the ends and where the height was looked at between them
+        heights, off = np.array([place.heights for place in places]), np.array(PATH_RAD)
+        passed = (off > reach[:, :1]) & (off < reach[:, 1:])
+        lowest = np.where(passed, heights, np.inf).min(axis=1)
+        for row in np.flatnonzero(fits):
+            at_ends = np.interp(reach[row], PATH_RAD, heights[row])
+            fits[row] = min(lowest[row], float(at_ends.min())) >= CLEARANCE_M
+        return fits
+
+    def _rows(
+        self, simulator: JointSimulator, worlds: np.ndarray, places: Sequence[_Place], mass: float, is_known: bool
+    ) -> tuple[np.ndarray, ...]:
+        """Whitened sensitivities of what the encoder would show.
+
+        Returns:
+            By the shared unknowns (C, T, F), by the run's own in units of their priors (C, T, 4), the samples' times (T,), and how
+            many of them count and how far the joint goes meanwhile, shapes (C,).
+        """
+        count, size = len(places), len(self.keys)
+        p = np.array([place.p + mass * place.p_per_kg for place in places])
+        dp = np.array([place.dp + mass * place.dp_per_kg for place in places])
+        identity = np.tile(np.eye(len(INDEX)), (count, 1, 1))
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, v, by_p = simulator.jacobian(worlds.astype(np.int32), p, identity)
+        start = np.array([place.prepared.rest.value for place in places])
+        usable = np.array([place.prepared.drive.usable_velocity for place in places])
+        alive = np.isfinite(q) & (np.abs(v) < usable[:, None]) & (np.abs(q - start[:, None]) < MAX_TRAVEL)
+        alive = np.cumprod(alive, axis=1).astype(bool)
+        reading = np.array([place.prepared.sigma[0] for place in places])
+        sigma = np.hypot(reading[:, None], np.abs(v) * self.robot.stamp_jitter_s)
+        rows = by_p @ dp
+        for column, place in enumerate(places):  # the encoder's once-per-turn error
+            for kind, wave in zip(RIPPLE_TERMS, (np.cos, np.sin), strict=True):
+                at = self.at.get((kind, place.prepared.run.joint))
+                if at is not None:
+                    rows[column, :, at] += wave(q[column])
+        rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
+        shared, own = rows[..., :size], rows[..., size:]
+        if is_known:
+            shared[..., [at for key, at in self.at.items() if key in PAYLOAD_TERMS]] = 0.0
+        spread = own * np.sqrt(np.array([place.own_variance for place in places]))[:, None, :]
+        off = np.where(alive, q - start[:, None], 0.0)
+        travel = np.where(off.max(axis=1) > -off.min(axis=1), off.max(axis=1), off.min(axis=1))
+        return shared, spread, places[0].prepared.run.times_s, alive.sum(axis=1), travel
+
+    def _scored(
+        self,
+        known: Known,
+        simulator: JointSimulator,
+        worlds: np.ndarray,
+        places: Sequence[_Place],
+        currents: np.ndarray,
+        shakes: np.ndarray,
+        mass: float,
+        time_of: Callable[[np.ndarray], np.ndarray],
+        target_std: float,
+        is_known: bool,
+        durations_s: Sequence[float],
+    ) -> list[Push]:
+        shared, spread, times, counted, travels = self._rows(simulator, worlds, places, mass, is_known)
+        along = shared @ known.covariance
+        within = along @ shared.transpose(0, 2, 1) + spread @ spread.transpose(0, 2, 1)
+        place_of_mass = self.at["payload_mass"]
+        towards = known.towards or (known.covariance[:, place_of_mass], known.covariance[place_of_mass, place_of_mass])
+        pulled = shared @ towards[0]
+        starts = np.array([[place.start[name] for name in self.robot.model.independent_joints] for place in places])
+        beside = time_of(starts)
+        now = towards[1]
+        found: list[Push] = []
+        for duration in durations_s:
+            used = times <= duration + 1e-9
+            block = within[:, used][:, :, used] + np.eye(int(used.sum()))
+            taken = np.einsum("ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0])
+            after = np.maximum(now - taken, 1e-12)
+            # a push that travel ends before is the same push
+            longer = counted >= np.searchsorted(times, duration - 0.15)
+            lasts = np.minimum(counted / max(len(times), 1) * times[-1], duration)
+            for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == durations_s[0]))).tolist():
+                seconds = float(beside[c] + lasts[c])
+                gain = 0.5 * float(np.log(now / after[c])) / seconds
+                place = places[c]
+                found.append(
+                    Push(
+                        place.prepared.run.joint, place.start, float(currents[c]), float(shakes[c]), duration, seconds,
+                        float(np.sqrt(after[c])), gain, float(travels[c]),
+                    )
+                )  # fmt: skip
+        return best_first(found, target_std)
+
+
+def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
+    """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
+    return sorted(
+        pushes, key=lambda push: (push.std > target_std, push.time_s if push.std <= target_std else -push.gain)
+    )
+
+
+def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]:
+    """When the current of a push changes [s], and to what [A]."""
+    if not shake_A:
+        return np.zeros(1), np.array([current_A])
+    times_s = np.arange(0.0, max(DURATIONS_S), 0.5 * SHAKE_PERIOD_S)
+    return times_s, current_A + shake_A * (1.0 - 2.0 * (np.arange(len(times_s)) % 2))
+
+
+def half_of(std: float) -> float:
+    """Half of a 95 % interval."""
+    return Z95 * std

@@ -1,0 +1,208 @@
+"""Weigh until sure: the pushes of a weighing, chosen one by one, and those of a calibration, chosen beforehand. No ROS here.
+
+After each push the runs so far are fitted, robot and object together; `Catalogue` ranks what could be pushed next from where the
+arm stands. When it ends is the same for all that is identified: see `choosing.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from proprio_ros.excitation.machine import ExcitationMachine
+from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.experiment_design.choosing import Chooser, Found, alone, passes, time_of
+from proprio_ros.experiment_design.sequential import (
+    MAX_TRAVEL,
+    SHAKE_PERIOD_S,
+    UNKNOWN_KG,
+    WORTH,
+    Catalogue,
+    Known,
+    Push,
+    half_of,
+)
+from proprio_ros.quantity import Z95, Sought
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import bent_pose
+from proprio_ros.sim.payload import PayloadFacts
+
+MOVES = 0.12
+"""rad: a push that moves less is repeated with more current."""
+RAISE_BY, EASE_BY = 1.2, 0.6
+HEAVIER = 2.5
+"""What may be in the hand is taken to be so many times more after a push that moved nothing."""
+WEIGHED_KG, LIGHT_KG, WEIGHED_PUSHES = 0.03, 0.01, 6
+"""For the sake of which a reference is pushed, and an empty hand: an object, and the pushes with it. What is light is told by an
+empty hand better than by a reference: by 24 pushes of either, the half interval of 10 g falls from 0.91 to 0.55 and to 0.77 g."""
+
+
+class UntilSure(Chooser):
+    """One weighing whose pushes are chosen one by one.
+
+    Args:
+        robot: With its calibration where there is one.
+        facts: Of the object.
+        sequence, whole: See `Chooser`.
+
+    Attributes:
+        catalogue: Of all pushes.
+
+    Raises:
+        ConfigurationError: The sequence has no `until`.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        facts: PayloadFacts,
+        sequence: ProbeSequence,
+        whole: Callable[[Sequence[Run]], float | None] | None = None,
+    ) -> None:
+        super().__init__(robot, sequence, Sought("mass", "kg"), whole)
+        self.catalogue = Catalogue(robot, facts)
+        self._known = self.catalogue.nothing_known()
+        self._found = Found(self._known.mass, self._known.std)
+        self._unknown_kg = UNKNOWN_KG
+
+    @property
+    def known(self) -> Known:
+        """What the runs so far say."""
+        return self._known
+
+    def learn(self, runs: Sequence[Run]) -> Found:
+        self._known = known = self.catalogue.known(runs, self._known)
+        return Found(known.mass, known.std, known.runs, 0.0 if known.fit is None else known.fit.reduced_chi2)
+
+    def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
+        beside = time_of(self.robot, self._sequence, pose)
+        return self.catalogue.rank(self._known, beside, target_std, self._unknown_kg)
+
+    def run_of(self, push: Push) -> ProbeRun:
+        return run_of(push, self.robot)
+
+    def stood_still(self) -> None:
+        if self._known.runs:
+            return
+        self._unknown_kg = after_standing(self._unknown_kg, self._last)
+
+
+def after_standing(unknown_kg: tuple[float, float], push: Push | None) -> tuple[float, float]:
+    """What the hand may hold after the first push moved nothing, from what it was thought to [kg]."""
+    _, high = unknown_kg
+    supported = push is not None and push.current_A * push.travel < 0.0
+    # what did not sink is lighter than was thought, what did not rise is heavier, or the joint sticks
+    return (0.0, high / HEAVIER) if supported else (0.5 * high, HEAVIER * high)
+
+
+def run_of(push: Push, robot: Robot) -> ProbeRun:
+    """A push as a run of a sequence."""
+    # the fingers hold what they hold
+    start = {
+        n: q for n, q in push.start.items() if n in robot.drive_trains and robot.model.joint(n).kind != "prismatic"
+    }
+    limit = robot.motors[push.joint].current_limit_A - abs(push.shake_A)
+    steady = push.shake_A == 0.0
+    eased = push.current_A * push.travel < 0.0  # the current only supports what gravity pulls
+    return ProbeRun(
+        push.joint,
+        push.current_A,
+        push.duration_s,
+        start,
+        max_travel=MAX_TRAVEL,
+        min_travel=MOVES if steady else 0.0,
+        raise_by=EASE_BY if eased else RAISE_BY,
+        max_current_A=min(limit, abs(push.current_A) * RAISE_BY**2) if steady and not eased else None,
+        shake_A=push.shake_A,
+        shake_period_s=SHAKE_PERIOD_S,
+    )
+
+
+def chosen_known(
+    robot: Robot, reference_kg: float, half_interval: float, at_most_s: float, sequence: ProbeSequence
+) -> list[ProbeRun]:
+    """Pushes with a known load in the hand after which a weighing is to be as sure as asked; all chosen beforehand.
+
+    What they would tell follows from where the arm is pushed, so that nothing of them need be recorded before the next is chosen.
+
+    Args:
+        robot: With the calibration so far.
+        reference_kg: In the hand; 0: nothing.
+        half_interval: Of weighings of `WEIGHED_KG` afterwards, of `LIGHT_KG` where the hand is empty, by `WEIGHED_PUSHES` pushes
+            of their own [kg].
+        at_most_s: For all of them.
+        sequence: Whose ways, rest and brake count.
+    """
+    weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
+    catalogue = Catalogue(robot)
+    known, _ = _foreseen_weighing(catalogue, weighed_kg, sequence)
+    return _chosen(catalogue, known, half_interval, at_most_s, sequence, reference_kg)
+
+
+def chosen_refresh(
+    fresh: Robot, aged: Robot, at_most_s: float, sequence: ProbeSequence
+) -> tuple[list[ProbeRun], float, float]:
+    """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
+
+    Args:
+        fresh: With the calibration as it was made.
+        aged: With what is left of it (see `drift`).
+        at_most_s: For all of them.
+        sequence: Whose ways, rest and brake count.
+
+    Returns:
+        The pushes, none where a tenth at most is missing; half the 95 % interval of a foreseen weighing of `WEIGHED_KG` when the
+        calibration was made, and by now [kg].
+    """
+    catalogue = Catalogue(fresh)
+    then, pushes = _foreseen_weighing(catalogue, WEIGHED_KG, sequence)
+    # of the same weighing: where it is pushed does not depend on how well the robot is known
+    catalogue = Catalogue(aged)
+    known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
+    for push in pushes:
+        known = replace(catalogue.foreseen(known, push), mass=WEIGHED_KG)
+    half, now = half_of(then.std), half_of(known.std)
+    return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
+
+
+def _foreseen_weighing(catalogue: Catalogue, weighed_kg: float, sequence: ProbeSequence) -> tuple[Known, list[Push]]:
+    """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
+    robot = catalogue.robot
+    known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
+    for _ in range(WEIGHED_PUSHES):
+        push = max(catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain)
+        known = replace(catalogue.foreseen(known, push), mass=weighed_kg)
+        pushes.append(push)
+    return known, pushes
+
+
+def _chosen(
+    catalogue: Catalogue,
+    known: Known,
+    half_interval: float,
+    at_most_s: float,
+    sequence: ProbeSequence,
+    load_kg: float,
+) -> list[ProbeRun]:
+    """Pushes with a known load, one after the other, for the sake of a foreseen weighing."""
+    robot, weighed_kg = catalogue.robot, known.mass
+    machine = ExcitationMachine(robot)
+    here, elapsed_s = bent_pose(robot), 0.0
+    for run in sequence.runs:
+        here |= run.start
+    chosen: list[ProbeRun] = []
+    while half_of(known.std) > half_interval:
+        ranked = catalogue.rank(known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg)
+        for push in ranked:
+            run = run_of(push, robot)
+            if elapsed_s + push.time_s <= at_most_s and passes(machine, alone(sequence, run), here):
+                break
+        else:
+            break
+        elapsed_s += push.time_s
+        known = replace(catalogue.foreseen(known, push, load_kg), mass=weighed_kg)
+        # where it ends
+        here = {**push.start, push.joint: push.start[push.joint] + push.travel}
+        chosen.append(run)
+    return chosen

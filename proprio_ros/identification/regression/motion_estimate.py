@@ -1,0 +1,259 @@
+"""A calibration from motions of several joints with an empty hand: what it is worth, and whether it can be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from proprio_ros.calibration_files.motions import FloatArray, MotionCalibration
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
+from proprio_ros.identification.estimate import UnknownRow, Verdict
+from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.regression.motion_fit import MotionFit, arm_kg
+from proprio_ros.identification.regression.motion_prior import file_prior, fit_calibrated, fit_empty
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.quantity import Z95, shown
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot
+
+UNEXPLAINED_SHARE = 0.5
+"""A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
+URDF_RATIO = 1.35
+"""URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
+SHOWN_SHARE = 0.1
+"""The headline is for an object of this share of the arm's mass."""
+LIGHT_REFERENCE = 0.2
+"""A reference whose mass is read with a greater relative standard deviation says nothing about torque constants."""
+
+Reference = tuple[Motion, float]
+"""A motion with a weighed object in the hand, and its mass [kg]."""
+
+
+def calibrate_motions(
+    robot: Robot,
+    motions: Sequence[Motion],
+    references: Sequence[Reference] = (),
+    centre: tuple[FloatArray, FloatArray] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> CalibrationEstimate:
+    """Learn an arm from motions with an empty hand.
+
+    Args:
+        robot: As its file states it.
+        motions: With an empty hand, at least one.
+        references: With a weighed object; they tell the scale of the torque constants.
+        centre: Of the references, and its standard deviation, where that was stated; see `fit_motions`.
+        progress: Called with what is going on.
+
+    Raises:
+        RecordingError: A motion is of no use.
+    """
+    robot = replace(robot, motion_calibration=None)
+    progress(f"fitting {len(motions)} motions")
+    calibration = fit_empty(robot, motions)
+    notes = tuple(note for motion in (*motions, *(motion for motion, _ in references)) for note in motion.notes)
+    refusal = next(_refusals(robot, motions, calibration), None)
+    if refusal is None and references:
+        progress("weighing the references")
+        calibration, refusal = _scaled(robot, calibration, references, centre)
+    progress("weighing each empty motion by the others")
+    weighed = () if refusal is not None else _weighed_empty(robot, motions)
+    model = robot.model.lock(list(calibration.joints), dict(motions[0].held), robot.gravity)
+    weighable = None
+    if refusal is None:
+        weighable = _weighable(robot, motions, calibration, weighed, arm_kg(model), bool(references))
+        if Z95 * weighable.std_kg > weighable.mass_kg:
+            refusal = not_identifiable(
+                "says_too_little",
+                "the interval would be too wide to state a mass",
+                f"with these motions {shown('kg', weighable.mass_kg, spec='.0f')} could only be weighed to "
+                f"+-{shown('kg', Z95 * weighable.std_kg, spec='.0f')}: record longer and faster ones, through more attitudes",
+            )
+            weighable = None
+    prior = file_prior(robot, model)
+    return CalibrationEstimate(
+        robot=robot.name,
+        verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
+        reasons=() if refusal is None else tuple(refusal.reasons),
+        runs=len(motions) + len(references),
+        calibration=None,
+        motion=calibration,
+        unknowns=tuple(
+            UnknownRow(kind, scope=joint, role=Role.FREE.value, prior=p, prior_std=s, value=v, std=e)
+            for (kind, joint), p, s, v, e in zip(
+                calibration.keys, prior.values, np.sqrt(np.diag(prior.covariance)), calibration.values, calibration.std,
+                strict=True,
+            )
+        ),
+        notes=notes,
+        weighable=weighable,
+        weighed_empty=weighed,
+    )  # fmt: skip
+
+
+def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
+    """Where the worst joint's torque is not what the model makes of it.
+
+    Args:
+        joints: Their names.
+        share: Of the torque, that is left over by joint; NaN where one did not move.
+        by: What the model consists of.
+        name: Of the recording and a colon, before the sentence.
+    """
+    worst = int(np.nanargmax(share))
+    if share[worst] > UNEXPLAINED_SHARE:
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{name}{100.0 * share[worst]:.0f} % of the torque of {joints[worst]} is not explained by {by}: check the effort's "
+            "unit and sign, and that nothing touched the arm",
+        )
+
+
+def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
+    """Where the arm weighs far more or less by its torques than by its URDF."""
+    if not 1.0 / URDF_RATIO < arm_over_urdf < URDF_RATIO:
+        yield rejected(
+            "arm_unlike_urdf",
+            "the arm does not fit its URDF",
+            f"by its torques the arm weighs {arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
+            "check the effort's unit, the torque constants and the URDF's masses",
+        )
+
+
+def _refusals(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+    torques = [
+        motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]] * calibration.torque_constants
+        for motion in motions
+    ]
+    driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
+    yield from unexplained_torque(calibration.joints, calibration.residual / driven, "the arm and its friction")
+    yield from unlike_urdf(calibration.arm_over_urdf)
+    model = robot.model.lock(list(calibration.joints), dict(motions[0].held), robot.gravity)
+    prior = file_prior(robot, model)
+    std = np.sqrt(np.diag(prior.covariance))
+    pulls = (calibration.values - prior.values) / std
+    worst = int(np.argmax(np.abs(pulls)))
+    if abs(pulls[worst]) > FAR:
+        kind, joint = calibration.keys[worst]
+        yield rejected(
+            "far_from_prior",
+            "the arm does not fit its robot file",
+            f"{kind.replace('_', ' ')} of {joint} ended {abs(pulls[worst]):.0f} standard deviations from what the robot file says "
+            f"({prior.values[worst]:.3g} +- {std[worst]:.2g}): check the URDF, the torque constants and the effort's unit",
+        )
+
+
+def _scaled(
+    robot: Robot,
+    calibration: MotionCalibration,
+    references: Sequence[Reference],
+    centre: tuple[FloatArray, FloatArray] | None,
+) -> tuple[MotionCalibration, Refusal | None]:
+    """The calibration with the torque scale that the references show, or why they do not show it."""
+    open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
+    ratios, stds = [], []
+    for motion, mass_kg in references:
+        fit = fit_calibrated(robot, [motion], open_scale, centre=centre)
+        read, std = float(fit.values[0]), float(fit.std[0])
+        if read <= 0.0 or std > LIGHT_REFERENCE * mass_kg:
+            return calibration, not_identifiable(
+                "says_too_little",
+                "the reference says nothing about the torque constants",
+                f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
+                f"{shown('kg', std, spec='.0f')}, too coarse to tell the torque constants: take a heavier one, or move longer",
+            )
+        ratios.append(mass_kg / read)
+        stds.append(std * mass_kg / read**2)
+        allowed = np.hypot(calibration.torque_scale_std, stds[-1])
+        if abs(ratios[-1] - 1.0) > FAR * allowed:
+            return calibration, rejected(
+                "misfit",
+                "the reference does not weigh what was stated",
+                f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
+                f"{shown('kg', std, spec='.0f')}, and the torque constants are stated to "
+                f"{100.0 * calibration.torque_scale_std:.0f} %: check the mass and the torque constants",
+            )
+    weights = np.square(1.0 / np.array(stds))
+    scale = float(weights @ ratios / weights.sum())
+    # all of them lean on the same calibration: together they say no more than the best one
+    scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
+    std = float(np.hypot(min(stds), scatter))
+    runs = tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references)
+    return replace(calibration, torque_scale=scale, torque_scale_std=std / scale, runs=(*calibration.runs, *runs)), None
+
+
+def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyWeighing, ...]:
+    """Each motion weighed by the calibration of the others; a single one in two halves. What they read is the error to expect."""
+    parts = list(motions)
+    if len(parts) == 1:
+        middle = 0.5 * float(parts[0].times_s[-1])
+        parts = [_between(parts[0], 0.0, middle, "first half"), _between(parts[0], middle, np.inf, "second half")]
+    weighed = []
+    for number, part in enumerate(parts):
+        try:
+            fit = fit_calibrated(robot, [part], fit_empty(robot, [*parts[:number], *parts[number + 1 :]]))
+        except RecordingError:
+            continue  # too short to be halved: then the fit's own word has to do
+        weighed.append(EmptyWeighing(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile))
+    return tuple(weighed)
+
+
+def _between(motion: Motion, first_s: float, last_s: float, words: str) -> Motion:
+    rows = (motion.times_s >= first_s) & (motion.times_s < last_s)
+    return replace(
+        motion,
+        name=f"{motion.name}, {words}",
+        times_s=motion.times_s[rows] - motion.times_s[rows][0],
+        position=motion.position[rows],
+        current_A=motion.current_A[rows],
+        beside={joint: position[rows] for joint, position in motion.beside.items()},
+    )
+
+
+def _longest_weighed(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> MotionFit:
+    """The longest motion weighed, together with the next ones where it is too short by itself."""
+    longest = sorted(motions, key=lambda motion: -float(motion.times_s[-1]))
+    for count in range(1, len(longest)):
+        try:
+            return fit_calibrated(robot, longest[:count], calibration)
+        except RecordingError:
+            continue
+    return fit_calibrated(robot, longest, calibration)
+
+
+def _weighable(
+    robot: Robot,
+    motions: Sequence[Motion],
+    calibration: MotionCalibration,
+    weighed: Sequence[EmptyWeighing],
+    arm: float,
+    referenced: bool,
+) -> Weighable:
+    """What an object in a motion like the longest of these would be weighed to."""
+    fit = _longest_weighed(robot, motions, calibration)
+    nothing = 0.5 * (fit.quantile / Z95) * float(fit.std[0]) + 0.5 * float(fit.std[0])
+    if len(motions) > 1 and weighed:
+        nothing = max(nothing, float(np.sqrt(np.mean([each.mass_kg**2 for each in weighed]))))
+    mass = float(f"{SHOWN_SHARE * arm:.1g}")
+    share = calibration.torque_scale_std
+    because = (
+        "that is how well the reference tells the torque constants"
+        if referenced
+        else "torque constants are known no better: a motion with a weighed object, --reference BAG=KG, would tell them"
+    )
+    if not referenced and share > 0.0 and abs(calibration.arm_over_urdf - 1.0) > 0.5 * share > 0.02:
+        because = (
+            f"by its torques the arm weighs {calibration.arm_over_urdf:.2f} times what its URDF says, and torque constants or URDF "
+            "are off by that: a motion with a weighed object, --reference BAG=KG, would tell which"
+        )
+    return Weighable(
+        mass,
+        float(np.hypot(nothing, share * mass)),
+        calibration.joints,
+        f"an empty hand to +-{shown('kg', Z95 * nothing, spec='.0f')}, and any mass to +-{100.0 * Z95 * share:.0f} % at best: "
+        f"{because}",
+    )

@@ -1,0 +1,288 @@
+"""How a single joint swings what it carries, from any motion under whatever controller.
+
+A joint alone is a pendulum: its torque is that of its inertia J, of gravity on the first moment m of all that it moves, and of
+friction. In weak form (`weak_form`) these are a few columns of a linear regression. Torque and motion alone give J / |m|, the
+length of the mathematical pendulum that swings alike, which no error of the torque's scale touches; J and m err as that scale does.
+
+One recording of a few seconds knows its own error badly: friction differs from place to place, and the answer depends on the
+windows and on whether the torque or the acceleration is taken as what has the error (a torque that a controller made from noisy
+positions has its share). So the answer is the mean over such choices, and its variance that among them and that of a jackknife over
+stretches of 1 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, filtfilt
+from scipy.stats import t as student
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.regression.motion_fit import RUNS_OF_ITS_OWN, SLOW_RAD_S, across_gaps
+from proprio_ros.identification.regression.weak_form import Windows
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+WINDOWS_S = (0.25, 0.5)
+HOP_SHARE = 0.125
+BANDWIDTH_HZ = 12.0
+"""Positions and torques are smoothed alike to this; a pendulum on a table swings at 1 Hz."""
+STRETCH_S = 1.0
+"""Stretches that are left out together."""
+MIN_STRETCHES = 4
+LOAD_FRICTION_STD = 0.05
+"""Gears lose part of the torque that they transmit."""
+LEAST_LENGTH_STD = 0.005
+"""Relative; a delay of a few milliseconds between torque and position, which nothing here looks for, is worth this much."""
+ITERATIONS = 8
+UPRIGHT_SHARE = 0.2
+"""An axis along which this little of gravity turns anything is upright."""
+
+
+@dataclass(frozen=True)
+class OneJointFit:
+    """What the motions of one joint say.
+
+    Attributes:
+        joint: Its name.
+        values: Length of the equivalent pendulum [m], inertia [kg m^2], first moment along two directions [kg m], shape (4,).
+        covariance: Of these, but for the torque's scale, shape (4, 4).
+        directions: The two directions, in the frame of the body, shape (2, 3).
+        stretches: Number of stretches.
+        quantile: Half width of a 95 % interval in standard deviations.
+        residual: rms of the windows' mean torque that is left over [N m].
+        driven: rms of the mean torque [N m].
+        load: rms of the part that inertia and gravity take of it [N m].
+        swings: Share of the acceleration's variance that gravity and friction explain without any torque of the motor.
+        swings_m: Length of the pendulum that would swing like that [m].
+        viscous, coulomb: Means over the motions [N m s/rad], [N m].
+        one_sign: Whether no sample of the torque has another sign than the others.
+    """
+
+    joint: str
+    values: FloatArray
+    covariance: FloatArray
+    directions: FloatArray
+    stretches: int
+    quantile: float
+    residual: float
+    driven: float
+    load: float
+    swings: float
+    swings_m: float
+    viscous: float
+    coulomb: float
+    one_sign: bool
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviations, shape (4,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def directions_of(axis: FloatArray) -> FloatArray:
+    """Two unit vectors across an axis, and each other, shape (2, 3)."""
+    least = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(axis, least)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(axis, first)])
+
+
+def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJointFit:
+    """Fit inertia, first moment and friction of a joint that moves alone.
+
+    Args:
+        robot: Its torque constant and geometry.
+        motions: With the same load, each with friction of its own.
+        joint: That moved.
+
+    Raises:
+        RecordingError: They are too short, or gravity does not turn the joint.
+    """
+    model = robot.model.lock([joint], dict(motions[0].held), robot.gravity)
+    axis, base = model.axes[0], model.placement[0][:3, :3]
+    upright = base @ axis
+    across_gravity = model.gravity - (model.gravity @ upright) * upright
+    if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(model.gravity):
+        raise RecordingError(f"{motions[0].name}: {joint} turns about the vertical, where gravity does nothing")
+    directions = directions_of(axis)
+    gravity = base.T @ model.gravity
+    tables = [[table_of(robot, motion, joint, gravity, axis, directions, w) for motion in motions] for w in WINDOWS_S]
+    stretches = np.unique(np.concatenate([part.stretch + RUNS_OF_ITS_OWN * n for n, part in enumerate(tables[-1])]))
+    if len(stretches) < MIN_STRETCHES:
+        raise RecordingError(
+            f"{motions[0].name}: {joint} moves for {STRETCH_S * len(stretches):.0f} s without a pause or a gap; record "
+            f"{STRETCH_S * MIN_STRETCHES:.0f} s of motion at least, better 15"
+        )
+    whole = _choices(tables, None)
+    values = whole.mean(axis=0)
+    moved = np.array([_choices(tables, int(label)).mean(axis=0) - values for label in stretches])
+    covariance = (len(stretches) - 1) / len(stretches) * moved.T @ moved + np.cov(whole.T)
+    covariance[0, 0] += (LEAST_LENGTH_STD * values[0]) ** 2
+    parts = tables[-1]
+    solution = _by_torque(parts, None)
+    matrix = np.vstack([part.columns for part in parts])
+    right = np.concatenate([part.torque for part in parts])
+    load = matrix[:, :3] @ solution.load
+    acceleration, others = matrix[:, 0], matrix[:, 1:]
+    alone = np.linalg.lstsq(others, acceleration, rcond=None)[0]
+    idle = acceleration - others @ alone
+    frequency_squared = float(np.hypot(alone[0], alone[1]))
+    torques = np.concatenate([motion.current_A[:, motion.joints.index(joint)] for motion in motions])
+    return OneJointFit(
+        joint,
+        values,
+        covariance,
+        directions,
+        len(stretches),
+        float(student.ppf(0.975, len(stretches) - 1)),
+        _rms(solution.residual),
+        _rms(right),
+        _rms(load),
+        1.0 - (_rms(idle) / max(_rms(acceleration), 1e-12)) ** 2,
+        1.0 / max(frequency_squared, 1e-9),
+        float(np.mean(solution.friction[:, 0])),
+        float(np.mean(solution.friction[:, 1])),
+        bool(np.all(torques >= 0.0) or np.all(torques <= 0.0)),
+    )
+
+
+@dataclass(frozen=True)
+class Table:
+    """Windows of one motion.
+
+    Attributes:
+        columns: Mean torque per unit of inertia, two first moments, viscous and Coulomb friction, offset, shape (W, 6).
+        torque: Mean torque of the motor [N m], shape (W,).
+        stretch: Number of the stretch, shape (W,).
+    """
+
+    columns: FloatArray
+    torque: FloatArray
+    stretch: NDArray[np.int64]
+
+
+def table_of(
+    robot: Robot,
+    motion: Motion,
+    joint: str,
+    gravity: FloatArray,
+    axis: FloatArray,
+    directions: FloatArray,
+    window_s: float,
+    slow_rad_s: float = SLOW_RAD_S,
+) -> Table:
+    """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
+
+    Raises:
+        RecordingError: It does not move for long enough.
+    """
+    column = motion.joints.index(joint)
+    period_s = float(np.median(np.diff(motion.times_s)))
+    times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
+    b, a = butter(2, min(2.0 * BANDWIDTH_HZ * period_s, 0.9))
+    position, current = (
+        filtfilt(b, a, np.interp(times_s, motion.times_s, values[:, column]))
+        for values in (motion.position, motion.current_A)
+    )
+    velocity = np.gradient(position, period_s)
+    width = max(round(window_s / period_s), 4)
+    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    cosine, sine = np.cos(position)[:, None], np.sin(position)[:, None]
+    # gravity in the frame of the body, which turned by the position; its torque on a first moment d along the axis: a . (d x g)
+    seen = gravity * cosine - np.cross(axis, gravity) * sine + axis * (axis @ gravity) * (1.0 - cosine)
+    moments = -np.column_stack([np.cross(d, seen) @ axis for d in directions])
+    columns = np.column_stack(
+        [
+            windows.derivative(velocity, period_s),
+            windows.mean(moments),
+            windows.mean(velocity),
+            windows.mean(np.tanh(velocity / slow_rad_s)),
+            np.ones(len(windows.starts)),
+        ]
+    )
+    counts = windows.mean((np.abs(velocity) < slow_rad_s).astype(np.float64)) < 0.5
+    counts &= ~across_gaps(motion, times_s, windows, width)
+    if counts.sum() <= columns.shape[1]:
+        raise RecordingError(f"{motion.name}: {joint} does not move for long enough without a pause or a gap")
+    torque = robot.drive_trains[joint].torque_constant.value * windows.mean(current)
+    middle_s = times_s[windows.starts] + 0.5 * window_s
+    stretch = (middle_s / STRETCH_S).astype(np.int64)
+    return Table(columns[counts], torque[counts], stretch[counts])
+
+
+def _choices(tables: Sequence[Sequence[Table]], left_out: int | None) -> FloatArray:
+    """The four values by each way to take them, shape (C, 4)."""
+    rows = []
+    for parts in tables:
+        inertia, *moment = _by_torque(parts, left_out).load
+        rows.append([inertia / np.hypot(*moment), inertia, *moment])
+        inertia, *moment = _by_acceleration(parts, left_out)
+        rows.append([inertia / np.hypot(*moment), inertia, *moment])
+    return np.array(rows)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    load: FloatArray  # inertia and two moments, shape (3,)
+    friction: FloatArray  # viscous, Coulomb and offset of each motion, shape (motions, 3)
+    residual: FloatArray
+
+
+def _stacked(
+    parts: Sequence[Table], left_out: int | None
+) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+    """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
+    loads, frictions, torques, numbers = [], [], [], []
+    for number, part in enumerate(parts):
+        kept = (
+            np.ones(len(part.torque), dtype=bool)
+            if left_out is None
+            else part.stretch + RUNS_OF_ITS_OWN * number != left_out
+        )
+        own = np.zeros((int(kept.sum()), 3 * len(parts)))
+        own[:, 3 * number : 3 * number + 3] = part.columns[kept][:, 3:]
+        loads.append(part.columns[kept][:, :3])
+        frictions.append(own)
+        torques.append(part.torque[kept])
+        numbers.append(np.full(int(kept.sum()), number))
+    return np.vstack(loads), np.vstack(frictions), np.concatenate(torques), np.concatenate(numbers)
+
+
+def _by_torque(parts: Sequence[Table], left_out: int | None) -> _Solution:
+    """The torque has the error: least squares of it, with gears that lose part of the load's."""
+    load, friction, torque, number = _stacked(parts, left_out)
+    direction = friction[:, 1::3].sum(axis=1)
+    matrix = np.column_stack([load, friction, np.zeros(len(torque))])
+    weight = np.ones(len(torque))
+    # the prior of load friction, in the unit of the equations
+    prior = np.zeros(matrix.shape[1])
+    values = np.zeros(matrix.shape[1])
+    for _ in range(ITERATIONS):
+        matrix[:, -1] = np.abs(load @ values[:3]) * direction
+        noise = max(_rms(weight * (torque - matrix @ values)), 1e-12)
+        prior[-1] = noise / LOAD_FRICTION_STD
+        values = np.linalg.lstsq(
+            np.vstack([matrix * weight[:, None], prior]), np.append(torque * weight, 0.0), rcond=None
+        )[0]
+        residual = torque - matrix @ values
+        rms = np.array([max(_rms(residual[number == n]), 1e-12) for n in range(len(parts))])
+        weight = (rms.min() / rms)[number]
+    return _Solution(values[:3], values[3:-1].reshape(-1, 3), residual)
+
+
+def _by_acceleration(parts: Sequence[Table], left_out: int | None) -> FloatArray:
+    """The acceleration has the error: inertia and two moments, shape (3,)."""
+    load, friction, torque, _ = _stacked(parts, left_out)
+    matrix = np.column_stack([torque, load[:, 1:], friction])
+    values = np.linalg.lstsq(matrix, load[:, 0], rcond=None)[0]
+    return np.array([1.0, *(-values[1:3])]) / values[0]
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,396 @@
+"""Weighing with a joint whose motions with known loads were recorded: what they say of torque, rotor and friction.
+
+In weak form (`weak_form`) the motor's torque, as the robot file makes it of currents, is linear in a few terms of the joint
+(`joint_calibration.TERMS`): the true torque of everything that hangs on it, times a scale; inertia of the rotor; viscous friction,
+back EMF included; Coulomb friction; gears that lose a share of what they transmit, more of much (those of small servos lose half);
+and an offset that each recording has of its own. Known loads tell the terms; with the terms a load is one number.
+
+A few seconds of one motion know their error badly, so nothing formal is used. How much a mass errs is made of: leaving out
+stretches of 1 s of the recording itself; leaving out one recording of the calibration at a time; and by how much masses of the
+calibration's own recordings, each weighed by the others, err beyond what their stretches explain. The last is where friction goes
+that differs from run to run: servos warm up. A few recordings say little about their spread, so all of its posterior counts, under
+a half Cauchy prior (Gelman 2006, Bayesian Analysis 1); and whether it grows with the mass is not known, so the wider counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq, lsq_linear, minimize_scalar
+from scipy.stats import t as student
+
+from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.regression.motion_fit import URDF_SHARE
+from proprio_ros.identification.regression.one_joint_fit import WINDOWS_S, Table, directions_of, table_of
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import FloatArray
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+CREEP_RAD_S = 0.1
+"""A joint that is slower for most of a window creeps, and its friction is not that of one that moves."""
+LOAD_FRICTION_STD = 0.5
+"""Of the shares of load friction, for the heaviest load: gears that lose more do not turn back."""
+SPREAD_SCALE = 0.05
+"""Of the prior of how far masses differ from recording to recording, relative: those of real XL330 and STS3215 do by 2 to 9 %."""
+SPREADS = np.geomspace(1e-4, 1.0, 200)
+"""At which the posterior of that is taken."""
+OUTSIDE_SHARE = 0.1
+"""What a mass errs, relative, for each factor of e that it lies outside of the loads that were known."""
+HEAVIEST = 4.0
+"""Times the heaviest known load: nothing beyond is looked for."""
+GRID = 33
+ITERATIONS = 4
+STRETCHES, CALIBRATION, RUNS, ARM, PLACE, OUTSIDE = (
+    "what differs from stretch to stretch",
+    "what the calibration leaves open",
+    "what differs from recording to recording",
+    "the arm itself",
+    "place of the payload",
+    "a mass that no known load comes near",
+)
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What hangs on the joint, as the columns of a `Table` take it: inertia [kg m^2] and first moments [kg m].
+
+    Attributes:
+        arm: Of the URDF's bodies, shape (3,).
+        per_kg: Of the payload, shape (3,).
+    """
+
+    arm: FloatArray
+    per_kg: FloatArray
+
+
+@dataclass(frozen=True)
+class KnownJointFit:
+    """A mass, and what it errs by.
+
+    Attributes:
+        mass, std: [kg].
+        quantile: Half width of a 95 % interval in standard deviations.
+        parts: What puts how much standard deviation on it [kg], by name.
+        stretches: Of the recordings.
+        residual: rms of the windows' mean torque that is left over [N m]; driven: of the torque itself.
+        at_the_end: Whether the mass stands at the end of what was looked for.
+    """
+
+    mass: float
+    std: float
+    quantile: float
+    parts: tuple[tuple[str, float], ...]
+    stretches: int
+    residual: float
+    driven: float
+    at_the_end: bool
+
+
+def carried_by(robot: Robot, joint: str, held: dict[str, float], facts: PayloadFacts) -> Carried:
+    """Arm and payload about one joint."""
+    model = robot.model.lock([joint], held, robot.gravity)
+    axis = model.axes[0]
+    directions = directions_of(axis)
+    body_from_payload = model.frames[robot.payload_frame][1]
+    turn = body_from_payload[:3, :3]
+    lever = directions @ (turn @ facts.com + body_from_payload[:3, 3])
+    spread = facts.shape.second_moment_per_mass
+    own_axis = turn.T @ axis
+    about_centre = float(np.trace(spread) - own_axis @ spread @ own_axis)
+    second = model.pseudo_inertia[0, :3, :3]
+    scale = robot.arm_scale.value
+    arm_inertia = float(np.sum((directions @ second) * directions))
+    return Carried(
+        scale * np.array([arm_inertia, *(directions @ model.pseudo_inertia[0, :3, 3])]),
+        np.array([about_centre + float(lever @ lever), *lever]),
+    )
+
+
+def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
+    """What one motion says, once for each length of the windows.
+
+    Raises:
+        RecordingError: It does not move for long enough.
+    """
+    model = robot.model.lock([joint], dict(motion.held), robot.gravity)
+    axis = model.axes[0]
+    gravity = model.placement[0][:3, :3].T @ model.gravity
+    directions = directions_of(axis)
+    return tuple(
+        table_of(robot, motion, joint, gravity, axis, directions, window_s, CREEP_RAD_S) for window_s in WINDOWS_S
+    )
+
+
+def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
+    """A column per term, shape (W, 6); those of load friction are taken ``share`` times."""
+    true, direction = table.columns[:, :3] @ load, table.columns[:, 4]
+    lost = share * np.abs(true) * direction
+    return np.column_stack([true, table.columns[:, 0], table.columns[:, 3], direction, lost, lost * np.abs(true)])
+
+
+def terms_of(
+    tables: Sequence[Sequence[Table]], loads_kg: Sequence[float], carried: Carried
+) -> tuple[FloatArray, float]:
+    """The terms that motions with known loads show, shape (6,), and rms of the torque that is left over, in true torque [N m].
+
+    Args:
+        tables: Of each motion, by the length of the windows.
+        loads_kg: Of each.
+        carried: What hangs on the joint.
+    """
+    found, left = [], []
+    heaviest = max(float(np.abs(part.columns[:, :3] @ (carried.arm + kg * carried.per_kg)).max()) for parts, kg in
+                   zip(tables, loads_kg, strict=True) for part in parts)  # fmt: skip
+    # none of the terms can be negative, and an offset can
+    lowest = np.concatenate([np.zeros(len(TERMS)), np.full(len(tables), -np.inf)])
+    parts: tuple[Table, ...]
+    for parts in zip(*tables, strict=True):
+        values = np.array([1.0, *np.zeros(len(TERMS) - 1)])
+        for _ in range(ITERATIONS):
+            rows, rights = [], []
+            for number, (part, kg) in enumerate(zip(parts, loads_kg, strict=True)):
+                weight = 1.0 / np.sqrt(len(part.torque))  # each recording counts alike, however long
+                offsets = np.zeros((len(part.torque), len(parts)))
+                offsets[:, number] = 1.0
+                design = _design(part, carried.arm + kg * carried.per_kg, values[0])
+                rows.append(weight * np.hstack([design, offsets]))
+                rights.append(weight * part.torque)
+            matrix, right = np.vstack(rows), np.concatenate(rights)
+            prior = np.zeros((2, matrix.shape[1]))
+            noise = float(np.sqrt(np.mean(np.square(right - matrix[:, : len(values)] @ values))))
+            prior[0, 4], prior[1, 5] = noise / LOAD_FRICTION_STD, noise * heaviest / LOAD_FRICTION_STD
+            # as small as it can be: the bounded search then costs nothing
+            stacked = np.column_stack([np.vstack([matrix, prior]), np.append(right, [0.0, 0.0])])
+            root = np.asarray(np.linalg.qr(stacked, mode="r"))
+            solution = lsq_linear(root[:, :-1], root[:, -1], bounds=(lowest, np.inf), method="bvls").x
+            values = solution[: len(TERMS)]
+        found.append(values)
+        left.append(
+            float(np.sqrt(np.sum(np.square(right - matrix @ solution)) / len(parts))) / max(abs(values[0]), 1e-9)
+        )
+    return np.mean(found, axis=0), float(np.mean(left))
+
+
+def _mass(parts: Sequence[Table], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float]) -> float:
+    """The mass whose torque, beside the terms', leaves least over; each motion has an offset of its own [kg]."""
+
+    def cost(mass: float) -> float:
+        load = carried.arm + mass * carried.per_kg
+        total = 0.0
+        for part in parts:
+            residual = part.torque - _design(part, load, terms[0]) @ terms
+            total += float(np.sum(np.square(residual - residual.mean())))
+        return total
+
+    grid = np.linspace(*reach_kg, GRID)
+    best = int(np.argmin([cost(float(mass)) for mass in grid]))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)]
+    return float(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5}).x)
+
+
+def _rms_left(parts: Sequence[Table], terms: FloatArray, carried: Carried, mass: float) -> float:
+    load = carried.arm + mass * carried.per_kg
+    residuals = [part.torque - _design(part, load, terms[0]) @ terms for part in parts]
+    return float(np.sqrt(np.mean(np.square(np.concatenate([each - each.mean() for each in residuals])))))
+
+
+def _without(table: Table, label: int) -> Table:
+    kept = table.stretch != label
+    return Table(table.columns[kept], table.torque[kept], table.stretch[kept])
+
+
+def _by_stretches(
+    tables: Sequence[Sequence[Table]], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float]
+) -> tuple[float, float, int]:
+    """Mass [kg], the variance that stretches and windows put on it [kg^2], and the number of stretches."""
+    by_window = list(zip(*tables, strict=True))
+    masses = [_mass(parts, terms, carried, reach_kg) for parts in by_window]
+    mass = float(np.mean(masses))
+    labels = [(number, int(label)) for number, parts in enumerate(tables) for label in np.unique(parts[0].stretch)]
+    moved = []
+    for number, label in labels:
+        rest = [
+            [_without(part, label) if at == number else part for at, part in enumerate(parts)] for parts in by_window
+        ]
+        rest = [[part for part in parts if len(part.torque) > 2] for parts in rest]
+        if all(rest):
+            moved.append(float(np.mean([_mass(parts, terms, carried, reach_kg) for parts in rest])) - mass)
+    count = len(moved)
+    scatter = (count - 1) / count * float(np.sum(np.square(moved))) if count > 1 else np.inf
+    return mass, scatter + float(np.var(masses, ddof=1)), count
+
+
+def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
+    """How likely it is that values differ by each of `SPREADS` beyond what each knows of its own error, shape (200,), sum 1.
+
+    Args:
+        errors: Of each, relative, shape (n,).
+        variances: That each knows, shape (n,).
+    """
+    apart = np.maximum(variances, 1e-12) + SPREADS[:, None] ** 2
+    fit = -0.5 * np.sum(np.log(apart) + np.square(errors) / apart, axis=1)
+    # a half Cauchy prior; the steps grow with the spread
+    log = fit - np.log1p(np.square(SPREADS / SPREAD_SCALE)) + np.log(SPREADS)
+    weights: FloatArray = np.exp(log - log.max())
+    return weights / weights.sum()
+
+
+def spread_of(posterior: FloatArray) -> float:
+    """Its median."""
+    return float(SPREADS[int(np.searchsorted(np.cumsum(posterior), 0.5))])
+
+
+def _half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, int]]) -> float:
+    """Of the 95 % interval [kg].
+
+    Args:
+        posterior: See `spread_posterior`.
+        mass: That the spread is relative to [kg].
+        rest: Variance of everything else [kg^2].
+        freedom: Of its parts that are known from a few only: variance [kg^2] and degrees of freedom.
+    """
+    total = rest + np.square(SPREADS * mass)
+    # what a few say of their own scatter is uncertain: Satterthwaite 1946, Biometrics Bulletin 2
+    shares = sum(variance**2 / degrees for variance, degrees in freedom)
+    effective = np.maximum(np.square(total) / max(shares, 1e-300), 1.0)
+    stds = np.sqrt(total)
+
+    def beyond(half: float) -> float:
+        return float(posterior @ student.cdf(half / stds, effective)) - 0.975
+
+    highest = float(stds[-1])
+    while beyond(highest) < 0.0:
+        highest *= 2.0
+    return float(brentq(beyond, 0.0, highest))
+
+
+def reach_of(loads_kg: FloatArray) -> tuple[float, float]:
+    """Between which masses is looked [kg]."""
+    heaviest = float(loads_kg.max())
+    return -0.5 * heaviest, HEAVIEST * heaviest
+
+
+def learn_joint(
+    robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts
+) -> JointCalibration:
+    """What motions with known loads say about their joint.
+
+    Args:
+        robot: Of one joint that turns.
+        motions: Three or more.
+        loads_kg: What was held in each; 0 is an empty hand.
+        facts: Where the loads sat.
+
+    Raises:
+        RecordingError: There are too few, or one is of no use.
+    """
+    (joint,) = motions[0].joints
+    if len(motions) < FEWEST_RUNS:
+        raise RecordingError(
+            f"{motions[0].name}: {len(motions)} motions of one joint do not say by how much friction differs from one to the "
+            f"next: calibrate with {FEWEST_RUNS} at least, better 6, with known loads (--reference BAG=KG)"
+        )
+    carried = carried_by(robot, joint, dict(motions[0].held), facts)
+    tables = [tables_of(robot, motion, joint) for motion in motions]
+    loads = np.asarray(loads_kg, dtype=np.float64)
+    values, residual = terms_of(tables, loads.tolist(), carried)
+    everyone = range(len(motions))
+    without = np.array(
+        [terms_of([tables[k] for k in everyone if k != n], [float(loads[k]) for k in everyone if k != n], carried)[0]
+         for n in everyone]
+    )  # fmt: skip
+    read = [_by_stretches([tables[n]], without[n], carried, reach_of(loads)) for n in everyone]
+    runs = tuple(
+        {
+            "name": motion.name,
+            "duration_s": float(motion.times_s[-1]),
+            "load_kg": float(kg),
+            "read_kg": mass,
+            "std_kg": min(float(np.sqrt(variance)), 1e6),
+        }
+        for motion, kg, (mass, variance, _) in zip(motions, loads, read, strict=True)
+    )
+    constant = robot.drive_trains[joint].torque_constant.value
+    learnt = JointCalibration(joint, constant, values, without, 0.0, residual, runs)
+    return replace(learnt, spread=spread_of(_spread_by(learnt)))
+
+
+def _spread_by(calibration: JointCalibration, mass: float | None = None) -> FloatArray:
+    """The posterior of how far its recordings differ, relative to each load, or all to one mass [kg]."""
+    loaded = [run for run in calibration.runs if float(run["load_kg"]) > 0.0]
+    loads = np.array([float(run["load_kg"]) for run in loaded])
+    errors = np.array([float(run["read_kg"]) for run in loaded]) - loads
+    stds = np.array([float(run["std_kg"]) for run in loaded])
+    scale = loads if mass is None else mass
+    return spread_posterior(errors / scale, np.square(stds / scale))
+
+
+def weigh_by_joint(
+    robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
+) -> KnownJointFit:
+    """The mass that all motions share.
+
+    Args:
+        robot: Of one joint that turns.
+        motions: At least one.
+        calibration: Of the same joint.
+        facts: Where the payload sits.
+
+    Raises:
+        RecordingError: A motion is of no use.
+    """
+    joint = calibration.joint
+    carried = carried_by(robot, joint, dict(motions[0].held), facts)
+    tables = [tables_of(robot, motion, joint) for motion in motions]
+    loads = calibration.loads_kg
+    reach_kg = reach_of(loads)
+    mass, by_stretches, stretches = _by_stretches(tables, calibration.values, carried, reach_kg)
+    by_window = list(zip(*tables, strict=True))
+    others = np.array(
+        [np.mean([_mass(parts, terms, carried, reach_kg) for parts in by_window]) for terms in calibration.without]
+    )
+    count = len(others)
+    by_calibration = (count - 1) / count * float(np.sum(np.square(others - others.mean())))
+    lever = float(np.linalg.norm(carried.per_kg[1:]))
+    held = loads[loads > 0.0]
+    # an arm that is not as its URDF says was taken for a load, and cancels where the loads were the same
+    arm_kg = URDF_SHARE * float(np.linalg.norm(carried.arm[1:])) / max(lever, 1e-6)
+    outside = max(np.log(max(mass, 1e-9) / held.max()), np.log(held.min() / max(mass, 1e-9)), 0.0)
+    model = robot.model.lock([joint], dict(motions[0].held), robot.gravity)
+    turn = model.frames[robot.payload_frame][1][:3, :3]
+    centre = float(np.linalg.norm(directions_of(model.axes[0]) @ turn @ np.diag(facts.com_std)))
+    variances = {
+        STRETCHES: by_stretches,
+        CALIBRATION: by_calibration,
+        ARM: (arm_kg * (1.0 - mass / float(held.mean()))) ** 2,
+        PLACE: (mass * centre / max(lever, 1e-6)) ** 2,
+        OUTSIDE: (OUTSIDE_SHARE * outside * mass) ** 2,
+    }
+    rest = max(sum(variances.values()), 1e-18)
+    freedom = [(by_stretches, max(stretches - 1, 1)), (by_calibration, count - 1)]
+    half, spread_kg = 0.0, 0.0
+    # what differs is a share of the load, as that of gears, or of its own, as dry friction is
+    for posterior, times in (
+        (_spread_by(calibration), abs(mass)),
+        (_spread_by(calibration, float(held.mean())), float(held.mean())),
+    ):
+        half = max(half, _half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
+        spread_kg = max(spread_kg, spread_of(posterior) * times)
+    variances[RUNS] = spread_kg**2
+    std = float(np.sqrt(rest + variances[RUNS]))
+    first = by_window[-1]
+    return KnownJointFit(
+        mass,
+        std,
+        half / std if np.isfinite(half) else float(student.ppf(0.975, 1)),
+        tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
+        stretches,
+        _rms_left(first, calibration.values, carried, mass) / max(abs(calibration.values[0]), 1e-9),
+        float(np.sqrt(np.mean(np.square(np.concatenate([part.torque for part in first])))))
+        / max(abs(calibration.values[0]), 1e-9),
+        not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
+    )

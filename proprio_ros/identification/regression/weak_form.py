@@ -1,0 +1,107 @@
+"""Joint torques of a moving arm as a linear function of its inertial parameters, without differentiating a position twice.
+
+The torque at a joint is its screw axis S times the change of momentum of everything behind it, less gravity's wrench on that:
+``tau = S . (dh/dt - f)``, all in the base frame. Multiplied by a smooth test function phi that is zero at both ends of a window and
+integrated by parts, the derivative goes to what is known exactly:
+
+    int phi tau dt = - int (dphi/dt S + phi dS/dt) . h dt - int phi S . f dt,        dS/dt = V x S
+
+where V is the twist of the joint's link. Momentum h and wrench f are linear in each body's ten parameters (mass, first moments,
+inertia about the body's origin), so each window and joint gives one linear equation, from positions and velocities alone.
+
+Sources: test functions for identification, Preisig & Rippin 1993, Theory and Application of the Modulating Function Method,
+Computers & Chemical Engineering 17; spatial vectors, Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 2; inertial
+parameters of links and loads, Atkeson, An & Hollerbach 1986, International Journal of Robotics Research 5(3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from proprio_ros.records import FloatArray
+from proprio_ros.robot import ReducedModel
+from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gravity
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Test functions over windows of equally spaced samples: ``(1 - x^2)^3``, zero with two derivatives at both ends.
+
+    Attributes:
+        starts: First sample of each window, shape (W,).
+        weight: Its values times the sampling period, normalised to a mean over time, shape (K,).
+        slope: Those of its time derivative, shape (K,).
+    """
+
+    starts: NDArray[np.int64]
+    weight: FloatArray
+    slope: FloatArray
+
+    @classmethod
+    def over(cls, samples: int, width: int, hop: int) -> Windows:
+        """Windows of ``width`` samples, one every ``hop``; the derivative is that per sample."""
+        x = (np.arange(width) + 0.5) * 2.0 / width - 1.0
+        weight = (1.0 - x**2) ** 3
+        slope = -6.0 * x * (1.0 - x**2) ** 2 * 2.0 / width
+        return cls(np.arange(0, samples - width + 1, hop), weight / weight.sum(), slope / weight.sum())
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Weighted mean of a signal, shape (T, ...), over each window, shape (W, ...)."""
+        return self._over(self.weight, values)
+
+    def derivative(self, values: FloatArray, period_s: float) -> FloatArray:
+        """Weighted mean of the signal's time derivative over each window, by parts: the signal itself is not differentiated."""
+        return -self._over(self.slope, values) / period_s
+
+    def _over(self, weight: FloatArray, values: FloatArray) -> FloatArray:
+        rows = self.starts[:, None] + np.arange(len(weight))
+        return np.tensordot(values[rows], weight, axes=(1, 0))
+
+
+def torque_regressor(
+    model: ReducedModel, position: FloatArray, velocity: FloatArray, windows: Windows, period_s: float
+) -> FloatArray:
+    """Mean torque at every joint over every window, per unit of every body's parameters.
+
+    Args:
+        model: The arm, n revolute joints.
+        position: Equally spaced samples [rad], shape (T, n).
+        velocity: At the same instants [rad/s], shape (T, n).
+        windows: Where to look.
+        period_s: Between samples [s].
+
+    Returns:
+        Shape (W, n, n, 10): window, joint, body, parameter [N m per unit].
+    """
+    motion = kinematics(model, position, velocity)
+    bodies = position.shape[1]
+    result = np.zeros((len(windows.starts), bodies, bodies, PARAMETERS))
+    carriers = [_carriers(model, body) for body in range(bodies)]
+    for body in range(bodies):
+        momentum, wrench = momentum_and_gravity(
+            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
+        )
+        for joint in carriers[body]:
+            axis, twist = motion.axis[:, joint], motion.twist[:, joint]
+            turning = np.concatenate(
+                [
+                    np.cross(twist[:, :3], axis[:, :3]),
+                    np.cross(twist[:, :3], axis[:, 3:]) + np.cross(twist[:, 3:], axis[:, :3]),
+                ],
+                axis=1,
+            )
+            along = (axis[:, None] @ momentum)[:, 0]
+            rest = (turning[:, None] @ momentum + axis[:, None] @ wrench)[:, 0]
+            result[:, joint, body] = windows.derivative(along, period_s) - windows.mean(rest)
+    return result
+
+
+def _carriers(model: ReducedModel, body: int) -> list[int]:
+    """The joints that carry a body: its own, its parent's, and so on to the base."""
+    joints = [body]
+    while model.parents[joints[-1]] >= 0:
+        joints.append(int(model.parents[joints[-1]]))
+    return joints

@@ -1,0 +1,182 @@
+"""Weighing while the arm works: joint states under whatever controller in, a running estimate out. No ROS here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from proprio_ros.identification.regression.running import RunningEstimate, RunningWeight
+from proprio_ros.probes.base import Carried, Probe
+from proprio_ros.quantity import Z95, shown, spec_for
+from proprio_ros.recordings.bags import ampere
+from proprio_ros.recordings.motions import MOVED_RAD
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import zero_pose
+
+NO_MOTIONS = (
+    "there is no calibration of motions; record the arm with an empty hand while it works, run `proprio calibrate BAG --output "
+    "FILE`, and give that file as the parameter calibration"
+)
+
+
+def current_A(effort: float, unit: str, effort_per_current: float) -> float:
+    """What flows in a motor by the effort of a joint state."""
+    return (1.0 / effort_per_current if unit == "N.m" else ampere(unit)) * effort
+
+
+def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]) -> bool:
+    """Whether any of these joints moved.
+
+    Args:
+        states: Names and positions of each joint state [rad or m].
+        joints: Those that count.
+    """
+    least: dict[str, float] = {}
+    most: dict[str, float] = {}
+    for names, positions in states:
+        for name, position in zip(names, positions, strict=False):
+            if math.isfinite(position):
+                least[name] = min(position, least.get(name, position))
+                most[name] = max(position, most.get(name, position))
+    return any(most[name] - least[name] > MOVED_RAD for name in joints if name in least)
+
+
+class RunningFeed:
+    """Makes a running estimate of joint states as they come.
+
+    Args:
+        probe: That is `at_work`.
+        robot: With a calibration of motions.
+        facts: What is stated about what the hand holds.
+
+    Attributes:
+        others: Joints that are not in the calibration and count as standing.
+        waits_for: Why no joint state counted since the last that did; empty: nothing is wrong.
+        samples: How many counted.
+        moved: Those of the others that are elsewhere than they count as standing.
+
+    Raises:
+        RobotError: The calibration is of another arm.
+    """
+
+    def __init__(self, probe: Probe[Any], robot: Robot, facts: Any) -> None:
+        assert robot.motion_calibration is not None
+        self.probe, self._robot, self._facts = probe, robot, facts
+        self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
+        self.joints = robot.motion_calibration.joints
+        self.others = [name for name in robot.model.independent_joints if name not in self.joints]
+        self._make({})  # so that a calibration of another arm is refused now
+        self._latest: dict[str, tuple[float, float]] = {}
+        self._running: RunningWeight | None = None
+        self._held = zero_pose(self._robot, self.others)
+        self.waits_for, self.samples = "", 0
+        self.moved: set[str] = set()
+
+    def _make(self, held: dict[str, float]) -> RunningWeight:
+        return self.probe.running(self._robot, self._facts, held)
+
+    def load(self, mass_kg: float) -> Carried:
+        """The rigid load of that mass, its place and shape as far as they are stated."""
+        return self.probe.load(self._facts, mass_kg)
+
+    @property
+    def about(self) -> str:
+        """What a user should know of it, as a sentence without its end."""
+        stand = f"; {', '.join(self.others)} counts as standing where it first stood" if self.others else ""
+        return f"the running estimate takes measured effort of the joint states alone{stand}"
+
+    @property
+    def warning(self) -> str:
+        """What is wrong with the estimate that the newest joint state gave; empty: nothing."""
+        if not self.moved:
+            return ""
+        return (
+            f"{', '.join(sorted(self.moved))} is not in the calibration and not where it counts as standing: calibrate with it "
+            "moving, or activate the node again"
+        )
+
+    def add(
+        self, time_s: float, names: Sequence[str], position: Sequence[float], effort: Sequence[float], unit: str
+    ) -> RunningEstimate | None:
+        """One joint state, of some or all joints.
+
+        Args:
+            time_s: Its stamp.
+            names: Of the joints.
+            position: [rad or m].
+            effort: In the unit.
+            unit: ``N.m``, ``A``, ``mA`` or ``raw``; empty: nobody says it.
+
+        Returns:
+            The estimate, where there is a new one.
+        """
+        heard = {name: at for name, at in zip(names, position, strict=False) if math.isfinite(at)}
+        others = {name: at for name, at in heard.items() if name in self._held}
+        if self._running is None:
+            self._held |= others
+        self.moved |= {name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD}
+        mine = {name: number for number, name in enumerate(names) if name in self.joints}
+        self.waits_for = _why_not(mine, effort, unit) or self.waits_for
+        if not unit:
+            return None
+        for name, at, measured in zip(names, position, effort, strict=False):
+            if name in self._per_current:
+                self._latest[name] = at, current_A(measured, unit, self._per_current[name])
+        if absent := [name for name in self.joints if name not in self._latest]:
+            self.waits_for = self.waits_for or f"no joint states of {', '.join(absent)} are coming"
+            return None
+        if self.joints[0] not in names:
+            return None
+        if self._running is None:
+            self._running = self._make(self._held)
+        rows = [self._latest[name] for name in self.joints]
+        if all(math.isfinite(value) for row in rows for value in row):
+            self.waits_for, self.samples = "", self.samples + 1
+        new = self._running.add(time_s, [row[0] for row in rows], [row[1] for row in rows])
+        return self._running.estimate() if new else None
+
+
+def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str:
+    """Why the effort of a joint state says nothing, or an empty string.
+
+    Args:
+        mine: The place of each joint that matters.
+        effort: Of all joints.
+        unit: Of it.
+    """
+    if not unit:
+        return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
+    without = [name for name, at in mine.items() if at >= len(effort) or not math.isfinite(effort[at])]
+    if not without:
+        return ""
+    return (
+        f"the joint states carry no measured effort of {', '.join(without)}, and what is commanded does not count: have the driver "
+        "publish what it measures"
+    )
+
+
+def running_entries(feed: RunningFeed, estimate: RunningEstimate, behind_s: float) -> Mapping[str, Any]:
+    """Keys and values of a diagnostics message.
+
+    Args:
+        feed: That made it.
+        estimate: Of now.
+        behind_s: How long ago the newest sample of it came.
+    """
+    probe = feed.probe
+    name, unit = probe.answer
+    return {
+        "probe": probe.name, "running": True, "final": False, "changed": estimate.changed,
+        "seconds_since_change": estimate.time_s - estimate.since_s, "seconds_of_motion": estimate.motion_s,
+        "seconds_at_rest": 0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s,
+        "seconds_behind": behind_s, "taken_to_stand": feed.others,
+        name: estimate.mass_kg if estimate.known else "not determined", f"{name}.unit": unit,
+        f"{name}.std": estimate.std_kg, f"{name}.ci95": list(estimate.ci95_kg),
+    }  # fmt: skip
+
+
+def running_words(estimate: RunningEstimate) -> str:
+    """The same as a sentence."""
+    words = shown("kg", estimate.mass_kg, Z95 * estimate.std_kg, spec=spec_for("kg", estimate.std_kg), between=" +- ")
+    return f"running: {f'changed just now: {words}' if estimate.changed else words}"

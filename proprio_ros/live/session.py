@@ -1,0 +1,497 @@
+"""One calibration as it happened: the messages that came in, the bag they become, and what that bag says.
+
+The bag is written before anything is identified, and what is identified is the bag: replaying it later runs the same function on
+the same bytes, so it gives the same numbers. No ROS here; the identifier node only hands the bytes in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import math
+import os
+import re
+import shlex
+import shutil
+import struct
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.identification.estimate import Estimate
+from proprio_ros.inputs.resources import paths_of, private_folder, write_in_one_step
+from proprio_ros.inputs.settings import Settings
+from proprio_ros.pipeline.replay import (
+    ReplayOptions,
+    bag_runs,
+    check_motors,
+    configured_robot,
+    held_positions,
+    probe_asked_for,
+)
+from proprio_ros.probes import all_probes
+from proprio_ros.probes.base import Probe
+from proprio_ros.recordings.bags import RawMessage, read_recording, write_messages
+from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.records import InputRecord, JointRecord, Recording, Run
+from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import compile_kernels
+
+JOURNAL = "messages.journal"
+"""What came in so far, beside the bag that it becomes; it is there while a recording is under way, and after a crash."""
+_RECORD = struct.Struct("<qHHI")  # time [ns], and lengths of topic, type and data, which follow
+
+
+class Session:
+    """The messages of one calibration.
+
+    Each is written as it comes, so that a process that is killed loses none (see `recover`), and becomes part of the bag at the
+    end: the index of an MCAP file is written last.
+
+    Args:
+        root: Folder below which the session's own folder is made.
+        kind: Such as ``payload``; part of the folder's name.
+        now: Time of its beginning; default the present.
+    """
+
+    def __init__(self, root: Path, kind: str, now: datetime | None = None) -> None:
+        stamp = (now or datetime.now(timezone.utc)).strftime("%Y%m%d_%H%M%S_%f")[:-3]
+        self.name = f"{stamp}_{kind}"
+        self.folder = root / self.name
+        self.bag: Path | None = None
+        self._messages: list[RawMessage] = []
+        self._journal: BinaryIO | None = None
+        self._lock = threading.Lock()
+
+    def open(self) -> None:
+        """Make the folder and begin to write; without it the messages are in memory until `save`.
+
+        Raises:
+            RecordingError: It cannot be written.
+        """
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._journal = (self.folder / JOURNAL).open("xb", buffering=0)
+            fcntl.flock(self._journal, fcntl.LOCK_EX)  # the kernel lets go of it when we are gone, killed or not
+        except OSError as error:
+            self.discard()
+            raise unwritable(self.folder.parent, error) from error
+
+    def add(self, topic: str, msgtype: str, time_ns: int, data: bytes) -> None:
+        """Keep one message; from any thread."""
+        with self._lock:
+            self._messages.append(RawMessage(topic, msgtype, time_ns, data))
+            if self._journal is not None:
+                names = [topic.encode(), msgtype.encode()]
+                record = _RECORD.pack(time_ns, *map(len, names), len(data)) + b"".join([*names, data])
+                try:
+                    complete = self._journal.write(record) == len(record)
+                except OSError:
+                    complete = False
+                if not complete:  # a full disk: `save` finds another place, and says so
+                    self._journal.close()
+                    self._journal = None
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def save(self) -> tuple[Path, str]:
+        """Write the bag, where that is not possible into a temporary folder, so that nothing is lost on a full disk.
+
+        Returns:
+            The bag, and a sentence when it is not where it should be.
+
+        Raises:
+            RecordingError: It can be written nowhere; the messages are kept, and it can be tried again.
+        """
+        with self._lock:
+            messages = list(self._messages)
+        if not messages:
+            self.discard()
+            raise RecordingError("no joint states came in: is the driver running, and are the topics named right?")
+        problem = ""
+        for parent in (self.folder.parent, *_elsewhere()):
+            folder = parent / self.name
+            try:
+                if parent != self.folder.parent:
+                    private_folder(parent)  # these lie where every user may write
+                folder.mkdir(parents=True, exist_ok=True)
+                write_messages(folder / "bag", messages)
+            except (OSError, RecordingError) as error:
+                problem = problem or str(error)
+                continue
+            self.discard()
+            self.folder, self.bag = folder, folder / "bag"
+            return self.bag, f"the recording is in {folder}, because of this: {problem}" if problem else ""
+        raise RecordingError(
+            f"the recording can be written nowhere ({problem}): free some room; it is kept in memory meanwhile"
+        )
+
+    def discard(self) -> None:
+        """Take away what was written as it came, and the folder where nothing else is in it."""
+        with self._lock:
+            journal, self._journal = self._journal, None
+        if journal is not None:
+            journal.close()
+        with contextlib.suppress(OSError):
+            (self.folder / JOURNAL).unlink()
+        with contextlib.suppress(OSError):
+            self.folder.rmdir()
+
+
+def unwritable(folder: Path, error: Exception) -> RecordingError:
+    """Why nothing is begun."""
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return RecordingError(
+        f"{folder} cannot be written ({reason}): free some room, or name another folder with --data-directory"
+    )
+
+
+def read_journal(path: Path) -> list[RawMessage]:
+    """What a journal holds; a last record that was cut off is left out."""
+    data = path.read_bytes()
+    messages = []
+    at = 0
+    while at + _RECORD.size <= len(data):
+        time_ns, topic, msgtype, size = _RECORD.unpack_from(data, at)
+        at += _RECORD.size
+        names, end = at + topic + msgtype, at + topic + msgtype + size
+        if end > len(data):
+            break
+        messages.append(
+            RawMessage(data[at : at + topic].decode(), data[at + topic : names].decode(), time_ns, data[names:end])
+        )
+        at = end
+    return messages
+
+
+def recover(root: Path) -> tuple[list[Path], list[str]]:
+    """Make bags of what was being recorded by processes that are gone.
+
+    Args:
+        root: That of their sessions.
+
+    Returns:
+        The bags, and a sentence about each that could not be written; it is tried again the next time.
+    """
+    bags, problems = [], []
+    for path in sorted(root.glob(f"*/{JOURNAL}")):
+        bag = path.parent / "bag"
+        try:
+            with path.open("rb") as journal:
+                fcntl.flock(journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                messages = read_journal(path)
+                if messages and not (bag / "metadata.yaml").exists():  # rosbags writes it last
+                    shutil.rmtree(bag, ignore_errors=True)
+                    write_messages(bag, messages)
+                    bags.append(bag)
+                path.unlink()
+            if not messages:
+                path.parent.rmdir()
+        except BlockingIOError:
+            continue  # somebody writes it just now
+        except (OSError, ValueError, RecordingError) as error:
+            problems.append(f"{path}: what was recorded could not be recovered ({error})")
+    return bags, problems
+
+
+def _elsewhere() -> list[Path]:
+    """Folders of this user alone, on the disk and in memory."""
+    name = f"proprio_recordings_{os.getuid()}"
+    return [Path(tempfile.gettempdir()) / name, Path("/dev/shm") / name]
+
+
+def prepare_identification(options: ReplayOptions) -> None:
+    """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled in a probe.
+
+    Raises:
+        ConfigurationError, RobotError: the robot cannot be read, or compiled kernels cannot be kept.
+    """
+    compile_kernels(rises=robot_of_settings(options, Settings(options.settings)).friction_rises)
+
+
+def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What concerns a probe; what is stated about another probe's object is left out."""
+    foreign = tuple(start for other in all_probes() if other.name != probe.name for start in other.keys)
+    return {key: value for key, value in settings.items() if key == "payload.frame" or not key.startswith(foreign)}
+
+
+def check_settings(options: ReplayOptions) -> None:
+    """Look at settings that may be about the objects of several probes.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with them.
+    """
+    settings = Settings(options.settings)
+    robot_of_settings(options, settings)
+    settings.take_prefix("solver.")
+    # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
+    concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
+    for probe in concerned:
+        probe.check_live(probe.facts(settings))
+    if settings.left:
+        for probe in all_probes():  # so that the refusal can list every key there is
+            if probe not in concerned:
+                probe.facts(settings)
+    settings.refuse_rest()
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a job is about, read once.
+
+    Attributes:
+        probe: what is identified.
+        robot: as the options have it.
+        facts: what is stated about the object; the probe knows their form.
+        options: with which the bag will be identified.
+    """
+
+    probe: Probe[Any]
+    robot: Robot
+    facts: Any
+    options: ReplayOptions
+
+
+def setting_of(options: ReplayOptions) -> Setting:
+    """Robot, object and search as the options have them, for a live job.
+
+    Raises:
+        ConfigurationError, RobotError: In one line, what is wrong with them.
+    """
+    probe = probe_asked_for(options)
+    settings = Settings(options.settings)
+    robot = robot_of_settings(options, settings)
+    facts = probe.facts(settings, options.solver, options.profile)
+    settings.refuse_rest()
+    probe.check_live(facts)
+    return Setting(probe, robot, facts, options)
+
+
+def robot_of_settings(options: ReplayOptions, settings: Settings) -> Robot:
+    """The robot, with what the settings say of it."""
+    robot = configured_robot(options.robot, options.calibration, settings, options.stated_unit)
+    held_positions(robot, settings)
+    return robot
+
+
+def baseline_runs(setting: Setting) -> list[Run]:
+    """The runs of the baseline, as the identification of the object will read them.
+
+    Raises:
+        RecordingError: One cannot be read.
+    """
+    settings = Settings(setting.options.settings)
+    held = held_positions(setting.robot, settings)
+    return [
+        run
+        for path in paths_of(setting.options.baseline)
+        for run in bag_runs(Path(path), setting.robot, setting.options, held)
+    ]
+
+
+def baseline_options(setting: Setting) -> ReplayOptions:
+    """How the hand without the object is identified: as what the probe's baseline says it is."""
+    probe, options = setting.probe, setting.options
+    assert probe.baseline is not None
+    left_out = (*probe.keys, "solver.")
+    settings = {key: value for key, value in options.settings.items() if not key.startswith(left_out)}
+    settings |= probe.baseline_settings(setting.facts)
+    return replace(options, probe=probe.baseline.probe, settings=settings, baseline=())
+
+
+def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, options: ReplayOptions) -> tuple[str, ...]:
+    """Read what comes in at rest as it will be read after the probe, so that a refusal comes before anything moves.
+
+    Args:
+        folder: Where the recording will be; a bag is written there, and taken away.
+        messages: Some tenths of a second of all topics.
+        robot: That should be in them.
+        options: With which the recording will be identified.
+
+    Returns:
+        The repairs that reading it takes, one sentence each.
+
+    Raises:
+        RecordingError: The folder cannot be written, or the messages cannot be read, or are of another robot.
+    """
+    bag = folder / "check"
+    try:
+        write_messages(bag, messages)
+    except (OSError, RecordingError) as error:
+        raise unwritable(folder.parent, error) from error
+    command = options.command_topic
+    try:
+        recording = read_recording(
+            bag,
+            state_topic=options.state_topic,
+            command_topic=command if any(message.topic == command for message in messages) else None,
+            effort_unit=options.stated_unit or "raw",  # at rest nothing says what it means, and nothing asks
+            conventions=options.conventions,
+            nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
+            joint_order=list(robot.drive_trains),
+        )
+        about_motors = check_motors(bag, robot, options.state_topic)
+    except RecordingError as error:
+        raise RecordingError(str(error).removeprefix(f"{bag}: ")) from error
+    finally:
+        shutil.rmtree(bag, ignore_errors=True)
+    recorded = recording.joints.names
+    if not set(recorded) & set(robot.drive_trains):
+        raise RecordingError(
+            f"the joint states are of {', '.join(recorded)}, and {robot.name} has {', '.join(robot.drive_trains)}: name the robot"
+            " with --robot, or their topic with --state-topic"
+        )
+    return recording.notes + about_motors
+
+
+def as_parameters(sentence: str) -> str:
+    """The same with options of the command line called what they are called in a node."""
+    sentence = sentence.replace("--set ", "the parameter settings with ")
+    return re.sub(
+        r"--(robot|driver|calibration|data-directory|[a-z]+-topic|effort-unit)\b",
+        lambda found: f"the parameter {found[1].replace('-', '_')}",
+        sentence,
+    )
+
+
+def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
+    """Write `estimate.json` beside a bag: the result, and the command that gives it again.
+
+    Raises:
+        ConfigurationError: It cannot be written.
+    """
+    content = {**estimate.as_json(), "command": command}
+    write_in_one_step(bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result")
+
+
+def replay_command(bag: Path, options: ReplayOptions) -> str:
+    """The command line that gives the same numbers again."""
+    words = ["proprio", "replay", str(bag), "--probe", options.probe]
+    if options.robot:
+        words += ["--robot", options.robot]
+    if options.calibration:
+        words += ["--calibration", str(options.calibration)]
+    if options.driver:
+        words += ["--driver", str(options.driver)]
+    for name in ("state_topic", "command_topic", "effort_unit"):
+        if getattr(options, name):
+            words += [f"--{name.replace('_', '-')}", getattr(options, name)]
+    if options.baseline:
+        words += ["--baseline", *(str(path) for path in options.baseline)]
+    for key, value in options.settings.items():
+        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
+    return shlex.join(words)
+
+
+class LiveEstimate:
+    """An estimate from what has come so far; its interval shrinks as the probe goes on.
+
+    `add_state` and `add_input` may be called from another thread than `estimate`.
+
+    Args:
+        setting: As for the bag that will be identified afterwards; of a probe that is `live`.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
+        self.joints = tuple(setting.robot.drive_trains)
+        self._lock = threading.Lock()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything that came."""
+        with self._lock:
+            self._states: list[tuple[int, dict[str, float]]] = []
+            self._inputs: list[tuple[int, dict[str, float]]] = []
+            self._commands: list[tuple[int, dict[str, float]]] = []
+            self._newest_ns: dict[tuple[str, ...], int] = {}
+            self._weighed = 0
+
+    def add_state(self, stamp_ns: int, names: Sequence[str], position: Sequence[float]) -> None:
+        """One joint state, of some or all joints; others than the robot's, and what is no number, are passed over."""
+        row = self._row(names, position)
+        with self._lock:
+            key = tuple(names)  # arm and gripper may come from two publishers, each with a clock
+            if row and stamp_ns > self._newest_ns.get(key, -1):
+                self._newest_ns[key] = stamp_ns
+                self._states.append((stamp_ns, row))
+
+    def add_input(self, stamp_ns: int, names: Sequence[str], effort: Sequence[float]) -> None:
+        """One applied effort [N m or N]."""
+        drives = self._setting.robot.drive_trains
+        row = {name: e / drives[name].nominal_effort_per_current for name, e in self._row(names, effort).items()}
+        with self._lock:
+            if row and (not self._inputs or stamp_ns > self._inputs[-1][0]):
+                self._inputs.append((stamp_ns, row))
+
+    def add_command(self, time_ns: int, current_A: Mapping[str, float]) -> None:
+        """One current command; joints that it does not name are held. It counts where no applied effort comes."""
+        row = self._row(tuple(current_A), tuple(current_A.values()))
+        with self._lock:
+            if not self._commands or time_ns > self._commands[-1][0]:
+                self._commands.append((time_ns, row))
+
+    def _row(self, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+        known = self._setting.robot.drive_trains
+        row = {name: float(value) for name, value in zip(names, values, strict=False) if name in known}
+        return {name: value for name, value in row.items() if math.isfinite(value)}
+
+    def position(self) -> dict[str, float]:
+        """Where every joint was last seen [rad or m]."""
+        latest: dict[str, float] = {}
+        with self._lock:
+            for _, row in self._states[-50:]:
+                latest.update(row)
+        return latest
+
+    def runs(self) -> tuple[Run, ...]:
+        """All runs so far, the one under way included; none where nothing can be cut out yet."""
+        with self._lock:
+            applied = bool(self._inputs)
+            states, inputs = list(self._states), list(self._inputs or self._commands)
+        if not inputs or not states:
+            return ()
+        drives = self.joints
+        current = np.array([[row.get(name, 0.0) for name in drives] for _, row in inputs])
+        driven = {name for name, column in zip(drives, current.T, strict=True) if column.any()}
+        # as from a bag: a row for each message that has the driven joints; what others report in between is held
+        latest: dict[str, float] = {}
+        for _, row in reversed(states):
+            latest.update(row)
+        names = tuple(name for name in drives if name in latest)
+        times: list[int] = []
+        positions: list[list[float]] = []
+        for stamp_ns, row in states:
+            latest.update(row)
+            if driven <= row.keys() and not (times and stamp_ns <= times[-1]):
+                times.append(stamp_ns)
+                positions.append([latest[name] for name in names])
+        try:
+            record = JointRecord(np.array(times), names, np.array(positions).reshape(-1, len(names)))
+            topic = "/applied_effort" if applied else "/current_command"
+            source = InputRecord(np.array([time_ns for time_ns, _ in inputs]), drives, current, topic)
+            return cut_runs(Recording("live", record, source), joints=drives)
+        except ProprioError:
+            return ()  # not enough yet; what is wrong for good is reported by the identification of the bag
+
+    def estimate(self) -> Estimate | None:
+        """The estimate of all runs so far; None before there is one, or when nothing new came."""
+        with self._lock:
+            count, driven = len(self._states), bool(self._inputs or self._commands)
+        if count == self._weighed or not driven:
+            return None
+        self._weighed = count
+        runs, setting = self.runs(), self._setting
+        try:
+            return setting.probe.identify_so_far(setting.robot, runs, setting.facts) if runs else None
+        except ProprioError:
+            return None

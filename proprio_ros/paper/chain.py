@@ -1,0 +1,482 @@
+"""Several driven joints at once, in a chain or a tree, with exact tangents and an adjoint.
+
+Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920):
+
+    H(q) a + b(q, v) = tau,        tau_j = m_j - (f_c + f_l |m_j|) tanh(v_j / v_s) - f_v v_j - k q_j,     m_j = k_t i_j
+
+``H`` holds the armature on its diagonal, ``b`` gravity, centrifugal and Coriolis forces; a passive joint has ``k_t = 0``, and
+perhaps a spring ``k`` about its zero. Supply limit, delay and departures from the paper are those of ``joint.py``.
+
+Every body enters through its ten inertial parameters ``pi = (m, h, J)`` about its joint's frame, first moments ``h = m c`` and
+rotational inertia ``J``. ``H`` and ``b`` are linear in them, so a direction in payload mass or centre of mass is one in ``pi``.
+
+Spatial vectors (Featherstone, "Rigid Body Dynamics Algorithms", 2008) are taken at the origin of the base frame, angular part
+first, so that nothing has to be moved between bodies: with the joint screws ``S_i``,
+
+    V_i = V_p + S_i v_i,        A_i = A_p + S_i a_i + V_i x S_i v_i,        A_base = -gravity,
+    f_i = I_i A_i + V_i x* I_i V_i,        tau_i = S_i . (sum of f over the subtree of i),
+    H_ij = S_i . (sum of I over the subtree of j) S_j        for i on the way from j to the base.
+
+Tangents. Along a direction, body i is displaced by a screw ``D_i = D_p + S_i dq_i``, and all that it carries moves with it. What
+is left, ``[X_i] = dX_i - D_i x X_i``, obeys recursions in which ``D`` no longer occurs:
+
+    [V_i] = [V_p] + S_i dv_i + (V_i x S_i) dq_i,
+    [A_i] = [A_p] + (A_p x S_i) dq_i + (V_i x S_i) dv_i + [V_i] x S_i v_i,            at fixed a
+    [f_i] = I_i [A_i] + [V_i] x* I_i V_i + V_i x* (I_i [V_i] + dI_i V_i) + dI_i A_i,
+    [F_i] = [f_i] + sum over children c of [F_c] + (S_c x* F_c) dq_c,        d(inverse dynamics)_i = S_i . [F_i],
+
+with ``F_i`` the sum of f over the subtree and ``dI_i`` the inertia that the direction itself adds. Then
+``H da = d tau - d(inverse dynamics)(q, v, a)`` re-uses the factor of ``H``.
+
+Code is unrolled over the joints for each tree (tuple of parents) and compiled once; geometry, kinds of joints and inertias are
+data. An adjoint in Warp is right only where no state is overwritten: the taped kernel writes each step to its own row, and in
+all functions that it shares with the others each component of a matrix is assigned once. The code is in ``chain_kernels.py``.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from proprio_ros.errors import SimulationError
+from proprio_ros.paper.chain_kernels import (
+    INERTIAL,
+    JOINT_PARAMETERS,
+    MAT33,
+    ChainData,
+    forward_kernel,
+    taped_kernels,
+    terms_kernel,
+)
+from proprio_ros.robot import ReducedModel, inertia_about_origin, rotation_about
+from proprio_ros.sim.joint import INTEGRATORS, MAX_STEPS
+from proprio_ros.sim.joint_kernels import VEC3
+from proprio_ros.sim.runtime import FLOAT
+
+PAYLOAD_JOINTS = ("prismatic", "universal")
+
+_BLOCKS = (1, 8)
+"""Directions that one thread may take: eight share one evaluation of the dynamics, at a quarter of the time of eight threads."""
+
+_TRIANGLE = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # order of the entries of J in pi
+
+
+def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
+    """The ten inertial parameters (m, hx, hy, hz, Jxx, Jyy, Jzz, Jxy, Jxz, Jyz) of pseudo-inertias.
+
+    Linear, so that it also takes a direction in pseudo-inertia to one in the parameters.
+
+    Args:
+        pseudo: About the body's frame, shape (..., 4, 4).
+
+    Returns:
+        Shape (..., 10): mass [kg], first moments [kg m], and rotational inertia about the frame's origin [kg m^2], whose
+        products are entries of the matrix (Jxy = -int x y dm).
+    """
+    pseudo = np.asarray(pseudo, dtype=np.float64)
+    result = np.empty((*pseudo.shape[:-2], INERTIAL))
+    result[..., 0] = pseudo[..., 3, 3]
+    result[..., 1:4] = pseudo[..., :3, 3]
+    trace = np.trace(pseudo[..., :3, :3], axis1=-2, axis2=-1)
+    for column, (i, j) in enumerate(_TRIANGLE):
+        result[..., 4 + column] = (trace if i == j else 0.0) - pseudo[..., i, j]
+    return result
+
+
+def _doubles(values: ArrayLike, dtype: Any, device: str, **kwargs: Any) -> wp.array:
+    return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=device, **kwargs)
+
+
+def _constants(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike, device: str) -> Any:
+    n = len(model.joint_names)
+    turn = np.zeros((n, 3, 3, 3))
+    shift = np.zeros((n, 2, 3))
+    for i, kind in enumerate(model.kinds):
+        placed, axis = model.placement[i, :3, :3], model.axes[i]
+        shift[i, 0] = model.placement[i, :3, 3]
+        if kind == "revolute":
+            along = np.outer(axis, axis)
+            turn[i] = placed @ along, placed @ (rotation_about(axis, 0.5 * np.pi) - along), placed @ (np.eye(3) - along)
+        else:
+            turn[i, 0] = placed
+            shift[i, 1] = placed @ axis
+    fixed = ChainData()
+    fixed.turn = _doubles(turn, MAT33, device)
+    fixed.shift = _doubles(shift, VEC3, device)
+    fixed.axis = _doubles(model.axes, VEC3, device)
+    fixed.revolute = _doubles([kind == "revolute" for kind in model.kinds], FLOAT, device)
+    fixed.gravity = VEC3(*model.gravity)
+    fixed.friction_velocity = _doubles(friction_velocity, FLOAT, device)
+    fixed.supply = _doubles(supply, FLOAT, device)
+    return fixed
+
+
+def _parents(model: ReducedModel) -> tuple[int, ...]:
+    return tuple(int(parent) for parent in model.parents)
+
+
+def rigid_body_terms(
+    model: ReducedModel, q: ArrayLike, v: ArrayLike, a: ArrayLike, device: str = "cpu"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mass matrix and inverse dynamics of the bare bodies, without armature, friction and springs.
+
+    Args:
+        model: The bodies.
+        q: Positions [rad or m], shape (B, n).
+        v: Velocities [rad/s or m/s], shape (B, n).
+        a: Accelerations [rad/s^2 or m/s^2], shape (B, n); zero for the bias forces.
+        device: Warp device name.
+
+    Returns:
+        H (B, n, n) and the torques or forces H a + b(q, v) (B, n).
+    """
+    n = len(model.joint_names)
+    states = [np.asarray(values, dtype=np.float64).reshape(-1, n) for values in (q, v, a)]
+    vec = wp.types.vector(length=n, dtype=FLOAT)
+    p = np.concatenate([np.zeros(len(JOINT_PARAMETERS) * n), inertial_parameters(model.pseudo_inertia).ravel()])[None]
+    h = wp.zeros(len(states[0]), dtype=wp.types.matrix(shape=(n, n), dtype=FLOAT), device=device)
+    torque = wp.zeros(len(states[0]), dtype=vec, device=device)
+    wp.launch(
+        terms_kernel(_parents(model)),
+        dim=len(states[0]),
+        inputs=[
+            _constants(model, np.ones(n), np.zeros((n, 3)), device),
+            _doubles(p, FLOAT, device),
+            *(_doubles(x, vec, device) for x in states),
+        ],
+        outputs=[h, torque],
+        device=device,
+    )
+    return h.numpy().copy(), torque.numpy().copy()
+
+
+def mass_matrix(model: ReducedModel, q: ArrayLike) -> NDArray[np.float64]:
+    """H(q) without armature [kg m^2, kg m or kg], shape (B, n, n), at positions of shape (B, n)."""
+    return rigid_body_terms(model, q, np.zeros_like(q), np.zeros_like(q))[0]
+
+
+def bias(model: ReducedModel, q: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
+    """Gravity, centrifugal and Coriolis torques b(q, v) [N m or N], shape (B, n), at states of shape (B, n)."""
+    return rigid_body_terms(model, q, v, np.zeros_like(q))[1]
+
+
+class ChainSimulator:
+    """Rolls out many worlds (guesses) of one run of a chain or tree in one launch.
+
+    The rollout starts at the command's onset, time 0, in state (q0, v0). Sample k is taken at ``t_k - delay``; before the
+    onset it is ``q0 + v0 (t_k - delay)``. Steps have length ``step_s`` (``fine_step_s`` while a joint with dry friction is near
+    standstill), and the last one before a sample or a change of the input is shortened.
+
+    Args:
+        model: The bodies and their joints, n of them.
+        sample_times_s: Encoder stamps after command onset [s], shape (T,), increasing.
+        input_times_s: When any current changes [s], shape (S,), increasing, first at 0.
+        input_current_A: The currents from each of those instants on [A], shape (S, n).
+        friction_velocity: Where Coulomb's law is smoothed [rad/s, or m/s for a slide], one number or shape (n,).
+        supply: (voltage [V], back-EMF constant [V s/rad], resistance [ohm]) of each joint, shape (n, 3); voltage 0 means no
+            limit. None: no limit anywhere.
+        integrator: ``"rk4"``, or ``"semi_implicit"`` (the paper's equation (2)).
+        step_s: Longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
+        fine_step_s: Step near standstill [s]; None for ``step_s``.
+        device: Warp device name.
+
+    Raises:
+        SimulationError: Unknown integrator, no samples, wrong shapes, instants out of order or steps that are not positive.
+
+    Attributes:
+        parameter_names: One for each of the P = 18 n + 1 columns of a parameter array, SI: ``torque_constant[JOINT]`` of all
+            joints, then likewise ``coulomb``, ``viscous``, ``load_friction``, ``armature`` and ``stiffness``;
+            ``pi[JOINT][0..9]`` (see ``inertial_parameters``); ``delay``; ``q0[JOINT]`` of all joints; ``v0[JOINT]`` of all joints.
+        columns: The columns of each group: ``columns["pi"]`` is the slice of all ``pi[JOINT][k]``.
+    """
+
+    def __init__(
+        self,
+        model: ReducedModel,
+        sample_times_s: ArrayLike,
+        input_times_s: ArrayLike,
+        input_current_A: ArrayLike,
+        *,
+        friction_velocity: ArrayLike,
+        supply: ArrayLike | None = None,
+        integrator: str = "rk4",
+        step_s: float = 1.0 / 240.0,
+        fine_step_s: float | None = None,
+        device: str = "cpu",
+    ) -> None:
+        n = len(model.joint_names)
+        samples = np.asarray(sample_times_s, dtype=np.float64)
+        switches = np.asarray(input_times_s, dtype=np.float64)
+        current = np.asarray(input_current_A, dtype=np.float64)
+        fine = step_s if fine_step_s is None else min(fine_step_s, step_s)
+        if integrator not in INTEGRATORS:
+            raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
+        if samples.ndim != 1 or len(samples) == 0 or np.any(np.diff(samples) < 0.0):
+            raise SimulationError("sample_times_s must be one or more increasing instants in s")
+        if switches.ndim != 1 or len(switches) == 0 or switches[0] != 0.0 or np.any(np.diff(switches) <= 0.0):
+            raise SimulationError("input_times_s must be increasing instants in s, the first of them 0")
+        if current.shape != (len(switches), n):
+            raise SimulationError(
+                f"input_current_A has shape {current.shape}: give a row for each of the {len(switches)} instants of "
+                f"input_times_s and a column for each joint ({', '.join(model.joint_names)})"
+            )
+        limits = np.zeros((n, 3)) if supply is None else np.asarray(supply, dtype=np.float64)
+        if limits.shape != (n, 3) or np.any(limits < 0.0) or np.any((limits[:, 0] > 0.0) & (limits[:, 2] == 0.0)):
+            raise SimulationError("supply must be (voltage, back-EMF constant, resistance) of each joint, not negative")
+        smoothing = np.asarray(friction_velocity, dtype=np.float64)
+        if smoothing.shape not in ((), (n,)) or not np.all(smoothing > 0.0):
+            raise SimulationError("friction_velocity must be one positive number, or one for each joint")
+        smoothing = np.broadcast_to(smoothing, (n,))
+        if not fine > 0.0:
+            raise SimulationError(f"the integration step is {fine} s: step_s and fine_step_s must be positive")
+        self.model = model
+        self.integrator = integrator
+        self.device = device
+        names = [f"{group}[{joint}]" for group in JOINT_PARAMETERS for joint in model.joint_names]
+        names += [f"pi[{joint}][{k}]" for joint in model.joint_names for k in range(INERTIAL)]
+        names += ["delay", *(f"{group}[{joint}]" for group in ("q0", "v0") for joint in model.joint_names)]
+        self.parameter_names = tuple(names)
+        sizes = dict.fromkeys(JOINT_PARAMETERS, n) | {"pi": INERTIAL * n, "delay": 1, "q0": n, "v0": n}
+        stops = np.cumsum(list(sizes.values())).tolist()
+        self.columns = {
+            group: slice(stop - size, stop) for (group, size), stop in zip(sizes.items(), stops, strict=True)
+        }
+        self._n = n
+        self._parents = _parents(model)
+        self._vec = wp.types.vector(length=n, dtype=FLOAT)
+        self._fixed = _constants(model, smoothing, limits, device)
+        self._samples = _doubles(samples, FLOAT, device)
+        self._switches = _doubles(switches, FLOAT, device)
+        self._current = _doubles(current, self._vec, device)
+        self._steps = (step_s, fine)
+
+    def pack(self, **groups: ArrayLike) -> NDArray[np.float64]:
+        """Parameters of one or more worlds.
+
+        Args:
+            **groups: A value of each group (see ``columns``) that is not at its default: one number, shape (n,) or (W, n);
+                ``pi`` shape (n, 10) or (W, n, 10); ``delay`` one number or shape (W,). The inertial parameters default to the
+                model's, everything else to zero.
+
+        Returns:
+            Shape (W, P); W is 1 when no group has worlds.
+
+        Raises:
+            SimulationError: Unknown group, or a shape that does not fit.
+        """
+        values = {"pi": inertial_parameters(self.model.pseudo_inertia)} | dict(groups)
+        blocks = []
+        for group, value in values.items():
+            if group not in self.columns:
+                raise SimulationError(f"unknown parameters {group!r}: choose from {', '.join(self.columns)}")
+            own = {"pi": (self._n, INERTIAL), "delay": ()}.get(group, (self._n,))
+            array = np.asarray(value, dtype=np.float64)
+            worlds = array.shape[:1] if array.ndim > len(own) else (1,)
+            try:
+                blocks.append(np.broadcast_to(array, worlds + own).reshape(*worlds, -1))
+            except ValueError as error:
+                raise SimulationError(
+                    f"{group} has shape {array.shape}: give {own}, or one more axis of worlds"
+                ) from error
+        counts = {len(block) for block in blocks} - {1}
+        if len(counts) > 1:
+            raise SimulationError(f"groups have {sorted(counts)} worlds: give each the same number, or one")
+        result = np.zeros((counts.pop() if counts else 1, len(self.parameter_names)))
+        for group, block in zip(values, blocks, strict=True):
+            result[:, self.columns[group]] = block
+        return result
+
+    def _checked(self, p: ArrayLike) -> NDArray[np.float64]:
+        result = np.ascontiguousarray(p, dtype=np.float64)
+        if result.ndim != 2 or result.shape[1] != len(self.parameter_names):
+            raise SimulationError(f"parameters have shape {result.shape}: give (worlds, {len(self.parameter_names)})")
+        return result
+
+    def _launch(
+        self, p: NDArray[np.float64], directions: NDArray[np.float64] | None, capacity: int = 0
+    ) -> tuple[wp.array, ...]:
+        """The forward kernel on parameters (W, P), with directions (W, D, P), or writing down up to ``capacity`` steps."""
+        device = self.device
+        worlds, samples = len(p), len(self._samples)
+        tangent = directions is not None
+        dp = np.zeros((worlds, p.shape[1])) if directions is None else directions.reshape(-1, p.shape[1])
+        q, v = (wp.empty((worlds, samples), dtype=self._vec, device=device) for _ in range(2))
+        dq = wp.empty((len(dp) if tangent else 0, samples), dtype=self._vec, device=device)
+        step, by_delay = (wp.empty((worlds, capacity), dtype=FLOAT, device=device) for _ in range(2))
+        segment = wp.empty((worlds, capacity), dtype=wp.int32, device=device)
+        steps = wp.zeros(worlds, dtype=wp.int32, device=device)
+        sample_step = wp.empty((worlds, 0 if tangent else samples), dtype=wp.int32, device=device)
+        per_world = len(dp) // worlds
+        block = next((size for size in _BLOCKS if size >= per_world), _BLOCKS[-1]) if tangent else 0
+        wp.launch(
+            forward_kernel(self._parents, self.integrator, block),
+            dim=(worlds, -(-per_world // max(block, 1))),
+            inputs=[
+                self._fixed, self._samples, self._switches, self._current, *self._steps,
+                _doubles(p, FLOAT, device), _doubles(dp, FLOAT, device), per_world,
+            ],
+            outputs=[q, v, dq, step, by_delay, segment, steps, sample_step],
+            device=device,
+        )  # fmt: skip
+        return q, v, dq, step, by_delay, segment, steps, sample_step
+
+    def rollout(self, p: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions and velocities at the sample instants.
+
+        Args:
+            p: Parameters of each world, shape (W, P).
+
+        Returns:
+            q [rad or m] (W, T, n) and v [rad/s or m/s] (W, T, n).
+
+        Raises:
+            SimulationError: The parameters have the wrong shape.
+        """
+        q, v, *_ = self._launch(self._checked(p), None)
+        return q.numpy().copy(), v.numpy().copy()
+
+    def jacobian(self, p: ArrayLike, dp: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at the sample instants, with exact forward sensitivities.
+
+        Args:
+            p: Parameters of each world, shape (W, P).
+            dp: D tangent directions of each world in parameter space, shape (W, P, D).
+
+        Returns:
+            q (W, T, n) and dq (W, T, n, D).
+
+        Raises:
+            SimulationError: Parameters or directions have the wrong shape.
+        """
+        p = self._checked(p)
+        directions = np.asarray(dp, dtype=np.float64)
+        if directions.ndim != 3 or directions.shape[:2] != p.shape or directions.shape[2] == 0:
+            raise SimulationError(f"directions have shape {directions.shape}: give ({p.shape[0]}, {p.shape[1]}, D)")
+        q, _, dq, *_ = self._launch(p, np.ascontiguousarray(directions.transpose(0, 2, 1)))
+        sensitivities = dq.numpy().reshape(len(p), directions.shape[2], len(self._samples), self._n)
+        return q.numpy().copy(), np.ascontiguousarray(sensitivities.transpose(0, 2, 3, 1))
+
+    def tape_gradient(self, p: ArrayLike, weights: ArrayLike) -> NDArray[np.float64]:
+        """Gradient of ``sum(weights * q)`` by reverse mode, on the steps that the rollout takes at the same parameters.
+
+        Their lengths follow the delay to first order, which is exact, and stay frozen otherwise.
+
+        Args:
+            p: Parameters of each world, shape (W, P).
+            weights: Shape (W, T, n).
+
+        Returns:
+            Shape (W, P).
+
+        Raises:
+            SimulationError: The parameters or weights have the wrong shape, or there are too many steps to keep.
+        """
+        p = self._checked(p)
+        seed = np.asarray(weights, dtype=np.float64)
+        shape = (len(p), len(self._samples), self._n)
+        if seed.shape != shape:
+            raise SimulationError(f"weights have shape {seed.shape}: give {shape}")
+        capacity = int(self._launch(p, None)[6].numpy().max())
+        if capacity > MAX_STEPS:
+            raise SimulationError(
+                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward "
+                "sensitivities"
+            )
+        step, by_delay, segment, steps, sample_step = self._launch(p, None, capacity)[3:]
+        device = self.device
+        p_array = _doubles(p, FLOAT, device, requires_grad=True)
+        delay_at = _doubles(p[:, self.columns["delay"]].ravel(), FLOAT, device)
+        q, v = (wp.zeros((len(p), capacity + 1), dtype=self._vec, device=device, requires_grad=True) for _ in range(2))
+        sampled = wp.zeros(shape[:2], dtype=self._vec, device=device, requires_grad=True)
+        roll, observe = taped_kernels(self._parents, self.integrator)
+        tape = wp.Tape()
+        with tape:
+            wp.launch(
+                roll,
+                dim=len(p),
+                inputs=[self._fixed, self._current, p_array, delay_at, step, by_delay, segment, steps],
+                outputs=[q, v],
+                device=device,
+            )
+            wp.launch(
+                observe,
+                dim=shape[:2],
+                inputs=[self._samples, p_array, sample_step, q],
+                outputs=[sampled],
+                device=device,
+            )
+        tape.backward(grads={sampled: _doubles(seed, self._vec, device)})
+        return p_array.grad.numpy().copy()
+
+
+# -------------------------------------------------------------------------------------------------------------- payload
+
+
+def attach_payload_joint(
+    model: ReducedModel, frame: str, kind: str, axes: ArrayLike, pseudo_inertia: ArrayLike, name: str = "payload"
+) -> ReducedModel:
+    """Hang a payload on a joint of its own, so that it moves in the hand: what slides, sloshes or dangles.
+
+    Args:
+        model: The robot, some joints held.
+        frame: Link that holds the payload; the joint sits at its frame's origin.
+        kind: ``"prismatic"`` (one slide, joint ``NAME_slide``), or ``"universal"`` (two hinges at one point, joints
+            ``NAME_swing_1`` and ``NAME_swing_2``, with a massless body between them).
+        axes: In the frame's axes, need not be unit vectors; prismatic: shape (3,); universal: shape (2, 3), the second hinge
+            is carried by the first.
+        pseudo_inertia: Of the payload about the frame with the new joints at zero, shape (4, 4).
+        name: Of the payload's own frame in the result, and the start of the joints' names.
+
+    Returns:
+        The model with one or two more joints at the end, and the frame ``NAME`` on the payload.
+
+    Raises:
+        SimulationError: Unknown frame or kind, a name that is taken, axes that are no axes (or are parallel), or a payload
+            that has no inertia about them.
+    """
+    if frame not in model.frames:
+        raise SimulationError(f"there is no frame {frame!r} to hold a payload: choose from {', '.join(model.frames)}")
+    if kind not in PAYLOAD_JOINTS:
+        raise SimulationError(f"unknown payload joint {kind!r}: choose one of {', '.join(PAYLOAD_JOINTS)}")
+    wanted = (3,) if kind == "prismatic" else (2, 3)
+    directions = np.asarray(axes, dtype=np.float64)
+    if directions.shape != wanted or not np.all(np.linalg.norm(directions, axis=-1) > 0.0):
+        raise SimulationError(
+            f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}"
+        )
+    directions = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)
+    pseudo = np.asarray(pseudo_inertia, dtype=np.float64)
+    if pseudo.shape != (4, 4) or not np.all(np.isfinite(pseudo)):
+        raise SimulationError("the payload's pseudo-inertia must be a finite 4 x 4 matrix")
+    if kind == "prismatic":
+        smallest = pseudo[3, 3]
+        names, kinds, bodies = [f"{name}_slide"], ["prismatic"], [pseudo]
+    else:
+        # singular as well when the hinges are parallel
+        smallest = np.linalg.eigvalsh(directions @ inertia_about_origin(pseudo) @ directions.T)[0]
+        names, kinds, bodies = [f"{name}_swing_1", f"{name}_swing_2"], ["revolute"] * 2, [np.zeros((4, 4)), pseudo]
+    if not smallest > 1e-12 * max(float(np.trace(pseudo)), 1e-12):
+        raise SimulationError(
+            f"the payload has no inertia against its {kind} joint: give it a mass, away from hinges that are not parallel"
+        )
+    taken = [new for new in (name, *names) if new in (*model.frames, *model.joint_names)]
+    if taken:
+        raise SimulationError(f"{taken[0]!r} is already a joint or frame of the model: choose another name")
+    parent, placement = model.frames[frame]
+    parents, placements = list(model.parents), list(model.placement)
+    for _ in names:
+        parents.append(parent)
+        placements.append(placement)
+        parent, placement = len(parents) - 1, np.eye(4)
+    return replace(
+        model,
+        joint_names=(*model.joint_names, *names),
+        kinds=(*model.kinds, *kinds),
+        parents=np.array(parents, dtype=np.int64),
+        placement=np.array(placements),
+        axes=np.concatenate([model.axes, directions]),
+        pseudo_inertia=np.concatenate([model.pseudo_inertia, bodies]),
+        frames={**model.frames, name: (parent, np.eye(4))},
+    )

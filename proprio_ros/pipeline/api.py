@@ -1,0 +1,578 @@
+"""For scripts and notebooks: ``from proprio_ros import weigh, calibrate, plan, check``.
+
+Each is one call, does what the command of that name does (``weigh``: ``proprio replay``), gives the same numbers, and returns an
+object that shows itself in a notebook.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from proprio_ros.calibration_files.pushes import Calibration
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.inputs.resources import paths_of
+from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_probes
+from proprio_ros.pipeline.check import BagCheck, check_bags
+from proprio_ros.pipeline.check import as_json as checks_as_json
+from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.quantity import spec_for
+from proprio_ros.report import card, runs_figure, write_calibration_report
+from proprio_ros.robot import Robot
+from proprio_ros.schema import header
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+AnyPath = str | os.PathLike[str]
+Paths = AnyPath | Sequence[AnyPath]
+_Row = TypeVar("_Row")
+
+
+@dataclass(frozen=True, repr=False)
+class Weighing:
+    """What the hand holds.
+
+    Attributes:
+        estimate: Everything that was found out: fits of the runs, unknowns, solver.
+        bags: What it was found out from.
+        call: The call that gives it again.
+    """
+
+    estimate: Estimate
+    bags: tuple[str, ...]
+    call: str
+
+    @property
+    def verdict(self) -> str:
+        """``accepted``, ``too_wide`` (for a number), ``rejected`` (by the model) or ``not_identifiable`` (by this recording)."""
+        return self.estimate.verdict.value
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the number can be used."""
+        return self.verdict == "accepted"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences on what is wrong or worth knowing; some have a ``code``."""
+        return self.estimate.reasons
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """Every estimated quantity by name, with standard deviation, interval and unit."""
+        return {value.name: value for value in self.estimate.values}
+
+    def value(self, name: str | None = None) -> Any:
+        """The number called ``name``, in SI units; None when it cannot be determined.
+
+        Args:
+            name: Such as ``payload_mass`` or ``lame_mu``; without one, what the probe is for.
+
+        Raises:
+            KeyError: There is none of that name; the message lists those there are.
+        """
+        return self._main.value if name is None else self.estimate.value(name).value
+
+    @property
+    def _main(self) -> Value:
+        return self.estimate.values[0]
+
+    @property
+    def mass(self) -> float | None:
+        """Mass of the payload, or of the sphere in the container [kg]; None when it cannot be determined.
+
+        Raises:
+            AttributeError: The probe does not weigh.
+        """
+        if self.unit != "kg":
+            raise AttributeError(
+                f"the probe {self.estimate.probe} has no mass; ask for value(name) with one of: {', '.join(self.values)}"
+            )
+        return self.value()
+
+    @property
+    def unit(self) -> str:
+        """Of ``value()``, ``std`` and ``ci95``."""
+        return self._main.unit
+
+    @property
+    def std(self) -> float | None:
+        """Standard deviation of ``value()``."""
+        return self._main.std  # type: ignore[return-value]
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """95 % interval of ``value()``."""
+        return None if self._main.ci95 is None else tuple(self._main.ci95)
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``proprio replay --json`` prints."""
+        return self.estimate.as_json()
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A table with one row per estimated quantity.
+
+        Raises:
+            ConfigurationError: pandas is not installed.
+        """
+        columns = ("name", "value", "std", "ci95_low", "ci95_high", "unit", "reason", "verdict")
+        rows = []
+        for value in self.estimate.values:
+            low, high = _ends(value.ci95)
+            rows.append((value.name, value.value, value.std, low, high, value.unit, value.reason, self.verdict))
+        return _frame(columns, rows)
+
+    def plot(self) -> Figure:
+        """Measured against simulated, with the residual, run by run.
+
+        Raises:
+            ConfigurationError: No run could be used, so there is nothing to show.
+        """
+        if not self.estimate.run_fits:
+            raise ConfigurationError("nothing to plot: no run could be used; `reasons` says why")
+        return runs_figure(self.estimate.run_fits)
+
+    def report(self, path: AnyPath) -> Path:
+        """Write the HTML page.
+
+        Returns:
+            The file.
+
+        Raises:
+            ConfigurationError: It cannot be written.
+        """
+        write_report(self.estimate, Path(path), command=self.call, sources=self.bags)
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        estimate = self.estimate
+        return card(
+            f"{estimate.probe}, {estimate.robot}",
+            estimate.verdict,
+            estimate.values,
+            estimate.reasons,
+            estimate.interval_first,
+        )
+
+    def __repr__(self) -> str:
+        if self._main.value is None:
+            return f"<{self._main.name}: not determined ({self.verdict})>"
+        spec = spec_for(self.unit, self.std, kept=True)
+        interval = "" if self.ci95 is None else f", 95 % interval {self.ci95[0]:{spec}} .. {self.ci95[1]:{spec}}"
+        return f"<{self._main.name} {self.value():{spec}} {self.unit}{interval} ({self.verdict})>"
+
+
+@dataclass(frozen=True, repr=False)
+class CalibrationResult(os.PathLike[str]):
+    """What is known about the robot now; give it to ``weigh(..., calibration=result)``.
+
+    It stands for a calibration file: the one that was asked for, or else one that is deleted with this object.
+
+    Attributes:
+        estimate: Everything that was found out: fits of the runs, unknowns, advice for further runs.
+        path: The calibration file; None when the calibration was not accepted.
+        call: The call that gives it again.
+    """
+
+    estimate: CalibrationEstimate
+    path: Path | None
+    call: str
+    _folder: Any = field(default=None, compare=False)
+
+    @property
+    def verdict(self) -> str:
+        """``accepted``, ``rejected`` or ``not_identifiable``."""
+        return self.estimate.verdict.value
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the calibration can be used."""
+        return self.verdict == "accepted"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences on what is wrong or worth knowing; some have a ``code``."""
+        return self.estimate.reasons
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Values with their covariance; None where the runs do not determine them, or were motions (see ``estimate.motion``)."""
+        return self.estimate.calibration
+
+    def __fspath__(self) -> str:
+        if self.path is None:
+            why = f": {self.reasons[0]}" if self.reasons else ""
+            raise ConfigurationError(f"this calibration is {self.verdict} and cannot be used{why}")
+        return str(self.path)
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``proprio calibrate --json`` prints."""
+        kept = self.path if self._folder is None else None
+        return {**self.estimate.as_json(), "output": None if kept is None else str(kept)}
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A table with one row per unknown of the robot: what its file says (prior), and what the runs say.
+
+        Raises:
+            ConfigurationError: pandas is not installed.
+        """
+        columns = ("name", "value", "std", "unit", "prior", "prior_std")
+        rows = [(u.name, u.value, u.std, u.unit, u.prior, u.prior_std) for u in self.estimate.unknowns]
+        return _frame(columns, rows)
+
+    def report(self, path: AnyPath) -> Path:
+        """Write the HTML page.
+
+        Returns:
+            The file.
+
+        Raises:
+            ConfigurationError: It cannot be written.
+        """
+        references = [entry["bag"] for entry in self.estimate.origin["references"]]
+        sources = [*self.estimate.origin["bags"], *references]
+        write_calibration_report(self.estimate, Path(path), command=self.call, sources=sources)
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        return card(f"calibration, {self._about}", self.estimate.verdict, (), self.estimate.reasons)
+
+    @property
+    def _about(self) -> str:
+        return f"{self.estimate.robot}, {self.estimate.used} of {self.estimate.runs} runs used"
+
+    def __repr__(self) -> str:
+        return f"<calibration of {self._about} ({self.verdict})>"
+
+
+class _Listed(Sequence[_Row]):
+    """Rows that cannot be changed, which show themselves as a table in a notebook where pandas is there."""
+
+    def __init__(self, rows: Iterable[_Row]) -> None:
+        self._rows = tuple(rows)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._rows[index]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __iter__(self) -> Iterator[_Row]:
+        return iter(self._rows)
+
+
+class Plans(_Listed[ProbePlan]):
+    """Runs that have not been made, best first.
+
+    Attributes:
+        robot: Which is to make them, with its calibration where there is one.
+        masses_kg: What the hand may hold [kg].
+    """
+
+    def __init__(self, robot: Robot, plans: Iterable[ProbePlan], masses_kg: Sequence[float]) -> None:
+        super().__init__(plans)
+        self.robot, self.masses_kg = robot, list(masses_kg)
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``proprio plan --json`` prints."""
+        return {
+            **header("plan"),
+            "probe": "payload",
+            "robot": self.robot.name,
+            "calibrated": self.robot.is_calibrated(),
+            "masses_kg": self.masses_kg,
+            "plans": [plan.as_json() for plan in self],
+        }
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A table with one row per plan.
+
+        Raises:
+            ConfigurationError: pandas is not installed.
+        """
+        keys = ("joint", "current_A", "duration_s", "start", "kind", "travel", "clearance_m", "std_kg", "reason")
+        return _frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
+
+    def __repr__(self) -> str:
+        masses = ", ".join(f"{mass:g}" for mass in self.masses_kg)
+        return f"<{len(self)} plans of {self.robot.name} for {masses} kg>"
+
+
+class Checks(_Listed[BagCheck]):
+    """What is in each bag, before any fit.
+
+    Attributes:
+        robot: Name of the robot they were read for.
+    """
+
+    def __init__(self, robot: str, checks: Iterable[BagCheck]) -> None:
+        super().__init__(checks)
+        self.robot = robot
+
+    @property
+    def usable(self) -> int:
+        """Number of runs that a fit could use."""
+        return sum(check.usable for check in self)
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``proprio check --json`` prints."""
+        return checks_as_json(self.robot, self)
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A table with one row per run.
+
+        Raises:
+            ConfigurationError: pandas is not installed.
+        """
+        keys = ("name", "joint", "duration_s", "travel", "unit", "current_A", "samples", "problem")
+        rows = [(check.bag, *(getattr(run, key) for key in keys)) for check in self for run in check.runs]
+        return _frame(("bag", *keys), rows)
+
+    def __str__(self) -> str:
+        return "\n".join(check.as_text() for check in self)
+
+    def __repr__(self) -> str:
+        runs = sum(len(check.runs) for check in self)
+        return f"<{len(self)} bags, {self.usable} of {runs} runs usable>"
+
+
+def weigh(
+    bags: Paths,
+    *,
+    calibration: AnyPath | None = None,
+    baseline: Paths = (),
+    probe: str = "payload",
+    robot: AnyPath | None = None,
+    settings: Mapping[str, Any] | None = None,
+    solver: str = "lm",
+    profile: str = "default",
+    driver: AnyPath | None = None,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    effort_unit: str | None = None,
+    **facts: Mapping[str, Any],
+) -> Weighing:
+    """Identify what the hand holds from recorded bags; all of them are of one object.
+
+    ``weigh(bag, payload={"size": 0.03}).mass`` is what ``proprio replay BAG --probe payload --set payload.size=0.03`` prints.
+
+    Args:
+        bags: Bag folders or files, or text recordings; one may stand alone.
+        calibration: What `calibrate` returned, or its file.
+        baseline: Runs made with the others with an empty hand, or with the empty container.
+        probe: ``payload``, ``container`` or ``softness``.
+        robot: Name, or robot file.
+        settings: As for ``--set``, by dotted key: ``{"payload.com": [0, 0, 0.01]}``.
+        solver: ``lm``, ``adam`` or ``cma``.
+        profile: ``default``, or ``paper`` for the paper's own method.
+        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next three win over it.
+        state_topic: Of the joint states, where the bag has several.
+        command_topic: Of the input, where it has an unusual name.
+        effort_unit: What effort of the joint states means: ``N.m``, ``A``, ``mA`` or ``raw``.
+        **facts: The same by section: ``payload={"com": [0, 0, 0.01]}``, ``block={"size": 0.03}``.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
+    """
+    call = _call("weigh", bags, locals())
+    options = ReplayOptions(
+        probe=probe,
+        robot=_text(robot),
+        settings=_settings(settings, facts),
+        solver=solver,
+        profile=profile,
+        calibration=_text(calibration),
+        baseline=_texts(baseline),
+        driver=_text(driver),
+        state_topic=state_topic,
+        command_topic=command_topic,
+        effort_unit=effort_unit,
+    )
+    return Weighing(replay(_texts(bags), options), _texts(bags), call)
+
+
+def calibrate(
+    bags: Paths,
+    *,
+    references: Mapping[AnyPath, float] | None = None,
+    output: AnyPath | None = None,
+    force: bool = False,
+    robot: AnyPath | None = None,
+    settings: Mapping[str, Any] | None = None,
+    driver: AnyPath | None = None,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    effort_unit: str | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    **facts: Mapping[str, Any],
+) -> CalibrationResult:
+    """Learn the robot from runs with nothing in the hand, and optionally with a weighed reference.
+
+    Args:
+        bags: Bags with nothing in the hand.
+        references: Bags with a weighed reference in the hand, and its mass [kg].
+        output: The calibration file (.yaml); written when the calibration is accepted.
+        force: Whether an older file of that name may be replaced.
+        progress: Called with a sentence on what is going on.
+        robot: As for `weigh`.
+        settings: As for `weigh`.
+        driver: As for `weigh`.
+        state_topic: As for `weigh`.
+        command_topic: As for `weigh`.
+        effort_unit: As for `weigh`.
+        **facts: As for `weigh`; ``payload`` describes the reference.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
+    """
+    call = _call("calibrate", bags, locals())
+    options = ReplayOptions(
+        robot=_text(robot),
+        settings=_settings(settings, facts),
+        driver=_text(driver),
+        state_topic=state_topic,
+        command_topic=command_topic,
+        effort_unit=effort_unit,
+    )
+    folder = None if output is not None else tempfile.TemporaryDirectory(prefix="proprio-")
+    path = Path(output) if folder is None else Path(folder.name) / "calibration.yaml"  # type: ignore[arg-type]
+    known: dict[str | Path, float] = {os.fspath(bag): mass for bag, mass in (references or {}).items()}
+    estimate = calibrate_from_bags(_texts(bags), known, options, path, progress, force)
+    accepted = estimate.verdict.value == "accepted"
+    return CalibrationResult(estimate, path if accepted else None, call, folder)
+
+
+def plan(
+    masses: float | Sequence[float],
+    *,
+    calibration: AnyPath | None = None,
+    robot: AnyPath | None = None,
+    count: int = 10,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    **facts: Mapping[str, Any],
+) -> Plans:
+    """Which run to make for an object of about this mass: start poses and currents, the smallest interval first.
+
+    Args:
+        masses: What the hand may hold [kg]; a run must suit all of them.
+        count: At most so many plans.
+        progress: Called with a sentence on what is going on.
+        calibration: As for `weigh`.
+        robot: As for `weigh`.
+        settings: As for `weigh`.
+        **facts: As for `weigh`.
+
+    Raises:
+        ConfigurationError, RobotError: With one line that says what is wrong and what to do.
+    """
+    options = ReplayOptions(robot=_text(robot), settings=_settings(settings, facts), calibration=_text(calibration))
+    asked = [float(masses)] if isinstance(masses, (int, float)) else [float(mass) for mass in masses]
+    return Plans(*plan_probes(asked, options, count, progress), asked)
+
+
+def check(
+    bags: Paths,
+    *,
+    robot: AnyPath | None = None,
+    driver: AnyPath | None = None,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    effort_unit: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Checks:
+    """What is in each bag, which input would be used, and which runs: before any fit.
+
+    Args:
+        bags: Bag folders or files, or text recordings.
+        robot: As for `weigh`.
+        driver: As for `weigh`.
+        state_topic: As for `weigh`.
+        command_topic: As for `weigh`.
+        effort_unit: As for `weigh`.
+        settings: As for `weigh`; what is stated about an object is not looked at.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
+    """
+    return Checks(
+        *check_bags(
+            _texts(bags),
+            _text(robot),
+            driver=_text(driver),
+            state_topic=state_topic,
+            command_topic=command_topic,
+            effort_unit=effort_unit,
+            settings=_settings(settings, {}),
+        )
+    )
+
+
+def _text(path: AnyPath | None) -> str | None:
+    return None if path is None else os.fspath(path)
+
+
+def _texts(paths: Paths) -> tuple[str, ...]:
+    return tuple(os.fspath(path) for path in paths_of(paths))  # type: ignore[arg-type]
+
+
+def _settings(settings: Mapping[str, Any] | None, facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Dotted keys with plain values: arrays become lists, paths become text."""
+    dotted = dict(settings or {})
+    for section, values in facts.items():
+        if not isinstance(values, Mapping):
+            raise TypeError(
+                f"{section}={values!r} is no argument; facts come by section, such as payload={{'size': 0.03}}"
+            )
+        dotted |= {f"{section}.{key}": value for key, value in values.items()}
+    return {key: _plain(value) for key, value in dotted.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _call(name: str, bags: Paths, given: Mapping[str, Any]) -> str:
+    """The call as it was made, for the report."""
+    unsaid: tuple[Any, ...] = (None, (), {}, "", False)
+    words = [repr(list(_texts(bags)))]
+    for key, value in given.items():
+        default = {"probe": "payload", "solver": "lm", "profile": "default"}.get(key)
+        if key in ("bags", "progress") or any(value is none or value == none for none in (*unsaid, default)):
+            continue
+        if key == "facts":
+            words += [f"{section}={values!r}" for section, values in value.items()]
+        else:
+            words.append(f"{key}={os.fspath(value) if isinstance(value, os.PathLike) else value!r}")
+    return f"{name}({', '.join(words)})"
+
+
+def _ends(interval: Any) -> tuple[Any, Any]:
+    """Lower and upper ends; of a vector, lists of them."""
+    if interval is None:
+        return None, None
+    if interval and isinstance(interval[0], (list, tuple)):
+        ends = [_ends(entry) for entry in interval]
+        return [low for low, _ in ends], [high for _, high in ends]
+    low, high = interval
+    return low, high
+
+
+def _frame(columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> pandas.DataFrame:
+    try:
+        import pandas
+    except ModuleNotFoundError as error:
+        raise ConfigurationError("to_frame() needs pandas: pip install pandas") from error
+    return pandas.DataFrame(rows, columns=list(columns))

@@ -1,0 +1,368 @@
+"""From empty-hand bags to a calibration file, and from a calibration to the next run: what the command line and the nodes call."""
+
+from __future__ import annotations
+
+import io
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.scalarstring import LiteralScalarString
+
+from proprio_ros.calibration_files.motions import MotionCalibration
+from proprio_ros.calibration_files.motors import MotorIdentity, other_arm
+from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibration
+from proprio_ros.calibration_files.pushes import Calibration
+from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
+from proprio_ros.experiment_design.planning import plan
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.recorded import recorded_run
+from proprio_ros.identification.refresh import refresh
+from proprio_ros.identification.regression.motion_estimate import calibrate_motions
+from proprio_ros.identification.regression.one_joint_estimate import best_delay, calibrate_joint, torque_left_over
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.inputs.reading import text_of, yaml_of
+from proprio_ros.inputs.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
+from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.pipeline.replay import (
+    DEFAULT_ROBOT,
+    Recordings,
+    ReplayOptions,
+    aged_robot,
+    bag_recording,
+    bag_runs,
+    bag_runs_or_motion,
+    held_positions,
+    moment_of,
+    robot_of,
+    runs_or_motion,
+)
+from proprio_ros.probes.payload.facts import payload_facts
+from proprio_ros.quantity import Quantity
+from proprio_ros.recordings.bags import read_motors
+from proprio_ros.recordings.datasets import episode_of
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.recordings.voltage import with_stall_currents
+from proprio_ros.robot import Robot, is_description, nested_settings, with_recorded_torque
+from proprio_ros.schema import calibration_used
+from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.threads import one_blas_thread
+from proprio_ros.version import __version__
+
+HEAVIEST_REFERENCE_KG = 5.0
+
+
+@one_blas_thread
+def calibrate_from_bags(
+    paths: str | Path | Sequence[str | Path],
+    references: Mapping[str | Path, float],
+    options: ReplayOptions | None = None,
+    output: str | Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    force: bool = False,
+) -> CalibrationEstimate:
+    """Calibrate a robot and write the file that ``proprio replay --calibration`` takes.
+
+    Args:
+        paths: bags with nothing in the hand.
+        references: bags with a weighed reference in the hand, and its mass [kg]; the payload settings say where it sits.
+        options: robot, settings and topics; what concerns the probe is not used.
+        output: the file; it is only written when the calibration is accepted.
+        progress: called with what is going on.
+        force: whether an older file of that name may be replaced.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+    """
+    options = options or ReplayOptions()
+    paths = paths_of(paths)
+    if output is not None:
+        check_new_yaml(Path(output), force)
+    started = time.perf_counter()
+    options.check_driver()
+    if not paths and not references:
+        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
+    for path, mass in references.items():
+        if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
+            raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
+    settings = Settings(options.settings)
+    overrides = settings.take_prefix("robot.")
+    if options.stated_unit == "N.m":
+        overrides = with_recorded_torque(options.robot or DEFAULT_ROBOT, overrides)
+    robot = robot_of(options.robot, None, overrides)
+    held = held_positions(robot, settings)
+    facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
+    settings.refuse_rest()
+    loads = [*((Path(path), KnownLoad()) for path in paths)]
+    loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
+    once = Recordings([path for path, _ in loads])
+    motors = _motors_of([path for path, _ in loads], options)
+    robot, delay = _with_learnt_delay(robot, loads, facts, options, held, progress)
+    overrides |= delay
+    runs: list[LoadedRun] = []
+    motions: list[tuple[Motion, float]] = []
+    for number, (path, load) in enumerate(loads, start=1):
+        progress(f"reading {path} ({number} of {len(loads)})")
+        found = bag_runs_or_motion(path, robot, options, held)
+        if isinstance(found, Motion):
+            motions.append((once.checked_motion(path, found), load.mass))
+        else:
+            runs += [LoadedRun(run, load) for run in once.checked(path, found)]
+    read = time.perf_counter()
+    if motions and runs:
+        raise RecordingError(
+            f"{motions[0][0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].run.name} holds "
+            "probes: calibrate with one or the other, each makes a file of its own"
+        )
+    if motions and references and len(motions[0][0].joints) == 1:
+        progress(f"fitting {len(motions)} motions of one joint")
+        estimate = calibrate_joint(robot, [motion for motion, _ in motions], [kg for _, kg in motions], facts)
+    elif motions:
+        estimate = _from_motions(robot, motions, facts if "payload.com" in settings.taken else None, progress)
+    else:
+        estimate = calibrate(robot, runs, progress=progress)
+    if estimate.calibration is not None:
+        made = moment_of([each.run for each in runs], [path for path, _ in loads], options.state_topic)
+        estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
+    written = None
+    learnt = estimate.calibration or estimate.motion or estimate.joint
+    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
+        said = "" if estimate.weighable is None else estimate.weighable.sentence()
+        write_calibration(Path(output), robot, learnt, overrides, said)
+        written = calibration_used(Path(output))
+    origin = {
+        "bags": [str(path) for path in paths],
+        "references": [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()],
+        "calibration": written,
+    }
+    used = {fit.name for fit in estimate.run_fits}
+    unused = tuple(recorded_run(robot, each.run) for each in runs if each.run.name not in used)
+    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin, unused=unused)
+
+
+@one_blas_thread
+def refresh_from_bags(
+    paths: str | Path | Sequence[str | Path],
+    options: ReplayOptions,
+    output: str | Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    force: bool = False,
+) -> CalibrationEstimate:
+    """Bring a calibration up to date by a few runs with nothing in the hand, and write it as another file.
+
+    Args:
+        paths: the bags.
+        options: its ``calibration`` is the old one; what concerns the probe is not used.
+        output: the new file, written where the outcome is accepted.
+        progress: called with what is going on.
+        force: whether an older file of that name may be replaced.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+    """
+    paths, old = paths_of(paths), options.calibration
+    if old is None:
+        raise ConfigurationError("nothing to bring up to date: name the old calibration")
+    if output is not None:
+        check_new_yaml(Path(output), force)
+    started = time.perf_counter()
+    options.check_driver()
+    if not paths:
+        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
+    settings = Settings(options.settings)
+    robot = robot_of(options.robot, old, {})
+    held = held_positions(robot, settings)
+    settings.refuse_rest()
+    if robot.calibration is None:
+        raise ConfigurationError(f"{old} was made from motions; only a calibration of runs can be brought up to date")
+    once = Recordings(paths)
+    motors = _motors_of([Path(path) for path in paths], options)
+    runs = [run for path in paths for run in once.checked(path, bag_runs(Path(path), robot, options, held))]
+    now = moment_of(runs, paths, options.state_topic)
+    fresh = robot.calibration
+    robot = aged_robot(robot, now)
+    read = time.perf_counter()
+    estimate = refresh(robot, [LoadedRun(run) for run in runs], progress)
+    if (learnt := estimate.calibration) is not None:
+        learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
+        estimate = replace(estimate, calibration=learnt)
+    written = None
+    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
+        said = "" if estimate.weighable is None else estimate.weighable.sentence()
+        write_calibration(Path(output), robot, learnt, said=said, like=Path(old))
+        written = calibration_used(Path(output))
+    origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old), "calibration": written}
+    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
+
+
+def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, MotorIdentity]:
+    """The motors of the arm that all recordings are of, as far as they say it.
+
+    Raises:
+        RecordingError: They are of several.
+    """
+    motors: dict[str, MotorIdentity] = {}
+    for path in paths:
+        if episode_of(path) is not None:  # a data set does not say it
+            continue
+        found = read_motors(path, options.state_topic)
+        if differences := other_arm(motors, found):
+            raise RecordingError(f"{path}: another arm than that of the recordings before it: {differences}")
+        motors |= found
+    return motors
+
+
+@one_blas_thread
+def plan_probes(
+    masses_kg: Sequence[float],
+    options: ReplayOptions | None = None,
+    count: int = 10,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Robot, list[ProbePlan]]:
+    """The robot, and the weighings that would determine most about objects of these masses.
+
+    Raises:
+        ConfigurationError, RobotError: with one line that says what is wrong and what to do.
+    """
+    options = options or ReplayOptions()
+    settings = Settings(options.settings)
+    overrides = settings.take_prefix("robot.")
+    robot = robot_of(options.robot, options.calibration, overrides)
+    facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
+    settings.refuse_rest()
+    return robot, plan(robot, masses_kg, facts, count, progress=progress)
+
+
+def _from_motions(
+    robot: Robot, motions: Sequence[tuple[Motion, float]], facts: PayloadFacts | None, progress: Callable[[str], None]
+) -> CalibrationEstimate:
+    empty = [motion for motion, mass_kg in motions if mass_kg == 0.0]
+    if not empty:
+        raise RecordingError(
+            f"{motions[0][0].name}: a motion with a reference needs one with an empty hand beside it: name that bag, too"
+        )
+    centre = None if facts is None else (np.asarray(facts.com), np.asarray(facts.com_std))
+    references = [(motion, mass_kg) for motion, mass_kg in motions if mass_kg > 0.0]
+    return calibrate_motions(robot, empty, references, centre, progress)
+
+
+def write_calibration(
+    path: Path,
+    robot: Robot,
+    calibration: Calibration | MotionCalibration | JointCalibration,
+    overrides: Mapping[str, Any] | None = None,
+    said: str = "",
+    like: Path | None = None,
+) -> None:
+    """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
+
+    Args:
+        path: of the new robot file.
+        robot: what was calibrated, overrides included.
+        calibration: what was learnt.
+        overrides: dotted robot settings that were in force, so that they come back with the file.
+        said: what can be weighed with it, for the file's comment.
+        like: an older calibration, whose place this one takes: all else stands as it does there.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    settings = calibration.as_settings()
+    section = CommentedMap(settings)
+    section["runs"] = [_on_one_line(run) for run in settings["runs"]]
+    if "made" in settings:
+        section["made"] = _on_one_line(settings["made"])
+    if "unknowns" in settings:
+        section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
+    for name in ("correlation", "deviations", "without"):
+        if name in settings:
+            section[name] = LiteralScalarString(settings[name])
+    if isinstance(calibration, MotionCalibration):
+        section["torque_scale"] = _on_one_line(settings["torque_scale"])
+        section["joints"] = [_on_one_line(joint) for joint in settings["joints"]]
+    if like is None:
+        content = CommentedMap(nested_settings(robot.model, overrides or {}))
+        content.insert(0, "extends", _reference_to(robot.source, path))
+    else:
+        content = CommentedMap(yaml_of(text_of(like, RobotError)))
+        below = like.resolve().parent / str(content.get("extends", ""))
+        if below.is_file():
+            content["extends"] = _reference_to(below, path)
+    if isinstance(calibration, Calibration):
+        content["calibrated"] = True
+    content["model_fingerprint"] = robot.model.fingerprint()
+    content[_section_of(calibration)] = section
+    noun = "runs" if isinstance(calibration, Calibration) else "motions"
+    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    content.yaml_set_start_comment(
+        f"What one {robot.name} says about itself: {len(calibration.runs)} {noun}, {now}, proprio_ros {__version__}.\n"
+        + (f"It {said}.\n" if said else "")
+        + f"Use it with: proprio replay BAG --probe payload --calibration {path.name}\n"
+    )
+    stream = io.StringIO()
+    writer = YAML()
+    writer.width = 1000
+    writer.dump(content, stream)
+    write_in_one_step(path, stream.getvalue(), "--output")
+
+
+def _section_of(calibration: Calibration | MotionCalibration | JointCalibration) -> str:
+    """The key of the robot file under which it stands."""
+    if isinstance(calibration, Calibration):
+        return "calibration"
+    return "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
+
+
+def _with_learnt_delay(
+    robot: Robot,
+    loads: Sequence[tuple[Path, KnownLoad]],
+    facts: PayloadFacts,
+    options: ReplayOptions,
+    held: Mapping[str, float],
+    progress: Callable[[str], None],
+) -> tuple[Robot, dict[str, Any]]:
+    """The robot with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
+
+    Only where a single joint follows its goal by a law, so that all of its torque hangs on that delay.
+    """
+    (joint, *others), drives = list(robot.drive_trains), robot.drive_trains
+    driven_by = drives[joint].driven_by
+    if others or driven_by is None or not driven_by.follows_goal or robot.delay.std == 0.0 or len(loads) < FEWEST_RUNS:
+        return robot, {}
+    recordings = [bag_recording(path, robot, options) for path, _ in loads]
+    if any(recording.torque_off_ns for recording in recordings):
+        return robot, {}
+    progress("looking for the delay from a goal to its torque")
+    masses = [load.mass for _, load in loads]
+
+    def left_over(delay_s: float) -> float:
+        late = replace(robot, delay=Quantity(delay_s))
+        motions = [runs_or_motion(with_stall_currents(each, late), late, held) for each in recordings]
+        return torque_left_over(late, [each for each in motions if isinstance(each, Motion)], masses, facts)
+
+    delay = best_delay(left_over, robot.delay)
+    return replace(robot, delay=delay), {"delay_s": {"value": delay.value, "std": delay.std}}
+
+
+def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:
+    line = CommentedMap(entry)
+    line.fa.set_flow_style()
+    return line
+
+
+def _reference_to(source: Path, output: Path) -> str:
+    """How the file names the robot it extends: by name where the package has it, else by the way from one to the other."""
+    name = source.stem
+    if name in resource_names("robots") and resource("robots", name).resolve() == source.resolve():
+        return name
+    if is_description(str(source)) and not source.is_file():
+        return str(source)  # robot_descriptions:NAME
+    return os.path.relpath(source.resolve(), output.resolve().parent)

@@ -1,0 +1,505 @@
+"""LeRobot data sets <-> `Recording`: parquet files with ``meta/info.json``, versions 2.1 and 3.
+
+One episode is named ``FOLDER#INDEX`` wherever a bag may be named. Only the columns and row groups of that episode are read. What a
+column means (degrees or radians, what the effort is) no data set says: the driver's profile does. Layout: huggingface/lerobot,
+``src/lerobot/datasets`` (``utils.py``, ``io_utils.py``, ``dataset_writer.py``); of 2.1 the same files before version 3.
+
+pyarrow is in the extra ``batch`` and is imported only here and where rows are written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
+from proprio_ros.inputs.reading import json_of, path_problem, text_of
+from proprio_ros.recordings.bags import EFFORT_UNITS, IMPLAUSIBLE_POSITION, MIN_SAMPLES, ampere
+from proprio_ros.records import (
+    MEASURED_EFFORT,
+    DriveSignals,
+    FloatArray,
+    InputRecord,
+    JointRecord,
+    Recording,
+    Span,
+    TimeArray,
+)
+
+VERSIONS = ("v2.0", "v2.1", "v3.")
+"""Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
+POSITION_UNITS = ("rad", "deg")
+CLOCK = ("timestamp", "frame_index")
+"""Columns that say when a frame was; the first that is there counts."""
+FRAMES, BUFFER = 8192, 1 << 20
+"""Frames, and bytes of a column, that are held at once where a part of an episode is read."""
+_EPISODE = re.compile(r"(?s)(?P<folder>.+)#(?P<index>\d{1,9})$")
+_SUFFIX = re.compile(r"\.(pos|vel|torque|effort|current|load)$")
+_LONGEST_META = 64_000_000
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of a data set are what.
+
+    Attributes:
+        position: Column of the joint positions; of names that end in ``.vel``, ``.torque`` and the like, only ``.pos`` counts.
+        position_unit: One of `POSITION_UNITS`.
+        effort: Column of the measured effort; where it is not there, names in the column of the positions that end in ``.torque``,
+            ``.effort`` or ``.current`` count.
+        goal: Column of what the joints were sent to, in the unit of the positions.
+        percent: Joints, in the driver's names, whose positions are percent of their range.
+    """
+
+    position: str = "observation.state"
+    position_unit: str = "rad"
+    effort: str = "observation.effort"
+    goal: str = "action"
+    percent: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Where one episode lies.
+
+    Attributes:
+        index: Of the data set.
+        length: In frames.
+        file: Below the data set's folder.
+    """
+
+    index: int
+    length: int
+    file: str
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """What ``meta/`` says.
+
+    Attributes:
+        folder: Of the data set.
+        version: Of its layout, as it states it.
+        rate_hz: Frames per second.
+        robot_type: As it states it; empty: it does not.
+        features: By column: type, shape, names.
+        episodes: In the order of their indices.
+    """
+
+    folder: Path
+    version: str
+    rate_hz: float
+    robot_type: str
+    features: Mapping[str, Mapping[str, Any]]
+    episodes: Mapping[int, Episode]
+
+    def names(self, column: str) -> tuple[str, ...]:
+        """Of the entries of a column that is a vector; empty where it is not there or names none."""
+        names = self.features.get(column, {}).get("names") or ()
+        if isinstance(names, Mapping):  # {"motors": [...]}, as older tools write
+            names = next((value for value in names.values() if isinstance(value, list)), ())
+        return tuple(str(name) for name in names)
+
+
+def arrow() -> Any:
+    """The module pyarrow.
+
+    Raises:
+        ConfigurationError: It is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.compute
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ConfigurationError(
+            f"{error.name} is missing, which reads and writes parquet: pip install 'proprio_ros[batch]'"
+        ) from error
+    return pyarrow
+
+
+def episode_of(path: str | Path) -> tuple[Path, int] | None:
+    """Folder and index of a path that names one episode of a data set; None where it names something else."""
+    found = _EPISODE.match(str(path))
+    if found is None or Path(path).exists():
+        return None
+    return Path(found["folder"]), int(found["index"])
+
+
+def is_data_set(path: str | Path) -> bool:
+    """Whether a path is the folder of a LeRobot data set."""
+    return not path_problem(path) and (Path(path) / "meta" / "info.json").is_file()
+
+
+def open_data_set(folder: str | Path) -> DataSet:
+    """Read what a data set says about itself; again it costs nothing until that changes.
+
+    Raises:
+        RecordingError: It is none, of another version, or its ``meta/`` cannot be read.
+    """
+    folder = Path(folder)
+    info = folder / "meta" / "info.json"
+    if problem := path_problem(folder):
+        raise RecordingError(f"{one_line(str(folder), 100)}: {problem}")
+    if not info.is_file():
+        raise RecordingError(f"{folder}: not a LeRobot data set: there is no meta/info.json in it")
+    return _opened(folder, info.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _opened(folder: Path, _changed_ns: int) -> DataSet:
+    with _readable(folder):
+        info = json_of(text_of(folder / "meta" / "info.json", RecordingError))
+        version = str(info["codebase_version"])
+        if not version.startswith(VERSIONS):
+            raise RecordingError(
+                f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot"
+            )
+        read = _episodes_3 if version.startswith("v3.") else _episodes_2
+        episodes = read(folder, info)
+        features = {str(key): value for key, value in info["features"].items()}
+        rate_hz = float(info["fps"])
+    return DataSet(folder, version, rate_hz, str(info.get("robot_type") or ""), features, episodes)
+
+
+def _episodes_2(folder: Path, info: Mapping[str, Any]) -> dict[int, Episode]:
+    pattern, each = str(info["data_path"]), int(info.get("chunks_size", 1000))
+    lines = text_of(folder / "meta" / "episodes.jsonl", RecordingError, _LONGEST_META).splitlines()
+    found = {}
+    for row in (json_of(line) for line in lines if line.strip()):
+        index = int(row["episode_index"])
+        file = pattern.format(episode_chunk=index // each, episode_index=index)
+        found[index] = Episode(index, int(row["length"]), file)
+    return dict(sorted(found.items()))
+
+
+def _episodes_3(folder: Path, info: Mapping[str, Any]) -> dict[int, Episode]:
+    pq, pattern = arrow().parquet, str(info["data_path"])
+    columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
+    found = {}
+    for file in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
+        table = pq.ParquetFile(file).read(columns=columns).to_pydict()
+        for index, length, chunk, number in zip(*(table[column] for column in columns), strict=True):
+            path = pattern.format(chunk_index=chunk, file_index=number)
+            found[index] = Episode(int(index), int(length), path)
+    return dict(sorted(found.items()))
+
+
+@contextmanager
+def _readable(what: object) -> Iterator[None]:
+    """Whatever pyarrow, JSON and missing keys raise becomes one line."""
+    try:
+        yield
+    except ProprioError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:150] or type(error).__name__
+        raise RecordingError(
+            f"{what}: not readable as a LeRobot data set ({type(error).__name__}: {reason}); download or convert it again"
+        ) from error
+
+
+@lru_cache(maxsize=4)
+def _groups(file: Path, _changed_ns: int) -> tuple[Any, FloatArray, FloatArray]:
+    """The open file, and lowest and highest episode of each of its row groups."""
+    opened = arrow().parquet.ParquetFile(file)
+    leaf = next(n for n in range(opened.metadata.num_columns) if opened.schema.column(n).path == "episode_index")
+    low, high = np.full(opened.num_row_groups, -np.inf), np.full(opened.num_row_groups, np.inf)
+    for group in range(opened.num_row_groups):
+        known = opened.metadata.row_group(group).column(leaf).statistics
+        if known is not None and known.has_min_max:
+            low[group], high[group] = known.min, known.max
+    return opened, low, high
+
+
+def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span | None = None) -> dict[str, FloatArray]:
+    """Columns of one episode.
+
+    Args:
+        data: The data set.
+        index: Of the episode.
+        columns: Their names; one that the data set lacks is left out.
+        span: The part that is read, since the first frame; for one, `CLOCK` must be among the columns.
+
+    Returns:
+        By name: numbers, shape (T,) or (T, K).
+
+    Raises:
+        RecordingError: There is no such episode, or its file cannot be read.
+    """
+    name = f"{data.folder}#{index}"
+    episode = data.episodes.get(index)
+    if episode is None:
+        raise RecordingError(f"{name}: no such episode; the data set has {len(data.episodes)}")
+    file = data.folder / episode.file
+    with _readable(name):
+        if not file.is_file():
+            raise RecordingError(f"{name}: {episode.file} is missing: download the data set again")
+        opened, low, high = _groups(file, file.stat().st_mtime_ns)
+        there = [column for column in columns if column in opened.schema_arrow.names]
+        groups = [int(group) for group in np.flatnonzero((low <= index) & (high >= index))]
+        if span is None:
+            table = opened.read_row_groups(groups, columns=[*there, "episode_index"], use_threads=False)
+            table = table.filter(arrow().compute.equal(table["episode_index"], index))
+            found, count = {column: _numbers(table[column], len(table)) for column in there}, len(table)
+        else:
+            found, count = _columns_within(groups, there, data, index, span)
+            if not all(map(len, found.values())):
+                raise RecordingError(f"{name}: no frames in this part of the recording; it has {count} in all")
+    if count != episode.length:
+        raise RecordingError(
+            f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole"
+        )
+    return found
+
+
+def _columns_within(
+    groups: Sequence[int], columns: Sequence[str], data: DataSet, index: int, span: Span
+) -> tuple[dict[str, FloatArray], int]:
+    """Columns of a part of an episode, read some frames at a time; and how many frames the whole episode has."""
+    parts: dict[str, list[FloatArray]] = {column: [] for column in columns}
+    first: dict[str, FloatArray] = {}
+    count = 0
+    # an episode is one row group: without a buffer all of its columns would be read first
+    opened = arrow().parquet.ParquetFile(data.folder / data.episodes[index].file, buffer_size=BUFFER)
+    batches = opened.iter_batches(FRAMES, row_groups=groups, columns=[*columns, "episode_index"], use_threads=False)
+    for table in batches:
+        table = table.filter(arrow().compute.equal(table["episode_index"], index))
+        if not len(table):
+            continue
+        read = {column: _numbers(table[column], len(table)) for column in columns}
+        first = first or {column: read[column][:1].copy() for column in CLOCK if column in read}
+        times_ns = _times(data, read, first.get("timestamp"), count)
+        within = (times_ns >= span[0]) & (times_ns < (np.inf if span[1] is None else span[1]))
+        for column in columns:
+            parts[column].append(read[column][within])
+        count += len(table)
+    return {column: np.concatenate(found) if found else np.empty(0) for column, found in parts.items()}, count
+
+
+def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
+    """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    data = open_data_set(folder)
+    known = data.episodes.get(index)
+    count = 1 if known is None else -(-known.length // most)
+    if count < 2:
+        return [(0, None)]
+    times_ns = _times(data, read_columns(data, index, CLOCK, (0, None)))
+    begins = sorted({int(time_ns) for time_ns in times_ns[:: -(-len(times_ns) // count)]})
+    return list(zip(begins, [*begins[1:], int(times_ns.max()) + 1], strict=True))
+
+
+def _numbers(column: Any, count: int) -> FloatArray:
+    """A column of numbers or of vectors that are all alike."""
+    whole = column.combine_chunks() if hasattr(column, "combine_chunks") else column
+    if not count:
+        return np.empty(0)
+    if (
+        arrow().types.is_list(whole.type)
+        or arrow().types.is_fixed_size_list(whole.type)
+        or arrow().types.is_large_list(whole.type)
+    ):
+        values = whole.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
+        if len(values) % count or len(set(arrow().compute.list_value_length(whole).to_pylist())) != 1:
+            raise RecordingError("the vectors of a column are of different lengths")
+        return values.reshape(count, -1)
+    return whole.to_numpy(zero_copy_only=False).astype(np.float64)
+
+
+def read_episode(
+    folder: str | Path,
+    index: int,
+    columns: Columns,
+    *,
+    names: Mapping[str, str],
+    prefix: str = "",
+    effort_unit: str | None,
+    nominal_torque_constants: Mapping[str, float],
+    limits: Mapping[str, tuple[float, float]],
+    span: Span | None = None,
+) -> Recording:
+    """One episode as a recording; times count from its first frame.
+
+    Args:
+        folder: Of the data set.
+        index: Of the episode.
+        columns: Which column is what.
+        names: The robot's names by the data set's, where they differ.
+        prefix: Before the names of this robot's joints; it is taken off.
+        effort_unit: What the effort is, one of `EFFORT_UNITS`; None: nobody says it, and it is left out.
+        nominal_torque_constants: By joint [N m/A or N/A].
+        limits: Lowest and highest position of each joint [rad or m], for those in percent.
+        span: The part that is read, since the first frame; None: all. Times then count from the first frame of the part.
+
+    Raises:
+        RecordingError: It cannot be read, or lacks positions.
+        ConfigurationError: Unknown effort_unit.
+    """
+    if effort_unit is not None and effort_unit not in EFFORT_UNITS:
+        raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
+    data = open_data_set(folder)
+    called = f"{Path(folder).name}#{index}"
+    read = read_columns(data, index, [columns.position, columns.effort, columns.goal, *CLOCK], span)
+    if columns.position not in read:
+        raise RecordingError(f"{called}: no column {columns.position}; there are: {', '.join(data.features)}")
+    notes: list[str] = []
+    states = _by_name(data, columns.position, read[columns.position], called)
+    position = {name.removesuffix(".pos"): values for name, values in states.items() if _suffix(name) in ("", "pos")}
+    measured = _effort(data, columns, read, states, tuple(position), called)
+    goals = _by_name(data, columns.goal, read[columns.goal], called) if columns.goal in read else {}
+    goals = {name.removesuffix(".pos"): values for name, values in goals.items() if _suffix(name) in ("", "pos")}
+
+    def ours(name: str) -> str:
+        bare = name.removeprefix(prefix)
+        return names.get(bare, bare)
+
+    def in_si(by_name: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        scale = np.pi / 180.0 if columns.position_unit == "deg" else 1.0
+        found = {}
+        for name, values in by_name.items():
+            low, high = limits.get(ours(name), (0.0, 1.0))
+            found[ours(name)] = low + 0.01 * (high - low) * values if name in columns.percent else scale * values
+        return found
+
+    times_ns = _times(data, read)
+    joints = in_si(position)
+    if len(joints) != len(position):
+        raise RecordingError(
+            f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
+        )
+    table = np.column_stack(list(joints.values()))
+    effort = np.full(table.shape, np.nan)
+    for number, name in enumerate(position):
+        if name in measured:
+            effort[:, number] = measured[name]
+    whole = np.isfinite(table).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
+    if not whole.all():
+        notes.append(
+            f"{int((~whole).sum())} of {len(whole)} frames have no finite position or no new time; they were left out."
+        )
+    if int(whole.sum()) < MIN_SAMPLES:
+        raise RecordingError(f"{called}: only {int(whole.sum())} frames are usable, at least {MIN_SAMPLES} are needed")
+    if np.abs(table[whole]).max() > IMPLAUSIBLE_POSITION:
+        raise RecordingError(
+            f"{called}: {columns.position} reaches {np.abs(table[whole]).max():.4g}, which is no angle in rad nor a length in m: "
+            "is the unit that of --driver (position_unit)?"
+        )
+    record, inputs = _measured(
+        tuple(joints), times_ns[whole], table[whole], effort[whole], effort_unit, nominal_torque_constants
+    )
+    sent = in_si(goals)
+    signals = None
+    if sent:
+        rows = np.column_stack(list(sent.values()))[whole]
+        signals = DriveSignals(times_ns[whole], tuple(sent), rows, np.empty(0, np.int64), np.empty(0))
+    return Recording(called, record, inputs, tuple(notes), (), signals)
+
+
+def _measured(
+    names: tuple[str, ...],
+    times_ns: TimeArray,
+    position: FloatArray,
+    recorded: FloatArray,
+    unit: str | None,
+    nominal: Mapping[str, float],
+) -> tuple[JointRecord, InputRecord | None]:
+    """Joint states, and what drove the joints where the motors reported it; the numbers are those of a bag with the same effort."""
+    reported = recorded if np.isfinite(recorded).any() else None
+    if reported is None or unit is None:
+        return JointRecord(times_ns, names, position, reported_effort=reported), None
+    constants = np.array([float(nominal[name]) if nominal.get(name, 0.0) > 0.0 else np.nan for name in names])
+    effort = reported if unit == "N.m" else None
+    current = reported / constants if unit == "N.m" else reported * ampere(unit)
+    known = np.isfinite(current).all(axis=0)
+    record = JointRecord(
+        times_ns,
+        names,
+        position,
+        effort=effort,
+        current=current if np.isfinite(current).any() else None,
+        reported_effort=reported,
+    )
+    if not known.any():
+        return record, None
+    driven = tuple(names[number] for number in np.flatnonzero(known))
+    return record, InputRecord(times_ns, driven, current[:, known], MEASURED_EFFORT, unit)
+
+
+def _suffix(name: str) -> str:
+    found = _SUFFIX.search(name)
+    return "" if found is None else found[1]
+
+
+def _by_name(data: DataSet, column: str, values: FloatArray, called: str) -> dict[str, FloatArray]:
+    """The entries of a vector column by their names."""
+    names = data.names(column)
+    table = values.reshape(len(values), -1)
+    if len(names) != table.shape[1]:
+        raise RecordingError(
+            f"{called}: {column} has {table.shape[1]} entries and meta/info.json names {len(names)} of them"
+        )
+    return dict(zip(names, table.T, strict=True))
+
+
+def _effort(
+    data: DataSet,
+    columns: Columns,
+    read: Mapping[str, FloatArray],
+    states: Mapping[str, FloatArray],
+    joints: tuple[str, ...],
+    called: str,
+) -> dict[str, FloatArray]:
+    """Measured effort by joint, in the data set's names."""
+    if columns.effort not in read:
+        return {
+            _SUFFIX.sub("", name): values
+            for name, values in states.items()
+            if _suffix(name) in ("torque", "effort", "current")
+        }
+    values = read[columns.effort]
+    if not data.names(columns.effort) and values.reshape(len(values), -1).shape[1] == len(joints):
+        return dict(zip(joints, values.T, strict=True))
+    named = _by_name(data, columns.effort, values, called)
+    return {_SUFFIX.sub("", name): column for name, column in named.items()}
+
+
+def _times(
+    data: DataSet, read: Mapping[str, FloatArray], first_s: FloatArray | None = None, before: int = 0
+) -> TimeArray:
+    """Of the frames since the first [ns].
+
+    Args:
+        data: The data set.
+        read: Its columns.
+        first_s: Timestamp of the first frame, where that is not among them, shape (1,).
+        before: How many frames are before them.
+    """
+    if "timestamp" in read:
+        first_s = read["timestamp"][:1] if first_s is None else first_s
+        return np.asarray(np.rint(1e9 * (read["timestamp"] - first_s)), dtype=np.int64)
+    count = len(next(iter(read.values())))
+    frames = read.get("frame_index", before + np.arange(count, dtype=np.float64))
+    return np.asarray(np.rint(1e9 * frames / data.rate_hz), dtype=np.int64)
+
+
+def marked(data: DataSet, index: int, column: str) -> bool:
+    """Whether every frame of an episode has something other than zero in a column.
+
+    Raises:
+        RecordingError: There is no such column, or it cannot be read.
+    """
+    read = read_columns(data, index, [column])
+    if column not in read:
+        raise RecordingError(f"{data.folder}#{index}: no column {column}; there are: {', '.join(data.features)}")
+    return bool(len(read[column]) and np.all(read[column] != 0.0))

@@ -1,0 +1,305 @@
+"""Driver profiles: which topics a driver has and what its ``effort`` is, as files of ``config/drivers`` say it.
+
+A profile is data, and stated by the user: nothing of it holds before somebody names it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from proprio_ros.errors import ConfigurationError, one_line
+from proprio_ros.inputs.forms import Choice, Form, FormError, Perhaps, Text, shortly
+from proprio_ros.inputs.reading import path_problem, yaml_file
+from proprio_ros.inputs.resources import resource, resource_names
+from proprio_ros.recordings.bags import EFFORT_UNITS, FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
+from proprio_ros.recordings.datasets import POSITION_UNITS, Columns
+
+DEEPEST = 8
+"""Files that extend each other."""
+_TYPES = {"sensor_msgs/JointState": JOINT_STATE, "std_msgs/Float64MultiArray": FLOAT_ARRAYS[0]}
+_RADIANS = {"rad": 1.0, "degree": math.pi / 180.0}
+_SENTENCE = 500
+
+
+@dataclass(frozen=True)
+class _Texts(Form):
+    """A list of texts."""
+
+    each: Text = field(default_factory=Text)
+
+    def read(self, value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or len(value) > 64:
+            raise FormError(f"expected a list of at most 64 texts, got {shortly(value)}")
+        return tuple(self.each.read(entry) for entry in value)
+
+    def described(self) -> str:
+        return f"a list, each {self.each.described()}"
+
+
+@dataclass(frozen=True)
+class _Topic(Text):
+    """The name of a topic, without a namespace."""
+
+    what: str = "a topic without a namespace"
+
+    def read(self, value: Any) -> str:
+        name = super().read(value)
+        if name.startswith(("/", "~")) or " " in name:
+            raise FormError(f"expected {self.what}, such as joint_states, got {shortly(value)}")
+        return name
+
+
+@dataclass(frozen=True)
+class _Names(Form):
+    """Texts by texts."""
+
+    def read(self, value: Any) -> dict[str, str]:
+        if not isinstance(value, dict) or len(value) > 1000:
+            raise FormError(f"expected names by names, got {shortly(value)}")
+        names = {Text(what="a name").read(key): Text(what="a name").read(entry) for key, entry in value.items()}
+        twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
+        if twice is not None:
+            raise FormError(f"{twice} stands for two joints; each needs a name of its own")
+        return names
+
+    def described(self) -> str:
+        return "the robot's name by the driver's"
+
+
+INPUT: dict[str, Form] = {
+    "topic": _Topic("required"),
+    "type": Choice("required; of a JointState its effort counts", tuple(_TYPES)),
+    "unit": Choice("required; of its numbers", EFFORT_UNITS),
+    "joints": _Texts("order of numbers that come without names; left out: the robot file's order", Text(what="a name")),
+}
+"""Forms of one entry of ``inputs``."""
+
+
+@dataclass(frozen=True)
+class _Inputs(Form):
+    """Topics of what drives the joints."""
+
+    def read(self, value: Any) -> tuple[InputTopic, ...]:
+        if not isinstance(value, list) or len(value) > 16:
+            raise FormError(f"expected a list of at most 16 topics, got {shortly(value)}")
+        return tuple(self._one(entry) for entry in value)
+
+    def _one(self, value: Any) -> InputTopic:
+        given = _section(value, INPUT)
+        missing = [key for key in ("topic", "type", "unit") if key not in given]
+        if missing:
+            raise FormError(f"{missing[0]} is missing; state it")
+        joints = given.get("joints", ())
+        if len(set(joints)) != len(joints):
+            raise FormError("joints: a joint is named twice")
+        return InputTopic(given["topic"], _TYPES[given["type"]], given["unit"], joints)
+
+    def described(self) -> str:
+        return "a list of topic, type, unit and joints"
+
+
+COLUMNS: dict[str, Form] = {
+    "position": Text("column of the joint positions; default observation.state"),
+    "position_unit": Choice("required; of the positions and goals", POSITION_UNITS),
+    "effort": Text(
+        "column of measured effort; default observation.effort. Where there is none, entries of the positions' column that end in "
+        ".torque, .effort or .current count"
+    ),
+    "goal": Text("column of what the joints were sent to; default action"),
+    "percent": _Texts(
+        "joints, in the data set's names, whose positions are percent of their range", Text(what="a name")
+    ),
+}
+"""Forms of the keys of ``columns``."""
+
+
+@dataclass(frozen=True)
+class _Columns(Form):
+    """What the columns of a LeRobot data set are."""
+
+    def read(self, value: Any) -> Columns:
+        given = _section(value, COLUMNS)
+        if "position_unit" not in given:
+            raise FormError("position_unit is missing; a data set does not say it")
+        return Columns(**given)
+
+    def described(self) -> str:
+        return "keys of a data set's columns"
+
+
+FORMS: dict[str, Form] = {
+    "extends": Text("profile whose keys hold where this file has none: a name, or a file beside it", "a profile"),
+    "title": Text("the driver, in a few words; required", longest=_SENTENCE),
+    "states": _Topic("topic of the joint states, in any namespace; default joint_states"),
+    "effort_unit": Perhaps(
+        "what effort of the joint states is; null: the profile does not say, so that `--effort-unit` or the robot file must",
+        Choice(words=EFFORT_UNITS),
+    ),
+    "position_unit": Choice(
+        "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
+        tuple(_RADIANS),
+    ),
+    "inputs": _Inputs("what drives the joints: the first that a bag has, else measured effort; default none"),
+    "joint_prefix": Text("before the names of this robot's joints; it is taken off"),
+    "joint_names": _Names("of joints that the driver calls otherwise than the URDF, once the prefix is off"),
+    "refused": Text("why nothing can be weighed with such recordings; they are then refused with it", longest=200),
+    "notes": _Texts("what to know about it; `proprio check` says it", Text(longest=_SENTENCE)),
+    "columns": _Columns("what the columns of a LeRobot data set are; without it none can be read"),
+    "recognised_by": _Texts(
+        "topics, or types of messages, of which any identifies the driver; `proprio check` names it then"
+    ),
+}
+"""Forms of the keys of a profile."""
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A profile.
+
+    Attributes:
+        name: What the user called it.
+        title: In a few words.
+        conventions: Its topics, and their units.
+        effort_unit: What effort of its joint states is; None where it does not say.
+        refused: Why nothing can be weighed with it, or an empty string.
+        notes: What to know about it, one sentence each.
+        recognised_by: Topics without a namespace, or types, of which any identifies it.
+        extends: Names of the profiles that it extends.
+        columns: What the columns of a data set are; None where it does not say.
+    """
+
+    name: str
+    title: str
+    conventions: Conventions
+    effort_unit: str | None = None
+    refused: str = ""
+    notes: tuple[str, ...] = ()
+    recognised_by: tuple[str, ...] = ()
+    extends: tuple[str, ...] = ()
+    columns: Columns | None = None
+
+    def fits(self, topics: Iterable[tuple[str, str]]) -> bool:
+        """Whether any of these topics, by name and type, identifies it."""
+        return any(
+            kind == known or name == f"/{known}" or name.endswith(f"/{known}")
+            for name, kind in topics
+            for known in self.recognised_by
+        )
+
+
+def load_driver(name_or_path: str | Path) -> Driver:
+    """Read a profile.
+
+    Args:
+        name_or_path: Of ``config/drivers``, or the path of a YAML file.
+
+    Raises:
+        ConfigurationError: There is none, or it is wrong; in one line.
+    """
+    name = str(name_or_path)
+    settings, parents = _settings(name, Path(), ())
+    if "title" not in settings:
+        raise ConfigurationError(f"{_called(name)}: title is missing; say in a few words which driver it is")
+    ours = Conventions(
+        driver=name,
+        states=settings.get("states", "joint_states"),
+        inputs=settings.get("inputs", ()),
+        prefix=settings.get("joint_prefix", ""),
+        names=settings.get("joint_names", {}),
+        radians=_RADIANS[settings.get("position_unit", "rad")],
+    )
+    return Driver(
+        name,
+        settings["title"],
+        ours,
+        settings.get("effort_unit"),
+        settings.get("refused", ""),
+        settings.get("notes", ()),
+        settings.get("recognised_by", ()),
+        parents,
+        settings.get("columns"),
+    )
+
+
+def drivers_of(topics: Iterable[tuple[str, str]]) -> tuple[Driver, ...]:
+    """The package's profiles that topics identify, without those that another of them extends.
+
+    Args:
+        topics: Name and type of each.
+    """
+    topics = list(topics)
+    fitting = [driver for driver in _shipped() if driver.fits(topics)]
+    extended = {name for driver in fitting for name in driver.extends}
+    return tuple(driver for driver in fitting if driver.name not in extended)
+
+
+@functools.cache
+def _shipped() -> tuple[Driver, ...]:
+    return tuple(map(load_driver, resource_names("drivers")))
+
+
+def _called(name: str) -> str:
+    return f"driver {one_line(name, 60)}"
+
+
+def _located(name: str, folder: Path) -> Path:
+    if Path(name).suffix not in (".yaml", ".yml"):
+        names = resource_names("drivers")
+        if name in names:
+            return resource("drivers", name)
+        close = [each for each in names if name and each.startswith(name)] or difflib.get_close_matches(
+            name[:100], names, n=1
+        )
+        hint = f"did you mean {' or '.join(close)}? " if close else ""
+        raise ConfigurationError(
+            f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file"
+        )
+    path = folder / name
+    if problem := path_problem(path) or ("" if path.is_file() else "there is no such file"):
+        raise ConfigurationError(f"{_called(name)}: {problem}")
+    return path
+
+
+def _settings(name: str, folder: Path, above: tuple[str, ...]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Keys and values of a profile and of those that it extends, and the names of the latter."""
+    if len(above) == DEEPEST:
+        raise ConfigurationError(f"{_called(above[0])}: extends: more than {DEEPEST} files extend each other")
+    path = _located(name, folder)
+    content = yaml_file(path, ConfigurationError, _called(name))
+    try:
+        own = _section(content, FORMS)
+    except FormError as error:
+        raise ConfigurationError(f"{_called(name)}: {error}") from None
+    if "extends" not in own:
+        return own, ()
+    parent = own.pop("extends")
+    inherited, parents = _settings(parent, path.parent, (*above, name))
+    return inherited | own, (parent, *parents)
+
+
+def _section(value: Any, forms: Mapping[str, Form]) -> dict[str, Any]:
+    """Read keys and values.
+
+    Raises:
+        FormError: One of them is unknown, or its value is none of its form.
+    """
+    if not isinstance(value, Mapping):
+        raise FormError(f"expected keys and values, got {shortly(value)}")
+    for key in value:
+        if key not in forms:
+            close = difflib.get_close_matches(str(key)[:100], forms, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise FormError(f"unknown key {shortly(key)}; {hint}valid keys: {', '.join(forms)}")
+    result = {}
+    for key, given in value.items():
+        try:
+            result[key] = forms[key].read(given)
+        except FormError as error:
+            raise FormError(f"{key}: {error}") from None
+    return result

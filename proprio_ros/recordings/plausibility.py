@@ -1,0 +1,479 @@
+"""What a recording shows of itself, before any fit: what moves, what is held, and what its publisher did to velocities and efforts.
+
+Only what was recorded is looked at; where the robot's URDF says what torque holds the arm, the effort is compared with that.
+Nothing here is fitted on: every finding is a sentence with its numbers, and what to do about it is left to the user.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.recordings.motions import MOVED_RAD
+from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
+from proprio_ros.robot import ReducedModel, Robot
+from proprio_ros.robot.regressor import body_parameters, kinematics, momentum_and_gravity
+
+MOVED_M = 0.002
+"""A slide that moves less stands still [m]."""
+LONGEST_LAG_S = 0.15
+"""Of a velocity behind its position; filters of servos take less [s]."""
+LAG_S = 0.015
+"""What a lag must reach to be said [s]; a velocity computed from the last two positions lags by half a period."""
+SURE_CORRELATION = 0.9
+SMOOTHED_S = 0.1
+"""Efforts are compared with gravity over this time [s]."""
+PLAUSIBLE = (0.5, 2.0)
+"""Effort over the torque that gravity needs: within it lie an unknown load, gears that lose a part, and a URDF that is 15 % off."""
+LEAST_T = 15.0
+"""Times its formal standard error that gravity's share of an effort must be: residuals are correlated over seconds."""
+LEAST_LOAD = 0.1
+"""Of the largest change of gravity's torque on any joint: a wrist that hardly lifts says nothing of units."""
+FEW_LEVELS = 5
+"""An effort that takes fewer values than this between zeros is a sequence of probes, and no old reading."""
+STALE_SAMPLES = 4
+"""Equal efforts in a row, typically, while the joint moves."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a reader should know.
+
+    Attributes:
+        code: what it is, for programs.
+        sentence: the same for people.
+        joints: that it is about.
+        values: its numbers by joint, in the unit that the sentence names.
+    """
+
+    code: str
+    sentence: str
+    joints: tuple[str, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        return {"code": self.code, "sentence": self.sentence, "joints": list(self.joints), "values": dict(self.values)}
+
+
+@dataclass(frozen=True)
+class EffortUnit:
+    """How the effort would compare with the torque that gravity needs if it were in some unit.
+
+    Attributes:
+        unit: as for ``--effort-unit``.
+        ratio: effort in N m over that torque by joint; 1 where all is as the URDF says.
+        plausible: whether their median is within `PLAUSIBLE`.
+    """
+
+    unit: str
+    ratio: Mapping[str, float]
+    plausible: bool
+
+    def as_json(self) -> dict[str, Any]:
+        return {"unit": self.unit, "ratio": dict(self.ratio), "plausible": self.plausible}
+
+
+def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
+    """The joints that do not stand still."""
+    spans = np.ptp(record.position, axis=0)
+    least = [MOVED_M if name in slides else MOVED_RAD for name in record.names]
+    return tuple(name for name, span, limit in zip(record.names, spans, least, strict=True) if span > limit)
+
+
+def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding, ...]:
+    """All that a recording shows of itself without a robot.
+
+    Args:
+        recording: as it was read; its ``reported_effort`` is in whatever unit the publisher used.
+        slides: names of joints that slide.
+    """
+    moved = moving(recording.joints, slides)
+    found = [
+        *_held(recording, moved),
+        *_still_columns(recording.joints, moved),
+        *_velocity(recording.joints, moved),
+        *_registers(recording.joints, moved),
+        *_stale(recording.joints, moved),
+        *_command_as_effort(recording),
+    ]
+    return tuple(found)
+
+
+# --- each by itself ---------------------------------------------------------------------------------------------------
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
+def _held(recording: Recording, moved: Sequence[str]) -> list[Finding]:
+    """Joints that stand still while a current is recorded for them: it holds them, and drives nothing."""
+    inputs = recording.inputs
+    if inputs is None:
+        return []
+    largest = dict(zip(inputs.names, np.abs(inputs.current_A).max(axis=0), strict=True))
+    held = tuple(
+        name
+        for name in recording.joints.names
+        if name not in moved and largest.get(name, 0.0) > ZERO_CURRENT_A and len(moved)
+    )
+    if not held:
+        return []
+    sentence = f"{_listed(held)} stood still: what its motor gave held it and drove nothing"
+    if len(held) > 1:
+        sentence = f"{_listed(held)} stood still: what their motors gave held them and drove nothing"
+    return [Finding("held", sentence, held)]
+
+
+def _still_columns(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+    """Columns that never change although their joint moves: a driver that has no such reading."""
+    found = []
+    for quantity in ("velocity", "reported_effort"):
+        values = getattr(record, quantity)
+        if values is None:
+            continue
+        constant = {
+            name: float(column[np.isfinite(column)][0])
+            for name, column in zip(record.names, values.T, strict=True)
+            if name in moved and np.isfinite(column).any() and np.ptp(column[np.isfinite(column)]) == 0.0
+        }
+        if constant:
+            word = quantity.removeprefix("reported_")
+            same = f"{next(iter(constant.values())):g}" if len(set(constant.values())) == 1 else "the same"
+            sentence = f"the {word} of {_listed(tuple(constant))} is {same} in every message although it moves: it is no reading"
+            found.append(Finding(f"constant_{word}", sentence, tuple(constant), constant))
+    return found
+
+
+def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Times and values at equal distances, by interpolation; of a recording with gaps its longest stretch without.
+
+    Args:
+        times_s: increasing, shape (T,).
+        values: shape (T, ...).
+    """
+    period_s = float(np.median(np.diff(times_s)))
+    cuts = [0, *(np.flatnonzero(np.diff(times_s) > max(0.1, 5.0 * period_s)) + 1), len(times_s)]
+    start, end = max(itertools.pairwise(cuts), key=lambda part: part[1] - part[0])
+    own, inside = times_s[start:end], values[start:end].reshape(end - start, -1)
+    even = np.arange(own[0], own[-1] + 0.5 * period_s, period_s)
+    columns = np.column_stack([np.interp(even, own, column) for column in inside.T])
+    return even, columns.reshape(len(even), *values.shape[1:])
+
+
+def velocity_lag_s(times_s: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[float, float] | None:
+    """How far a recorded velocity is behind the derivative of its position, and how many times as large it is.
+
+    Args:
+        times_s: shape (T,).
+        position: [rad or m], shape (T,).
+        velocity: as recorded, shape (T,).
+
+    Returns:
+        Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
+    """
+    even, both = evenly(times_s, np.column_stack([position, velocity]))
+    period_s = float(even[1] - even[0])
+    most = round(LONGEST_LAG_S / period_s)
+    # both are smoothed alike, so that counts of the encoder do not decide
+    width = max(3, round(0.05 / period_s) | 1)
+    smooth = np.ones(width) / width
+    derivative = np.convolve(np.gradient(both[:, 0], period_s), smooth, "same")
+    reported = np.convolve(both[:, 1], smooth, "same")
+    if most < 1 or len(even) < 8 * most + 2 * width or not derivative.any() or not reported.any():
+        return None
+    inner = slice(2 * most, len(even) - 2 * most)
+    late = reported[inner] - reported[inner].mean()
+    lags = np.arange(-most, most + 1)
+    agreement = np.zeros(len(lags))
+    for row, lag in enumerate(lags):
+        early = derivative[inner.start - lag : inner.stop - lag]
+        early = early - early.mean()
+        scale = np.sqrt((early @ early) * (late @ late))
+        agreement[row] = early @ late / scale if scale > 0.0 else 0.0
+    best = int(np.argmax(agreement))
+    if agreement[best] < SURE_CORRELATION:
+        return None
+    shift = 0.0
+    if 0 < best < len(lags) - 1:
+        below, at, above = agreement[best - 1 : best + 2]
+        bend = below - 2.0 * at + above
+        shift = 0.5 * (below - above) / bend if bend < 0.0 else 0.0
+    early = derivative[inner.start - lags[best] : inner.stop - lags[best]]
+    return float((lags[best] + shift) * period_s), float((early @ reported[inner]) / (early @ early))
+
+
+def _times_s(record: JointRecord) -> FloatArray:
+    return 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
+
+
+def _velocity(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+    if record.velocity is None:
+        return []
+    times_s, lags, ratios = _times_s(record), {}, {}
+    for name in moved:
+        column = record.column(name)
+        known = np.isfinite(record.velocity[:, column])
+        if known.sum() < 50 or np.ptp(record.velocity[known, column]) == 0.0:
+            continue
+        seen = velocity_lag_s(times_s[known], record.position[known, column], record.velocity[known, column])
+        if seen is not None:
+            lags[name], ratios[name] = seen
+    found = []
+    period_s = float(np.median(np.diff(times_s)))
+    late = {name: 1e3 * lag for name, lag in lags.items() if lag > max(LAG_S, 1.2 * period_s)}
+    if late:
+        span = _span(late, ".0f")
+        found.append(
+            Finding(
+                "velocity_lags",
+                f"the velocity of {_listed(tuple(late))} lags its position by {span} ms: a filter of the driver or the servo; "
+                "positions alone are used",
+                tuple(late),
+                late,
+            )
+        )
+    other = {name: ratio for name, ratio in ratios.items() if not 0.8 < ratio < 1.25}
+    if other:
+        found.append(
+            Finding(
+                "velocity_scale",
+                f"the velocity of {_listed(tuple(other))} is {_span(other, '.3g')} times the derivative of its position: "
+                "another unit (rpm are 9.55 times rad/s, degrees/s 57.3 times), or another joint's; positions alone are used",
+                tuple(other),
+                other,
+            )
+        )
+    return found
+
+
+def _span(values: Mapping[str, float], spec: str) -> str:
+    """Smallest and largest, or the one where they print alike."""
+    least, most = format(min(values.values()), spec), format(max(values.values()), spec)
+    return least if least == most else f"{least} to {most}"
+
+
+def _registers(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+    """Efforts that a driver took for unsigned: a register of 16 bits below zero, or a magnitude without its sign."""
+    if record.reported_effort is None:
+        return []
+    wrapped, unsigned, highest = {}, [], 0.0
+    for name, effort, position in zip(record.names, record.reported_effort.T, record.position.T, strict=True):
+        known = effort[np.isfinite(effort)]
+        if not len(known) or known.min() < 0.0 or np.ptp(known) == 0.0:
+            continue
+        whole = bool(np.all(known == np.round(known)))
+        high = known[known > 32767.0]
+        if whole and len(high) and known.max() < 65536.0 and np.all((known < 20000.0) | (known > 45000.0)):
+            wrapped[name] = float(high.min())
+            highest = max(highest, float(known.max()))
+        elif name in moved:
+            step = np.diff(position)
+            way = np.sign(step[step != 0.0])
+            # a magnitude comes down to zero where the sign would change; what only ever lifts need not
+            both_ways = len(way) > 20 and 0.2 < np.mean(way > 0) < 0.8
+            if both_ways and known.min() < 0.05 * known.max():
+                unsigned.append(name)
+    found = []
+    if wrapped:
+        value = min(wrapped.values())
+        found.append(
+            Finding(
+                "unsigned_register",
+                f"the effort of {_listed(tuple(wrapped))} holds numbers from {value:.0f} to {highest:.0f}, as an unsigned register "
+                f"of 16 bits does below zero ({value:.0f} is {value - 65536.0:.0f}): let the driver read it as signed",
+                tuple(wrapped),
+                wrapped,
+            )
+        )
+    if unsigned:
+        found.append(
+            Finding(
+                "effort_without_sign",
+                f"the effort of {_listed(unsigned)} is never negative although it moves both ways: it may be a magnitude without "
+                "its sign, of which no torque can be made",
+                tuple(unsigned),
+            )
+        )
+    return found
+
+
+def _stale(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+    """Efforts that are read more seldom than they are published."""
+    if record.reported_effort is None:
+        return []
+    times_s, slow = _times_s(record), {}
+    for name in moved:
+        column = record.column(name)
+        effort, position = record.reported_effort[:, column], record.position[:, column]
+        if not np.isfinite(effort).all() or np.ptp(effort) == 0.0:
+            continue
+        starts = np.flatnonzero(np.concatenate([[True], np.diff(effort) != 0.0]))
+        ends = np.append(starts[1:], len(effort))
+        # zero is a motor that is off; a controller at its limit repeats that, among many other values
+        least, most = effort.min(), effort.max()
+        many = len(np.unique(effort)) > 20
+        seen = [
+            (end - start, len(np.unique(position[start:end])))
+            for start, end in zip(starts, ends, strict=True)
+            if effort[start] != 0.0 and not (many and effort[start] in (least, most))
+        ]
+        if len(seen) < FEW_LEVELS:  # a probe's constant current, read without noise
+            continue
+        lengths, places = np.array(seen).T
+        typical = int(np.repeat(lengths, lengths)[np.argsort(np.repeat(lengths, lengths))][lengths.sum() // 2])
+        # as long as it moves on meanwhile
+        if typical >= STALE_SAMPLES and places[lengths >= typical].mean() > 0.5 * STALE_SAMPLES:
+            slow[name] = typical * float(np.median(np.diff(times_s)))
+    if not slow:
+        return []
+    sentence = (
+        f"the effort of {_listed(tuple(slow))} stays the same for {_span(slow, '.2g')} s at a time while it moves, at "
+        f"{1.0 / float(np.median(np.diff(times_s))):.0f} joint states a second: old readings are repeated"
+    )
+    return [Finding("effort_stale", sentence, tuple(slow), slow)]
+
+
+def _command_as_effort(recording: Recording) -> list[Finding]:
+    """An effort that is the command again, up to a factor and a delay of a cycle, says nothing of what flowed."""
+    record, inputs = recording.joints, recording.inputs
+    if inputs is None or inputs.measured or record.reported_effort is None:
+        return []
+    same = []
+    for name in record.names:
+        if name not in inputs.names:
+            continue
+        effort, command = record.reported_effort[:, record.column(name)], inputs.current_A[:, inputs.column(name)]
+        if not np.isfinite(effort).all() or np.ptp(command) == 0.0 or len(np.unique(command)) < 10:
+            continue
+        row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
+        for late in (0, 1):
+            given = command[np.clip(row - late, 0, None)]
+            factor = float(given @ effort) / max(float(given @ given), 1e-300)
+            if np.abs(effort - factor * given).max() < 1e-5 * np.abs(effort).max():
+                same.append(name)
+                break
+    if not same:
+        return []
+    return [
+        Finding(
+            "effort_is_command",
+            f"the effort of {_listed(same)} is the command again: it was not measured, and a motor follows its "
+            "command late and not quite",
+            tuple(same),
+        )
+    ]
+
+
+# --- effort against gravity ------------------------------------------------------------------------------------------
+
+
+def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
+    """Torque at each joint that holds the arm where it is [N m].
+
+    Args:
+        model: with n revolute joints.
+        position: [rad], shape (T, n).
+
+    Returns:
+        Shape (T, n).
+    """
+    motion = kinematics(model, position, np.zeros_like(position))
+    torque = np.zeros_like(position)
+    for body in range(position.shape[1]):
+        _, wrench = momentum_and_gravity(
+            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
+        )
+        on_body = wrench @ body_parameters(model.pseudo_inertia[body])
+        joint = body
+        while joint >= 0:
+            torque[:, joint] -= np.einsum("ti,ti->t", motion.axis[:, joint], on_body)
+            joint = int(model.parents[joint])
+    return torque
+
+
+def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
+    """Effort per N m that gravity needs, of every joint that moves enough against it, in the publisher's unit.
+
+    Friction of either direction, inertia and an offset are fitted beside it, on means over `SMOOTHED_S`.
+    """
+    record = recording.joints
+    slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
+    turning = [name for name in robot.model.independent_joints if name in record.names and name not in slides]
+    # as far as its joints were recorded; what is behind a joint that was not would be somewhere else
+    missing = [name for name in robot.model.independent_joints if name not in record.names and name not in slides]
+    if record.reported_effort is None or not turning or missing:
+        return {}
+    held = {name: float(record.position[:, record.column(name)].mean()) for name in slides if name in record.names}
+    model = robot.model.lock(turning, {**dict.fromkeys(slides, 0.0), **held}, robot.gravity)
+    columns = [record.column(name) for name in model.joint_names]
+    values = np.stack([record.position[:, columns], record.reported_effort[:, columns]], axis=2)
+    known = np.isfinite(values).all(axis=(1, 2))
+    if known.sum() < 50:
+        return {}
+    times_s, even = evenly(_times_s(record)[known], values[known])
+    period_s = float(times_s[1] - times_s[0])
+    width = max(1, round(SMOOTHED_S / period_s))
+    count = len(times_s) // width
+    if count < 20:
+        return {}
+    binned = even[: count * width].reshape(count, width, len(columns), 2).mean(axis=1)
+    position, effort = binned[:, :, 0], binned[:, :, 1]
+    step_s = width * period_s
+    velocity = np.gradient(position, step_s, axis=0)
+    acceleration = np.gradient(velocity, step_s, axis=0)
+    torque = gravity_torque(model, position)
+    found = {}
+    moved = moving(record)
+    for column, name in enumerate(model.joint_names):
+        if name not in moved or np.ptp(effort[:, column]) == 0.0:
+            continue
+        matrix = np.column_stack(
+            [
+                torque[:, column],
+                np.tanh(velocity[:, column] / 0.02),
+                velocity[:, column],
+                acceleration[:, column],
+                np.ones(count),
+            ]
+        )
+        size = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
+        solution, _, rank, _ = np.linalg.lstsq(matrix / size, effort[:, column], rcond=1e-8)
+        if rank < matrix.shape[1] or np.ptp(torque[:, column]) < LEAST_LOAD * np.ptp(torque, axis=0).max():
+            continue
+        residual = effort[:, column] - matrix / size @ solution
+        inverse = np.linalg.inv((matrix / size).T @ (matrix / size))
+        error = float(np.sqrt(residual @ residual / (count - matrix.shape[1]) * inverse[0, 0]))
+        if abs(solution[0]) > LEAST_T * error:
+            found[name] = float(solution[0] / size[0])
+    return found
+
+
+def effort_units(
+    per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float
+) -> tuple[EffortUnit, ...]:
+    """How plausible each unit is that effort may be in.
+
+    Args:
+        per_torque: effort per N m that gravity needs, by joint.
+        constants: torque constants [N m/A]; empty where nobody stated them.
+        per_count_A: current of a raw count [A].
+    """
+    sizes = {"N.m": None, "A": 1.0, "mA": 1e-3, "raw": per_count_A}
+    result = []
+    for unit, ampere in sizes.items():
+        if ampere is not None and not constants:
+            continue
+        ratio = {
+            name: value * (1.0 if ampere is None else ampere * constants[name])
+            for name, value in per_torque.items()
+            if ampere is None or name in constants
+        }
+        if ratio:
+            middle = float(np.median(list(ratio.values())))
+            result.append(EffortUnit(unit, ratio, PLAUSIBLE[0] <= middle <= PLAUSIBLE[1]))
+    return tuple(result)

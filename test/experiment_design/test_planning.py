@@ -1,0 +1,195 @@
+"""Plans are inside the robot's limits, and promise what a weighing then gives: against recordings of an independent simulator."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.cli import main
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.experiment_design.planning import (
+    ADVISED_TERMS,
+    CLEARANCE_M,
+    SAME_KIND,
+    advise,
+    candidate_joints,
+    clearance,
+    plan,
+)
+from proprio_ros.identification.calibration_estimate import ProbePlan
+from proprio_ros.identification.gates import LITTLE_TRAVEL
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+MASSES = (0.01, 0.03, 0.1)
+BALL = PayloadFacts(shape=PayloadShape.of("sphere", 0.03))
+
+
+@pytest.fixture(scope="module")
+def calibrated(bags: Path) -> Robot:
+    robot = load_robot("open_manipulator_x")
+    known = [
+        LoadedRun(run)
+        for folder in sorted(bags.glob("realistic_s00_empty_*"))
+        for run in bag_runs(folder / "bag_mcap", robot, ReplayOptions(), {})
+    ]
+    estimate = calibrate(robot, known, advice=0)
+    assert estimate.calibration is not None
+    return robot.with_calibration(estimate.calibration)
+
+
+@pytest.fixture(scope="module")
+def plans(calibrated: Robot) -> list[ProbePlan]:
+    return plan(calibrated, MASSES, BALL, count=20)
+
+
+@pytest.mark.long
+def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ProbePlan]) -> None:
+    assert len(plans) >= 6
+    for entry in plans:
+        limits = calibrated.model.joint(entry.joint)
+        for name, position in entry.start.items():
+            joint = calibrated.model.joint(name)
+            assert joint.lower <= position <= joint.upper
+        for travel in entry.travel:
+            assert abs(travel) >= LITTLE_TRAVEL
+            assert limits.lower < entry.start[entry.joint] + travel < limits.upper
+            end = {**entry.start, entry.joint: entry.start[entry.joint] + travel}
+            assert clearance(calibrated, end) >= CLEARANCE_M - 1e-9
+        assert 0.0 < abs(entry.current_A) <= calibrated.motors[entry.joint].current_limit_A
+        assert entry.clearance_m >= CLEARANCE_M and entry.kind in ("lift", "lower", "driven") and entry.reason
+
+
+@pytest.mark.long
+def test_the_best_comes_first_and_not_ten_times(plans: list[ProbePlan]) -> None:
+    widest = [max(entry.std_kg) for entry in plans]
+    assert widest == sorted(widest)
+    kinds = [(entry.joint, entry.kind) for entry in plans]
+    assert max(kinds.count(kind) for kind in kinds) <= SAME_KIND and len(set(kinds)) >= 4
+
+
+@pytest.mark.long
+def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ProbePlan]) -> None:
+    """A robot without friction, exactly as its file says but for what that leaves open, recorded in MuJoCo at the plan's pose."""
+    from random_arm import EMPTY_PROBES, GRIPPER, JOINTS, ball, draw_robot, record
+
+    robot = load_robot("open_manipulator_x")
+    rng = np.random.default_rng(11)
+    hidden = draw_robot(rng, ("quantised", "encoder_noise", "coulomb", "viscous"))
+
+    def run_of(joint, start, current, load):
+        recording = record(hidden, joint, start, current, 0.6, load, rng)
+        return cut_runs(recording, joints=[*JOINTS, GRIPPER])[0]
+
+    known = [LoadedRun(run_of(p.joint, p.start, p.current_A, None)) for p in EMPTY_PROBES]
+    learnt = calibrate(robot, known, advice=0).calibration
+    assert learnt is not None
+    arm = robot.with_calibration(learnt)
+    checked = 0
+    for entry in plan(arm, [0.03], BALL, count=6):
+        run = run_of(entry.joint, entry.start, entry.current_A, ball(0.03, 0.03))
+        estimate = weigh(arm, [run], BALL)
+        value = estimate.value("payload_mass")
+        assert value.std == pytest.approx(entry.std_kg[0], rel=0.2), entry
+        assert abs(value.value - 0.03) < 3.5 * value.std
+        travel = estimate.run_fits[0].travel
+        assert travel == pytest.approx(entry.travel[0], rel=0.25), entry
+        checked += 1
+    assert checked >= 3
+
+
+@pytest.mark.long
+def test_a_calibration_makes_better_promises(calibrated: Robot, plans: list[ProbePlan]) -> None:
+    (before, *_) = plan(load_robot("open_manipulator_x"), [0.03], BALL, count=1)
+    (after, *_) = plan(calibrated, [0.03], BALL, count=1)
+    assert after.std_kg[0] < 0.2 * before.std_kg[0]
+
+
+@pytest.mark.long
+def test_masses_that_no_run_suits() -> None:
+    with pytest.raises(ConfigurationError, match="narrow the range"):
+        plan(load_robot("open_manipulator_x"), [0.001, 10.0], BALL)
+    with pytest.raises(ConfigurationError, match="must be positive"):
+        plan(load_robot("open_manipulator_x"), [0.0], BALL)
+
+
+def test_joints_that_feel_the_hand() -> None:
+    """The base turns about the vertical, and the gripper's fingers slide: neither weighs."""
+    assert candidate_joints(load_robot("open_manipulator_x")) == ["joint2", "joint3", "joint4"]
+    assert candidate_joints(load_robot("pendulum")) == ["pivot"]
+
+
+def test_clearance_of_a_known_pose() -> None:
+    """Upper arm upright, forearm level: the hand is as high as the elbow, 0.017 + 0.0595 + 0.128 m up."""
+    robot = load_robot("open_manipulator_x")
+    pose = dict.fromkeys(robot.model.independent_joints, 0.0)
+    assert clearance(robot, pose) == pytest.approx(0.017 + 0.0595 + 0.128)
+    hanging = {**pose, "joint2": 1.4, "joint3": 1.2}
+    assert clearance(robot, hanging) < clearance(robot, pose)
+    assert clearance(robot, hanging) == pytest.approx(
+        min(
+            robot.model.frame_transform(link, hanging)[2, 3]
+            for link in ("link5", robot.payload_frame, "gripper_left_link")
+        )
+    )
+
+
+@pytest.mark.long
+def test_the_advised_run_teaches_more_than_a_middling_one(bags: Path) -> None:
+    """Calibrated on three runs, then with the advised fourth, and with one of those that were made: both recorded in MuJoCo."""
+    from random_arm import EFFECTS_DEFAULT, EMPTY_PROBES, GRIPPER, JOINTS, draw_robot, record
+
+    robot = load_robot("open_manipulator_x")
+    rng = np.random.default_rng(4)
+    hidden = draw_robot(rng, EFFECTS_DEFAULT)
+
+    def run_of(joint, start, current):
+        return LoadedRun(cut_runs(record(hidden, joint, start, current, 0.6, None, rng), joints=[*JOINTS, GRIPPER])[0])
+
+    known = [run_of(p.joint, p.start, p.current_A) for p in (EMPTY_PROBES[0], EMPTY_PROBES[2], EMPTY_PROBES[4])]
+
+    def uncertainty(runs) -> float:
+        calibration = calibrate(robot, runs, advice=0).calibration
+        rows = [calibration.keys.index((term, "joint3")) for term in ADVISED_TERMS]
+        return float(np.linalg.slogdet(calibration.covariance[np.ix_(rows, rows)])[1])
+
+    first = calibrate(robot, known, advice=0).calibration
+    advised = advise(robot.with_calibration(first), ["joint3"], count=1)[0]
+    middling = EMPTY_PROBES[1]
+    gains = [
+        uncertainty(known) - uncertainty([*known, extra])
+        for extra in (
+            run_of(advised.joint, advised.start, advised.current_A),
+            run_of(middling.joint, middling.start, middling.current_A),
+        )
+    ]
+    assert gains[0] > gains[1] > 0.0
+
+
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--mass", "0.02..0.05", "--robot", "pendulum", "--json", "--count", "2"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["robot"] == "pendulum" and told["calibrated"] is False and len(told["masses_kg"]) == 3
+    assert len(told["plans"]) == 2
+    assert set(told["plans"][0]) == {
+        "joint", "start", "current_A", "duration_s", "kind", "travel_rad", "clearance_m", "std_kg", "reason",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--mass", "abc"], ["--mass", "0.2..0.1"], ["--mass", "-1"], ["--mass", "0.1", "--count", "0"]]
+)
+def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert main(["plan", *arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("proprio: --")

@@ -1,0 +1,161 @@
+"""Joints that yield: the motion read back from a noisy encoder, and the torque it causes, against MuJoCo's inverse dynamics."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proprio_ros.identification.locked_joints import (
+    DRIVEN_SCALES,
+    HELD_SCALES,
+    MOVED_EVIDENCE,
+    held_motions,
+    joint_torque,
+    loads_of_yielding,
+    smooth,
+)
+from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.robot import load_robot
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape, payload_parameters, pseudo_inertia_basis
+
+TIMES = np.arange(-10, 25) / 40.0
+SIGMA = 0.66e-3
+
+
+def test_a_known_motion_is_read_back() -> None:
+    """A joint that is pushed away like a damped spring; 20 mrad over a noise of 0.7."""
+    rng = np.random.default_rng(3)
+    since = np.maximum(TIMES, 0.0)
+    truth = 0.3 + 0.02 * (1.0 - np.exp(-((since / 0.25) ** 2)))
+    motion = smooth(TIMES, truth + SIGMA * rng.standard_normal(len(TIMES)), SIGMA, HELD_SCALES)
+    assert motion.evidence > 100.0
+    assert motion.start == pytest.approx(0.3, abs=0.5e-3)
+    away, velocity, acceleration = motion.at(since)
+    np.testing.assert_allclose(motion.start + away, truth, atol=1e-3)
+    inner = slice(12, -3)
+    rate = 0.02 * np.exp(-((since / 0.25) ** 2)) * 2.0 * since / 0.25**2
+    assert np.sqrt(np.mean((velocity - rate)[inner] ** 2)) < 0.012
+    bend = np.gradient(rate, since + 1e-9 * np.arange(len(since)))
+    assert np.sqrt(np.mean((acceleration - bend)[inner] ** 2)) < 0.2  # of up to 0.6 rad/s^2
+
+
+def test_a_motion_is_consistent_with_itself() -> None:
+    """Velocity and acceleration are the derivatives of the position, also at the first knot, and nothing moves before 0."""
+    motion = smooth(TIMES, 0.01 * np.maximum(TIMES, 0.0) ** 2, SIGMA, HELD_SCALES)
+    motion = replace(motion, acceleration=np.random.default_rng(1).normal(size=len(motion.knots_s)))
+    times = np.linspace(0.0, 0.6, 60001)
+    position, velocity, acceleration = motion.at(times)
+    np.testing.assert_allclose(np.gradient(position, times)[1:-1], velocity[1:-1], atol=2e-4)
+    middle = 0.5 * (acceleration[1:] + acceleration[:-1])
+    np.testing.assert_allclose(np.cumsum(middle) * (times[1] - times[0]), velocity[1:], atol=1e-9)
+    assert abs(position[0]) < 1e-15 and abs(velocity[0]) < 1e-15
+    for part in motion.at(np.array([-0.2, -0.01])):
+        np.testing.assert_array_equal(part, 0.0)
+
+
+def test_a_joint_that_stands_still_is_left_alone() -> None:
+    rng = np.random.default_rng(4)
+    counts = 2.0 * np.pi / 4096
+    called = 0
+    for _ in range(200):
+        reading = 0.4 + 0.5e-3 * rng.standard_normal(len(TIMES))
+        called += smooth(TIMES, counts * np.round(reading / counts), SIGMA, HELD_SCALES).evidence > MOVED_EVIDENCE
+    assert called <= 4
+
+
+def test_the_driven_joint_too(bags: Path) -> None:
+    robot = load_robot("open_manipulator_x")
+    (run,) = bag_runs(bags / "realistic_s00_empty_03_joint3" / "bag_mcap", robot, ReplayOptions(), {})
+    times = np.concatenate([run.before_times_s, run.times_s])
+    position = np.concatenate([run.before_position, run.position])
+    motion = smooth(times, position, SIGMA, DRIVEN_SCALES)
+    assert np.sqrt(np.mean((motion.start + motion.at(times)[0] - position) ** 2)) < 1.5 * SIGMA
+
+
+@pytest.fixture(scope="module")
+def mujoco_arm():
+    """MuJoCo's own reading of the same URDF, with a load of its own, without damping and limits."""
+    mujoco = pytest.importorskip("mujoco")
+    spec = mujoco.MjSpec.from_file(str(Path(__file__).resolve().parents[2] / "urdf" / "open_manipulator_x.urdf"))
+    spec.compiler.fusestatic = False
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    for equality in list(spec.equalities):
+        spec.delete(equality)
+    body = spec.body("end_effector_link").add_body(name="load", explicitinertial=True)
+    body.mass, body.ipos, body.fullinertia = 0.08, (0.01, -0.005, 0.02), (4e-5, 3e-5, 5e-5, 1e-6, -2e-6, 3e-6)
+    model = spec.compile()
+    model.dof_damping[:] = 0.0
+    model.dof_frictionloss[:] = 0.0
+    model.dof_armature[:] = 0.0
+    return mujoco, model, mujoco.MjData(model)
+
+
+LOAD = PayloadFacts(
+    com=np.array([0.01, -0.005, 0.02]),
+    shape=PayloadShape.from_inertia_per_mass(np.array([4e-5, 3e-5, 5e-5, 1e-6, -2e-6, 3e-6]) / 0.08),
+)
+
+
+def inverse_dynamics(arm, joint: str, positions, velocities, accelerations) -> float:
+    mujoco, model, data = arm
+    for values, name in itertools.product(
+        ((data.qpos, positions), (data.qvel, velocities), (data.qacc, accelerations)), positions
+    ):
+        values[0][model.joint(name).qposadr[0]] = values[1].get(name, 0.0)
+    mujoco.mj_inverse(model, data)
+    return float(data.qfrc_inverse[model.joint(joint).dofadr[0]])
+
+
+@pytest.mark.parametrize("joint", ["joint1", "joint2", "joint3", "joint4"])
+def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
+    robot = load_robot("open_manipulator_x")
+    arm_joints = ["joint1", "joint2", "joint3", "joint4"]
+    rng = np.random.default_rng(8)
+    q, v, a = rng.uniform(-1.0, 1.0, (3, 6, 4)) * np.array([1.0, 2.0, 10.0])[:, None, None]
+    fingers = {"gripper_left_joint": 0.004, "gripper_right_joint": 0.004}
+    model = robot.model.lock(arm_joints, {"gripper_left_joint": 0.004}, robot.gravity)
+    row = model.joint_names.index(joint)
+    motion = [(q[:, n], v[:, n], a[:, n]) for n in range(4)]
+    empty = joint_torque(model, motion, row, model.pseudo_inertia[None])[:, 0]
+    body, frame = model.frames[robot.payload_frame]
+    per_mass = payload_parameters(np.array(1.0), LOAD.com, LOAD.shape.second_moment_per_mass)
+    loaded = model.pseudo_inertia.copy()
+    loaded[body] += 0.08 * frame @ np.tensordot(per_mass, pseudo_inertia_basis(), axes=1) @ frame.T
+    total = joint_torque(model, motion, row, loaded[None])[:, 0]
+    for t in range(len(q)):
+        state = [dict(zip(arm_joints, values[t].tolist(), strict=True)) for values in (q, v, a)]
+        expected = inverse_dynamics(mujoco_arm, joint, {**state[0], **fingers}, state[1], state[2])
+        assert total[t] == pytest.approx(expected, rel=1e-9, abs=1e-10)
+        assert abs(total[t] - empty[t]) > 1e-5
+
+
+def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(mujoco_arm, bags: Path) -> None:
+    """What the driven joint feels, at the recorded motion: moving joints less the same joints at rest."""
+    robot = load_robot("open_manipulator_x")
+    (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", robot, ReplayOptions(), {})
+    motions = held_motions(robot, run, ("joint1", "joint2", "joint4"))
+    assert "joint2" in motions  # the shoulder gives way by 8 mrad
+    begins, loads = loads_of_yielding(robot, run, motions, LOAD, SIGMA)
+    assert begins[0] == 0.0 and loads.shape == (len(begins), 2)
+    times = np.concatenate([run.before_times_s, run.times_s])
+    driven = smooth(times, np.concatenate([run.before_position, run.position]), SIGMA, DRIVEN_SCALES)
+    middles = begins + 0.5 * (begins[1] - begins[0])
+    for t in (0, 7, 20, len(begins) - 1):
+        at = middles[t : t + 1]
+        states = []
+        for moves in (True, False):
+            position = dict(run.held)
+            velocity: dict[str, float] = {}
+            acceleration: dict[str, float] = {}
+            for name, motion in {**motions, run.joint: driven}.items():
+                away, rate, bend = (float(part[0]) for part in motion.at(at))
+                live = moves or name == run.joint
+                position[name] = motion.start + away * live
+                velocity[name], acceleration[name] = rate * live, bend * live
+            position["gripper_right_joint"] = position["gripper_left_joint"]
+            states.append(inverse_dynamics(mujoco_arm, run.joint, position, velocity, acceleration))
+        assert loads[t] @ [1.0, 0.08] == pytest.approx(states[0] - states[1], rel=1e-6, abs=1e-9)

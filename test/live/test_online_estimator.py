@@ -1,0 +1,85 @@
+"""Joint states of an arm at work: what a running estimate cannot use, and what it takes to stand, is said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from proprio_ros.live.online_estimator import RunningFeed, any_moved
+from proprio_ros.robot import load_robot
+
+JOINTS = ("joint1", "joint2")
+AT_REST = [0.1, 0.2]
+
+
+class Estimator:
+    """In the place of a running estimate: keeps what it is given."""
+
+    def __init__(self, held: dict[str, float]) -> None:
+        self.held, self.rows = held, []
+
+    def add(self, time_s: float, positions: Sequence[float], currents: Sequence[float]) -> bool:
+        self.rows.append((list(positions), list(currents)))
+        return True
+
+    def estimate(self) -> Any:
+        return self
+
+
+def new_feed() -> RunningFeed:
+    arm = load_robot("open_manipulator_x")
+    robot: Any = SimpleNamespace(
+        model=arm.model, drive_trains=arm.drive_trains, motion_calibration=SimpleNamespace(joints=JOINTS)
+    )
+    probe: Any = SimpleNamespace(running=lambda robot, facts, held: Estimator(dict(held)))
+    return RunningFeed(probe, robot, None)
+
+
+@pytest.fixture
+def feed() -> RunningFeed:
+    return new_feed()
+
+
+def test_it_says_what_it_rests_on(feed: RunningFeed) -> None:
+    assert "measured effort" in feed.about and "joint3, joint4, gripper_left_joint counts as standing" in feed.about
+
+
+def test_a_joint_state_without_measured_effort_is_named(feed: RunningFeed) -> None:
+    assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "A") is not None and not feed.waits_for and feed.samples == 1
+    for effort in ([], [1.0], [1.0, math.nan]):
+        feed = new_feed()
+        feed.add(0.0, JOINTS, AT_REST, effort, "A")
+        assert "no measured effort of " in feed.waits_for and "joint2" in feed.waits_for and feed.samples == 0
+        # whoever else publishes joint states changes nothing about that
+        feed.add(0.1, ["wheel"], [3.0], [1.0], "A")
+        assert "no measured effort of " in feed.waits_for
+    assert feed.add(0.2, JOINTS, AT_REST, [1.0, 2.0], "A") is not None and not feed.waits_for
+
+
+def test_an_effort_of_which_nobody_says_the_unit_is_named(feed: RunningFeed) -> None:
+    assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "") is None
+    assert feed.waits_for.endswith("give the parameter driver or effort_unit")
+    feed = new_feed()
+    feed.add(0.0, ["joint1"], [0.1], [1.0], "A")
+    assert feed.waits_for == "no joint states of joint2 are coming"
+
+
+def test_a_joint_outside_the_calibration_that_moves_is_named(feed: RunningFeed) -> None:
+    feed.add(0.0, ["joint3"], [0.4], [0.0], "A")  # from a publisher of its own, before the others
+    estimate: Any = feed.add(0.1, JOINTS, AT_REST, [1.0, 2.0], "A")
+    assert estimate.held["joint3"] == 0.4 and estimate.held["joint4"] == 0.0
+    feed.add(0.2, ["joint3", "joint4"], [0.42, 0.0], [0.0, 0.0], "A")
+    assert not feed.warning
+    feed.add(0.3, ["joint3", "joint4"], [0.5, 0.0], [0.0, 0.0], "A")
+    assert feed.warning.startswith("joint3 is not in the calibration and not where it counts as standing")
+    feed.add(0.4, ["joint4"], [0.3], [0.0], "A")  # heard for the first time, and not at zero
+    assert feed.warning.startswith("joint3, joint4 ")
+
+
+def test_only_the_arm_that_moves_is_weighed() -> None:
+    states = [(["joint1", "wheel"], [0.001 * number, float(number)]) for number in range(20)]
+    assert not any_moved(states, JOINTS) and any_moved(states, ["wheel"])

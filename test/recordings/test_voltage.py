@@ -1,0 +1,349 @@
+"""Servos that a voltage drives: what their law makes of goal and position, and what one joint weighs with known loads."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from machines import REAL, pendulum_urdf
+
+from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
+from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.regression.one_joint_estimate import best_delay
+from proprio_ros.identification.regression.one_joint_known import SPREADS, spread_of, spread_posterior
+from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs_or_motion, replay
+from proprio_ros.quantity import Quantity
+from proprio_ros.recordings.bags import BATTERY, JOINT_STATE, RawMessage, _types, write_messages
+from proprio_ros.robot import load_robot
+from proprio_ros.robot.drives import DutyCycle, Goal, PositionServo
+
+GRAVITY = 9.80665
+SERVO = "{kind: position_servo, gain_per_rad: 2.5, limit: 0.9, goal_speed_rad_s: 5.0}"
+DUTY = "{kind: duty_cycle, per_count: 0.001}"
+LOADS_KG = (0.3, 0.45, 0.6)
+POINT = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "point"}
+
+
+def robot_file(folder: Path, driven_by: str = SERVO, more: str = "", delay: str = "{value: 0.02, std: 0.01}") -> Path:
+    pendulum_urdf(folder, "servo", 0.01, 0.1)
+    path = folder / "servo.yaml"
+    path.write_text(
+        f"name: servo\nurdf: servo.urdf\npayload_frame: tip\ndelay_s: {delay}\njoints:\n  pendulum:\n    motor:\n"
+        f"      nominal_torque_constant_N_m_per_A: 1.0\n      resistance_ohm: 2.0\n      back_emf_V_s_per_rad: 1.0\n"
+        f"      driven_by: {driven_by}\n{more}"
+        "    drive_train:\n      torque_constant_N_m_per_A: {value: 1.0, std: 0.4}\n"
+    )
+    return path
+
+
+def driven(load_kg: float, seed: int, *, seconds: float = 8.0) -> dict[str, np.ndarray]:
+    """A servo under its own position law that swings a point mass at 0.1 m, integrated here in steps of 0.2 ms."""
+    random = np.random.default_rng(seed)
+    torque_constant, resistance, emf, armature = 1.3, 2.0, 1.3, 0.01
+    coulomb, lost, viscous = 0.05 * random.uniform(0.9, 1.1), 0.1, 0.02
+    gain, limit, fastest, delay = 2.5, 0.9, 5.0, 0.025
+    step_s = 0.0002
+    phases, speeds = random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3)
+    angle = speed = moved_goal = 0.0
+    inertia, moment = load_kg * 0.01 + 0.01 * 0.01 / 3.0, (load_kg + 0.005) * 0.1
+    rows: dict[str, list[float]] = {name: [] for name in ("t", "position", "goal", "duty", "voltage")}
+    sent = 0.0
+    for k in range(round(seconds / step_s)):
+        t = k * step_s
+        # goals come every 10 ms, and reach the law late
+        late = max(np.floor((t - delay) / 0.01 + 1e-9) * 0.01, 0.0)
+        sent = float(np.sum(0.6 * (np.sin(speeds * late + phases) - np.sin(phases))))
+        moved_goal += float(np.clip(sent - moved_goal, -fastest * step_s, fastest * step_s))
+        voltage = 12.0 - 0.2 * np.sin(3.0 * t)
+        duty = float(np.clip(gain * (moved_goal - angle), -limit, limit))
+        if k % 50 == 0:
+            rows["t"].append(t)
+            rows["position"].append(round((angle + random.normal(0.0, 3e-4)) / 0.0015) * 0.0015)
+            rows["goal"].append(float(np.sum(0.6 * (np.sin(speeds * t + phases) - np.sin(phases)))))
+            rows["duty"].append(duty)
+            rows["voltage"].append(voltage + random.normal(0.0, 0.1))
+        motor = torque_constant / resistance * (voltage * duty - emf * speed)
+        carried = moment * GRAVITY * np.sin(angle)
+        friction = (coulomb + lost * abs(carried)) * np.tanh(speed / 0.01) + viscous * speed
+        speed += step_s * (motor - carried - friction) / (inertia + armature)
+        angle += step_s * speed
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def write(
+    folder: Path,
+    rows: dict[str, np.ndarray],
+    effort: np.ndarray | None = None,
+    topics: Sequence[str] = ("goal", "voltage"),
+) -> Path:
+    types: Any = _types()
+    time, header, state, battery = (
+        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BATTERY)
+    )
+    messages, nothing = [], np.zeros(0)
+    for row, t in enumerate(rows["t"]):
+        time_ns = 10**9 + round(1e9 * t)
+        stamp = header(stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9), frame_id="")
+        given = nothing if effort is None else effort[row : row + 1]
+        said = [("/joint_states", state(stamp, ["pendulum"], rows["position"][row : row + 1], nothing, given))]
+        if "goal" in topics:
+            said.append(("/joint_command", state(stamp, ["pendulum"], rows["goal"][row : row + 1], nothing, nothing)))
+        if "voltage" in topics:
+            volts = float(rows["voltage"][row])
+            numbers = np.zeros(0, dtype=np.float32)
+            said.append(
+                ("/battery_state", battery(stamp, volts, 30.0, *[0.0] * 5, 0, 0, 0, True, numbers, numbers, "", ""))
+            )
+        for topic, message in said:
+            kind = BATTERY if topic == "/battery_state" else JOINT_STATE
+            messages.append(RawMessage(topic, kind, time_ns, bytes(types.serialize_cdr(message, kind))))
+    write_messages(folder, messages)
+    return folder
+
+
+# --- laws --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_duty_cycle_is_its_counts() -> None:
+    duty = DutyCycle(-0.001).duty(np.arange(3.0), np.zeros(3), np.array([100.0, -2000.0, 0.0]), None, 0.0)
+    np.testing.assert_allclose(duty, [-0.1, 1.0, 0.0])
+
+
+def test_a_position_servo_pushes_towards_its_goal_beyond_a_dead_band_and_up_to_a_limit() -> None:
+    servo = PositionServo(gain_per_rad=2.0, limit=0.5, dead_band_rad=0.01)
+    goal = Goal(np.array([0.0, 1.0]), np.array([0.0, 0.11]))
+    duty = servo.duty(np.array([0.5, 1.05, 1.15, 1.2]), np.array([0.005, 0.0, 0.0, 1.0]), None, goal, 0.1)
+    np.testing.assert_allclose(duty, [0.0, 0.0, 0.2, -0.5])
+
+
+def test_a_goal_moves_no_faster_than_the_firmware_lets_it() -> None:
+    goal = Goal(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    np.testing.assert_allclose(goal.at(np.array([0.5, 1.1, 1.3]), 5.0), [0.0, 0.5, 1.0], atol=0.02)
+    np.testing.assert_array_equal(goal.at(np.array([-1.0, 0.999, 1.0])), [0.0, 0.0, 1.0])
+
+
+# --- robot files -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("driven_by", "words"),
+    [
+        ("voltage", "expected keys and values"),
+        ("{kind: pwm}", "kind must be one of duty_cycle, position_servo, got 'pwm'"),
+        ("{per_count: 0.001}", "kind must be one of"),
+        ("{kind: duty_cycle}", "per_count is missing"),
+        ("{kind: duty_cycle, per_count: 885}", "per_count: must be"),
+        ("{kind: duty_cycle, per_count: 0.001, gain_per_rad: 1}", "unknown key 'gain_per_rad'"),
+        ("{kind: position_servo, gain_per_rad: 0}", "must be positive"),
+        ("{kind: position_servo, gain_per_rad: 2, limit: 97}", "limit: must be"),
+    ],
+)
+def test_what_drives_a_motor_is_stated_or_refused_in_one_line(tmp_path: Path, driven_by: str, words: str) -> None:
+    with pytest.raises(RobotError, match=words) as error:
+        load_robot(robot_file(tmp_path, driven_by))
+    assert "\n" not in str(error.value) and "driven_by" in str(error.value)
+
+
+def test_a_voltage_needs_a_resistance(tmp_path: Path) -> None:
+    path = robot_file(tmp_path, DUTY)
+    path.write_text(path.read_text().replace("resistance_ohm: 2.0", "resistance_ohm: 0.0"))
+    with pytest.raises(RobotError, match="needs resistance_ohm"):
+        load_robot(path)
+
+
+def test_what_drives_it_is_kept(tmp_path: Path) -> None:
+    drive = load_robot(robot_file(tmp_path)).drive_trains["pendulum"]
+    assert drive.driven_by == PositionServo(2.5, 0.9, 0.0, 5.0) and drive.electric_damping == 0.5
+    arm = load_robot("open_manipulator_x").drive_trains["joint1"]
+    assert arm.driven_by is None and arm.electric_damping == 0.0
+
+
+# --- recordings --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, np.ndarray]:
+    return driven(0.45, 1, seconds=4.0)
+
+
+def test_the_stall_current_follows_from_goal_position_and_voltage(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", rows)
+    robot = load_robot(robot_file(tmp_path, delay="{value: 0.025, std: 0.0}"))
+    motion: Any = bag_runs_or_motion(bag, robot, ReplayOptions(), {})
+    assert "stall current, from goal" in motion.source
+    true = rows["duty"] * (12.0 - 0.2 * np.sin(3.0 * rows["t"])) / 2.0
+    assert np.sqrt(np.mean(np.square(motion.current_A[:, 0] - true))) < 0.05 * np.std(true)
+
+
+def test_a_duty_cycle_needs_no_goal_and_no_unit(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+    counts = np.round(1000.0 * rows["duty"])
+    bag = write(tmp_path / "bag", rows, np.where(counts < 0.0, counts + 65536.0, counts), ("voltage",))
+    motion: Any = bag_runs_or_motion(bag, load_robot(robot_file(tmp_path, DUTY)), ReplayOptions(), {})
+    np.testing.assert_allclose(motion.current_A[:, 0], rows["duty"] * 6.0, atol=0.15)
+    stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
+    without = write(tmp_path / "no_voltage", rows, counts, ())
+    motion = bag_runs_or_motion(without, stated, ReplayOptions(), {})
+    np.testing.assert_allclose(motion.current_A[:, 0], 6e-3 * counts)
+    assert "12 V as stated" in motion.source
+
+
+def test_what_is_missing_is_said_in_one_line(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+    servo = load_robot(robot_file(tmp_path))
+    with pytest.raises(RecordingError, match="/joint_command"):
+        bag_recording(write(tmp_path / "a", rows, None, ("voltage",)), servo, ReplayOptions())
+    with pytest.raises(RecordingError, match="state supply_voltage_V"):
+        bag_recording(write(tmp_path / "b", rows, None, ("goal",)), servo, ReplayOptions())
+    with pytest.raises(ConfigurationError, match="no torque and no current"):
+        bag_recording(tmp_path / "a", servo, ReplayOptions(effort_unit="A"))
+    duty = load_robot(robot_file(tmp_path, DUTY))
+    with pytest.raises(RecordingError, match="its duty cycle, and none was recorded"):
+        bag_recording(tmp_path / "a", duty, ReplayOptions())
+
+
+def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+    # a magnitude of the current, without sign and stale, does not matter to what follows from goal and position
+    stale = np.repeat(np.abs(rows["duty"])[::25], 25)[: len(rows["t"])]
+    bag = write(tmp_path / "bag", rows, stale)
+    _, (check,) = check_bags(bag, robot_file(tmp_path))
+    assert check.usable == 1 and check.input is not None and check.input.startswith("stall current, from goal")
+    assert [finding.code for finding in check.findings] == ["voltage_driven"]
+    assert "a voltage drives pendulum (position_servo in servo.yaml)" in check.as_text()
+
+
+def test_without_known_loads_no_mass_is_said(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", rows)
+    estimate = replay(bag, ReplayOptions(robot=str(robot_file(tmp_path))))
+    assert estimate.values[0].value is None and estimate.verdict is not Verdict.ACCEPTED
+    with pytest.raises(RecordingError, match="3 at least"):
+        calibrate_from_bags([], {bag: 0.45}, ReplayOptions(robot=str(robot_file(tmp_path)), settings=POINT))
+
+
+# --- weighing ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_spread_is_what_errors_exceed_their_own_word_by() -> None:
+    """A scatter of its own size explains errors that know nothing of themselves; none is needed for errors that do."""
+    apart = np.array([0.1, -0.1, 0.1, -0.1, 0.1, -0.1])
+    for nothing in (0.0, 1e-12):
+        posterior = spread_posterior(apart, np.full(6, nothing))
+        assert posterior.sum() == pytest.approx(1.0) and spread_of(posterior) == pytest.approx(0.1, rel=0.15)
+        # six say little: twice as much is not excluded
+        assert 0.005 < posterior[SPREADS > 0.17].sum() < 0.1
+    assert spread_of(spread_posterior(apart, np.full(6, 0.04))) < 0.06
+    # small errors are believed: no floor holds the spread up
+    assert spread_of(spread_posterior(0.02 * apart, np.full(6, 1e-6))) < 0.005
+    # three say less than six, and so leave more open
+    three, six = (spread_posterior(apart[:n], np.full(n, 1e-6)) for n in (3, 6))
+    assert three[SPREADS > 0.3].sum() > 2.0 * six[SPREADS > 0.3].sum()
+
+
+def test_the_delay_is_looked_for_where_it_was_stated() -> None:
+    found = best_delay(lambda delay_s: (delay_s - 0.03) ** 2, Quantity(0.02, 0.01))
+    assert found == Quantity(0.03, 0.0)
+    assert best_delay(lambda delay_s: (delay_s - 0.03) ** 2, Quantity(0.0, 0.01)).value == 0.02
+
+
+@pytest.mark.long
+def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
+    """Integrated here, under the law of a position servo; the file's torque constant and delay are off."""
+    robot = robot_file(tmp_path)
+    references = {
+        write(tmp_path / f"known{seed}", driven(kg, seed)): kg for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))
+    }
+    options = ReplayOptions(robot=str(robot), settings=POINT)
+    learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
+    assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
+    read = load_robot(tmp_path / "known.yaml")
+    assert read.delay.std == 0.0 and read.delay.value == pytest.approx(0.025, abs=0.005)
+    assert read.joint_calibration is not None and learnt.joint is not None
+    np.testing.assert_allclose(read.joint_calibration.without, learnt.joint.without, rtol=1e-12)
+    scale, armature = learnt.joint.values[:2]
+    assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(0.01, abs=0.004)
+    for seed, kg in ((10, 0.35), (11, 0.55)):
+        bag = write(tmp_path / f"asked{seed}", driven(kg, seed))
+        estimate = replay(bag, ReplayOptions(calibration=tmp_path / "known.yaml", settings=POINT))
+        mass = estimate.values[0]
+        assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
+        assert mass.ci95[0] < kg < mass.ci95[1] and mass.value == pytest.approx(kg, rel=0.08)
+
+
+@pytest.mark.long
+def test_known_loads_do_not_make_a_torque_of_a_stale_magnitude(tmp_path: Path) -> None:
+    if not REAL.exists():
+        pytest.skip("needs the real recordings")
+    robot = robot_file(tmp_path)
+    robot.write_text(robot.read_text().replace(f"      driven_by: {SERVO}\n", ""))
+    references = {REAL / f"sts3215_{motion}_1.168kg": 1.168 for motion in STS}
+    references |= {REAL / f"sts3215_{motion}_0.535kg": 0.535 for motion in STS}
+    options = ReplayOptions(robot=str(robot), settings=STS_OBJECT, effort_unit="mA")
+    learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
+    assert learnt.verdict is Verdict.REJECTED and "what drives the motor" in learnt.reasons[0]
+    assert not (tmp_path / "known.yaml").exists()
+
+
+XL330 = ("sin_sin", "sin_time_square", "up_and_down")
+STS = ("sin_sin", "sin_time_square", "up_and_down")
+STS_LAW = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
+STS_OBJECT = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [0.00255, 0.00255, 0.00255, 0.0, 0.0, 0.0]}
+
+
+def weighed(
+    robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path
+) -> Estimate:
+    learnt = calibrate_from_bags(
+        [], dict(references), ReplayOptions(robot=str(robot), settings=settings), output, force=True
+    )
+    assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
+    return replay(asked, ReplayOptions(calibration=output, settings=settings))
+
+
+def checked(estimate: Estimate, truth_kg: float, within: float) -> None:
+    mass = estimate.values[0]
+    if estimate.verdict is Verdict.ACCEPTED:
+        assert mass.ci95[0] < truth_kg < mass.ci95[1] and mass.value == pytest.approx(truth_kg, rel=within)
+    else:
+        assert mass.value is None and [reason.code for reason in estimate.reasons] == ["says_too_little"]  # type: ignore[attr-defined]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("asked", [f"{gain}_{motion}" for gain in ("kp100", "kp400") for motion in XL330])
+def test_a_real_servo_that_reports_its_duty_cycle(tmp_path: Path, asked: str) -> None:
+    """Calibrated on the servo under another gain; its gears lose half of what they lift.
+
+    Under the gain of 400 one motion lifts twice as far as all under 100, where nobody saw the gears: refused.
+    """
+    if not REAL.exists():
+        pytest.skip("needs the real recordings")
+    robot = robot_file(tmp_path, "{kind: duty_cycle, per_count: 0.00112994}")
+    other = "kp400" if asked.startswith("kp100") else "kp100"
+    references = {REAL / f"xl330_{other}_{motion}": 0.49 for motion in XL330}
+    estimate = weighed(robot, references, REAL / f"xl330_{asked}", POINT, tmp_path / "known.yaml")
+    if asked == "kp400_sin_sin":
+        assert estimate.values[0].value is None and "not explained by any load" in estimate.reasons[0]
+        return
+    assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
+    checked(estimate, 0.49, 0.16)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kg", ["0.535", "1.168"])
+@pytest.mark.parametrize("asked", STS)
+def test_a_real_position_servo_that_reports_nothing(tmp_path: Path, asked: str, kg: str) -> None:
+    """Calibrated on all its other motions; its duty cycle follows from goal and position, its current is not used."""
+    if not REAL.exists():
+        pytest.skip("needs the real recordings")
+    robot = robot_file(tmp_path, STS_LAW, delay="{value: 0.02, std: 0.02}")
+    every = {REAL / f"sts3215_{motion}_{load}kg": float(load) for motion in STS for load in ("0.535", "1.168")}
+    bag = REAL / f"sts3215_{asked}_{kg}kg"
+    references = {path: load for path, load in every.items() if path != bag}
+    estimate = weighed(robot, references, bag, STS_OBJECT, tmp_path / "known.yaml")
+    assert estimate.verdict is Verdict.ACCEPTED or asked == "up_and_down" or bag.name.endswith("square_0.535kg")
+    checked(estimate, float(kg), 0.1 if asked != "up_and_down" else 0.2)
