@@ -36,7 +36,7 @@ _MARKER = "config/robots/open_manipulator_x.yaml"
 def _candidates() -> Iterator[Path]:
     """Nearest to the running code first, so that data and code are of one version even where several are installed."""
     module = Path(__file__).resolve()
-    yield module.parents[1]
+    yield module.parents[2]
     for parent in module.parents:
         yield parent / "share" / "proprio_ros"
     yield Path(sys.prefix) / "share" / "proprio_ros"
