@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-from machines import REAL, pendulum_urdf
+from support.machines import REAL, pendulum_urdf
 
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-from moved_arm import record_arm
+from support.moved_arm import record_arm
 
 from proprio_ros.cli import main
 

@@ -18,10 +18,9 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra batch")
 pytest.importorskip("mujoco", reason="needs the extra sim")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from fleet import BEGIN_NS, FOUR, SETTINGS, Arm, deadly, write_bag, write_robot
-from lerobot_layout import write_data_set
+from support.fleet import BEGIN_NS, FOUR, SETTINGS, Arm, deadly, write_bag, write_robot
+from support.lerobot_layout import write_data_set
 
 import proprio_ros.batch.local as local
 import proprio_ros.batch.rows as rows_module

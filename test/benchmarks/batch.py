@@ -29,11 +29,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "batch"))
-
-from fleet import FOUR, SETTINGS, Arm, write_bag, write_robot
-from lerobot_layout import write_data_set
+from support.fleet import FOUR, SETTINGS, Arm, write_bag, write_robot
+from support.lerobot_layout import write_data_set
 
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.rows import Job, rows_of

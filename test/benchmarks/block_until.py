@@ -16,16 +16,12 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from multiprocessing import Pool
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "excitation"))
-
-from hand import ROBOT, Hand
+from support.hand import ROBOT, Hand
 from test_softness import EDGE_M, GAP_M, calibrated, made
 
 from proprio_ros.excitation.plans import ProbeSequence, Until, load_sequence

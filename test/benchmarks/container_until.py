@@ -26,9 +26,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from random_arm import HiddenRobot
 from spheres import FACTS, Boxed, box, drawn
 from until_sure import Bench, calibrated

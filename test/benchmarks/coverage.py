@@ -18,7 +18,6 @@ import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from multiprocessing import Pool
-from pathlib import Path
 
 # one process per core, so no threads
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -26,9 +25,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from random_arm import (
     EFFECTS,
     EMPTY_PROBES,

@@ -10,20 +10,15 @@ filters, lost samples. An answer need not come; one that comes has to hold. One 
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, lfilter
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 from real import UR10E_KG, ur10e_file
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from machines import REAL
+from scipy.signal import butter, lfilter
+from support.machines import REAL
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.regression.motion_prior import fit_empty

@@ -17,15 +17,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import Pool
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from coverage import DIAMETER_M, facts_of
 from random_arm import EFFECTS_DEFAULT, JOINTS, SPREAD, HiddenRobot, ball, draw_robot
 from until_sure import Bench, calibrated

@@ -19,9 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "nodes"))
-
-from domains import free_domain
+from support.domains import free_domain
 
 INTERRUPTED = ("aborted", "refuses", "not ready", "fallen silent")
 ATTEMPTS = 5
@@ -54,7 +52,7 @@ def main() -> int:
     given = parser.parse_args()
     masses = given.masses or ([0.0, 0.05, 0.1, 0.2] if given.so101 else [0.02, 0.05, 0.08, 0.12, 0.15])
     os.environ.setdefault("ROS_DOMAIN_ID", free_domain())
-    from live import replayed_alike, running, wait_for, warm_up
+    from support.live import replayed_alike, running, wait_for, warm_up
 
     warm_up("payload")
     given.data.mkdir(parents=True, exist_ok=True)

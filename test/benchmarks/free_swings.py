@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "excitation"))
-
-import hand as virtual
+from support import hand as virtual
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.excitation.machine import ExcitationMachine

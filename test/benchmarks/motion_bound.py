@@ -21,17 +21,12 @@ positions as exact. Their noise, propagated as that of accelerations, would rais
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.linalg import solveh_banded
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
-
-from arm_in_motion import RATE_HZ, Truth, Twin
+from support.arm_in_motion import RATE_HZ, Truth, Twin
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 WITHIN = 0.1

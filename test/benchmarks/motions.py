@@ -16,18 +16,14 @@ of the American Statistical Association 22).
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import binomtest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
-
-from arm_in_motion import FOUR, SIX, Twin, write_robot
 from motion_bound import bound
+from scipy.stats import binomtest
+from support.arm_in_motion import FOUR, SIX, Twin, write_robot
 
 from proprio_ros.identification.regression.motion_fit import fit_motions
 from proprio_ros.identification.regression.motion_prior import fit_calibrated, fit_empty

@@ -24,9 +24,7 @@ from typing import Any
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from machines import REAL, UR10E_N_M_PER_A, pendulum_urdf
+from support.machines import REAL, UR10E_N_M_PER_A, pendulum_urdf
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.quantity import Z95

@@ -10,16 +10,11 @@ motion. Half intervals count from 3 s after a change on.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
+from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
-
-from virtual_pick_and_place import Worker
 
 from proprio_ros.identification.regression.motion_prior import fit_empty
 from proprio_ros.identification.regression.running import RunningWeight

@@ -19,9 +19,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from machines import pendulum_urdf
+from support.machines import pendulum_urdf
 from test_voltage import write
 
 from proprio_ros.errors import ProprioError

@@ -10,12 +10,8 @@ its fingers.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "excitation"))
-
 from test_softness import GAP_M, calibrated, squeezed
 
 from proprio_ros.quantity import Z95

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("teeth", [False, True])
 def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound_says(teeth: bool) -> None:
     pytest.importorskip("mujoco")
-    from arm_in_motion import FOUR, Twin
     from motion_bound import Model, bound, parameters
+    from support.arm_in_motion import FOUR, Twin
 
     arm = Twin(21, FOUR, teeth=teeth)
     mass, centre = 0.1, np.array([0.02, -0.01, 0.01])

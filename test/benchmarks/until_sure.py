@@ -27,9 +27,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from coverage import DIAMETER_M, MATCHED, REFERENCE_KG, facts_of
 from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, HiddenRobot, Load, ball, draw_robot, record
 

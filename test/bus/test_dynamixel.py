@@ -12,6 +12,7 @@ from pathlib import Path
 
 import dynamixel_sdk as sdk
 import pytest
+from support.desk import PATIENCE_S, Desk, servos_named
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode, servo_model
 from proprio_ros.bus.dynamixel import TRIES, BusServo, DynamixelBus, Goal, servos_of
@@ -20,10 +21,6 @@ from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.protocol import crc16
 from proprio_ros.virtual.servo import REBOOT_S, VirtualServo
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from desk import PATIENCE_S, Desk, servos_named
 
 IDS = (11, 12, 13, 14, 15)
 JOINTS = {f"joint{servo_id}" for servo_id in IDS}

@@ -275,9 +275,6 @@ def test_pushes_are_chosen_until_it_is_nearly_as_good_as_new(yesterday: Path) ->
 
 
 def test_the_benchmark_draws_what_is_stated() -> None:
-    import sys
-
-    sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
     from drift import drifted
     from random_arm import HiddenRobot
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from support.hand import ROBOT, Hand
 
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.virtual.objects import Container, Payload
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from hand import ROBOT, Hand
 
 pytestmark = pytest.mark.long
 

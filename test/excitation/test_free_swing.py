@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.hand import JOINTS, PERIOD_S, RATE_HZ, ROBOT, Hand
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.free_swing import free_swing
@@ -26,10 +26,6 @@ from proprio_ros.excitation.plans import LEAST_CURRENT_A, ProbeRun, ProbeSequenc
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.recordings.runs import MOVING_SPAN, cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from hand import JOINTS, PERIOD_S, RATE_HZ, ROBOT, Hand
 
 WRIST = "joint4"
 SEQUENCE = load_sequence("free_swing", ROBOT)

@@ -6,13 +6,12 @@ add is in test/nodes.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.hand import COUNT_A, JOINTS, ROBOT, Hand
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
@@ -28,10 +27,6 @@ from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
 from proprio_ros.virtual.objects import SoftBlock
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from hand import COUNT_A, JOINTS, ROBOT, Hand
 
 GRIPPER = "gripper_left_joint"
 EDGE_M, GAP_M = 0.03, 0.0005

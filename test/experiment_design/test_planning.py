@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +27,6 @@ from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 MASSES = (0.01, 0.03, 0.1)
 BALL = PayloadFacts(shape=PayloadShape.of("sphere", 0.03))

@@ -6,7 +6,6 @@ The arm is MuJoCo's, driven by the excitation's machine as the nodes drive it; t
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from support.pushed_arm import Hand
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.machine import ExcitationMachine, JointSample
@@ -26,11 +26,6 @@ from proprio_ros.probes import probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import load_robot
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-from pushed_arm import Hand
 
 ROBOT = load_robot("open_manipulator_x")
 UNTIL = Until(4e-3, "kg", 60.0)

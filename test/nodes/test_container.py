@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +13,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from domains import free_domain
-from live import HEARD, Client, replayed_alike, running, wait_for, warm_up
+from support.domains import free_domain
+from support.live import HEARD, Client, replayed_alike, running, wait_for, warm_up
 from visualization_msgs.msg import Marker, MarkerArray
 
 pytestmark = pytest.mark.long

@@ -17,9 +17,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
+from support.domains import free_domain
 
 pytestmark = pytest.mark.long
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from dataclasses import replace
@@ -13,15 +12,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 
-from arm_in_motion import FOUR, Twin, write_robot
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from domains import free_domain
-from live import HEARD, LATCHED, Client, comes_up, replayed_alike, wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from support.arm_in_motion import FOUR, Twin, write_robot
+from support.domains import free_domain
+from support.live import HEARD, LATCHED, Client, comes_up, replayed_alike, wait_for
 
 from proprio_ros.identification.regression.motion_prior import fit_empty
 from proprio_ros.nodes.graph import Graph

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import math
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import Client, running, wait_for
 from std_msgs.msg import Float64MultiArray
+from support.domains import free_domain
+from support.live import Client, running, wait_for
 
 from proprio_ros.recordings.bags import read_recording
 from proprio_ros.robot import load_robot

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,15 +13,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
 import rclpy
-from domains import free_domain
-from live import wait_for
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
+from support.domains import free_domain
+from support.live import wait_for
 
 from proprio_ros.nodes import excitation, messages, outputs
 from proprio_ros.nodes.excitation import ExcitationNode

@@ -11,7 +11,6 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,14 +24,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from live import SOON_S, UP_S, Client, running, wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from support.domains import free_domain
+from support.live import SOON_S, UP_S, Client, running, wait_for
 
 from proprio_ros.bus.driver import DriverSettings
 from proprio_ros.nodes.graph import Graph

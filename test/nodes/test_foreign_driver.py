@@ -13,10 +13,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import Client, comes_up, wait_for
+from support.domains import free_domain
+from support.live import Client, comes_up, wait_for
 
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import values_of
@@ -29,7 +28,7 @@ pytestmark = pytest.mark.long
 @contextmanager
 def bridge(*more: str) -> Iterator[None]:
     """The topics of another driver, by a process of their own."""
-    script = Path(__file__).with_name("bridge.py")
+    script = Path(__file__).parents[1] / "support" / "bridge.py"
     process = subprocess.Popen([sys.executable, str(script), *more])
     try:
         yield

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import HEARD, running, wait_for
 from std_msgs.msg import Bool
+from support.domains import free_domain
+from support.live import HEARD, running, wait_for
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.robot import load_robot

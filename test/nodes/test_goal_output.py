@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,12 +11,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
 import rclpy
-from domains import free_domain
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
+from support.domains import free_domain
 
 from proprio_ros.nodes import excitation, messages, outputs
 from proprio_ros.nodes.excitation import ExcitationNode

@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import rclpy
-from domains import free_domain
-from message_packages import build
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
+from support.domains import free_domain
+from support.message_packages import build
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Verdict

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,13 +14,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.insert(0, str(Path(__file__).parent))
 
 import rclpy
-from domains import free_domain
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
+from support.domains import free_domain
 from visualization_msgs.msg import Marker
 
 from proprio_ros.calibration_files.motors import MotorIdentity

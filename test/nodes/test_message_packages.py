@@ -12,15 +12,13 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
-import message_packages
 import rclpy
-from live import LATCHED, wait_for
-from message_packages import build
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+from support import message_packages
+from support.live import LATCHED, wait_for
+from support.message_packages import build
 
 pytestmark = pytest.mark.long
 

@@ -13,14 +13,12 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from action_msgs.msg import GoalStatus
-from domains import free_domain
-from live import LATCHED, running, wait_for
-from message_packages import build
 from rclpy.action import ActionClient
+from support.domains import free_domain
+from support.live import LATCHED, running, wait_for
+from support.message_packages import build
 
 from proprio_ros.excitation.plans import Until
 from proprio_ros.nodes import numeric

@@ -6,7 +6,6 @@ How well it weighs is for test/benchmarks/effort_controller.py; the guards, for 
 from __future__ import annotations
 
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import running, wait_for
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from support.domains import free_domain
+from support.live import running, wait_for
 
 pytestmark = pytest.mark.long
 

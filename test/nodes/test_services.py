@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,10 +13,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import Client, replayed_alike, running, wait_for
+from support.domains import free_domain
+from support.live import Client, replayed_alike, running, wait_for
 
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.recordings.bags import read_recording

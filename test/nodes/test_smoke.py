@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import math
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import replayed_alike, running, wait_for
+from support.domains import free_domain
+from support.live import replayed_alike, running, wait_for
 from visualization_msgs.msg import Marker
 
 MASS_KG = 0.05

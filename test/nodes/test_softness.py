@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +14,10 @@ import yaml
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import HEARD, Client, replayed_alike, running, wait_for, warm_up
 from std_msgs.msg import Float64
+from support.domains import free_domain
+from support.live import HEARD, Client, replayed_alike, running, wait_for, warm_up
 from visualization_msgs.msg import Marker, MarkerArray
 
 from proprio_ros.inputs.resources import resource

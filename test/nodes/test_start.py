@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import running, wait_for
+from support.domains import free_domain
+from support.live import running, wait_for
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.graph import Graph, Patience

@@ -14,15 +14,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import rclpy
-from domains import free_domain
-from live import Client, comes_up, running, wait_for
-from message_packages import build
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
+from support.domains import free_domain
+from support.live import Client, comes_up, running, wait_for
+from support.message_packages import build
 
 from proprio_ros.nodes import excitation
 from proprio_ros.nodes.excitation import ExcitationNode

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
 
-from domains import free_domain
-from live import HEARD, Client, replayed_alike, running
+from support.domains import free_domain
+from support.live import HEARD, Client, replayed_alike, running
 from visualization_msgs.msg import Marker, MarkerArray
 
 from proprio_ros.calibration_files.pushes import Calibration, Moment

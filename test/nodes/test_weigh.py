@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from dataclasses import replace
@@ -14,12 +13,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 
-from domains import free_domain
-from live import Client, comes_up, replayed_alike, running, wait_for
-from virtual_pick_and_place import HIGHEST, LOWEST
+from support.domains import free_domain
+from support.live import Client, comes_up, replayed_alike, running, wait_for
+from support.virtual_pick_and_place import HIGHEST, LOWEST
 
 from proprio_ros.nodes.messages import labelled, time_ns
 from proprio_ros.pipeline.calibrate import calibrate_from_bags

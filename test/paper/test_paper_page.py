@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from paper_results import as_markdown, label
+from support.pages import read
 
 from proprio_ros.cli import main
 from proprio_ros.errors import SimulationError
@@ -22,12 +23,6 @@ from proprio_ros.paper import experiments, page, quoted, store
 from proprio_ros.paper.experiments import EXPERIMENTS, Experiment, Rows, tree_parzen
 from proprio_ros.paper.store import Store, run, tasks_of
 from proprio_ros.report.html import STYLE
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "report"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
-
-from pages import read
-from paper_results import as_markdown, label
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

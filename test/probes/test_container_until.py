@@ -6,9 +6,7 @@ simulator and its law of contact have no part in it.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,8 +24,6 @@ from proprio_ros.probes.container.identify import find_sphere, half_of
 from proprio_ros.probes.container.problem import start_prior
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.objects import Container, Payload
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 ROBOT = load_robot("open_manipulator_x")
 PROBE = probe_named("container")
@@ -118,7 +114,7 @@ class Weighed:
 def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | None = None) -> Weighed:
     """Weigh what is held until sure, after runs with the empty container, or with its mass stated where there are none."""
     pytest.importorskip("mujoco")
-    from pushed_arm import Hand
+    from support.pushed_arm import Hand
 
     from proprio_ros.virtual.arm import VirtualArm
     from proprio_ros.virtual.robot import PARKED

@@ -14,7 +14,8 @@ from proprio_ros.cli import main
 from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.probes import PROBES, all_probes, probe_named
 
-LINE = "spring=spring_probe:Spring"
+TEST = Path(__file__).resolve().parents[1]
+LINE = "spring=support.spring_probe:Spring"
 BAGS = [f"realistic_s00_empty_{number}_joint3/bag_mcap" for number in ("00", "01", "02")]
 
 
@@ -22,8 +23,8 @@ BAGS = [f"realistic_s00_empty_{number}_joint3/bag_mcap" for number in ("00", "01
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     """The line: here in the environment, for the package's own it stands in ``probes/__init__.py``."""
     monkeypatch.setenv("PROPRIO_PROBES", LINE)
-    monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.syspath_prepend(str(TEST))
+    path = os.pathsep.join(filter(None, [str(TEST), os.environ.get("PYTHONPATH", "")]))
     monkeypatch.setenv("PYTHONPATH", path)  # of the nodes' processes
 
 
@@ -44,7 +45,7 @@ def test_a_recording_is_replayed_with_it(registered: None, bags: Path, capsys: p
 
 def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> None:
     import numpy as np
-    from spring_probe import STIFFNESS, SpringSimulator
+    from support.spring_probe import STIFFNESS, SpringSimulator
 
     from proprio_ros.sim.joint import INDEX, JointRun
 

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import re
-import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.pages import read
 
 from proprio_ros.cli import _as_text
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "report"))
-
-from pages import read
 
 SVG = "{http://www.w3.org/2000/svg}"
 INSIDES = {"box": [0.06, 0.03, 0.04], "cylinder": [0.05, 0.05, 0.08], "sphere": [0.07, 0.07, 0.07]}

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from machines import REAL, UR10E_N_M_PER_A
+from support.machines import REAL, UR10E_N_M_PER_A
 
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError

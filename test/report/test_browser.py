@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +18,6 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.html import POLICY
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 pytestmark = pytest.mark.long
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support.pages import read
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.report import write_calibration_report
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from pages import read
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,13 @@ import html
 import re
 import shlex
 import shutil
-import sys
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.pages import read
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
@@ -27,10 +27,6 @@ from proprio_ros.report.calibration_figures import held_out_figure
 from proprio_ros.report.html import SCRIPT, document
 from proprio_ros.report.notebook import card
 from proprio_ros.report.pictures import paired
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from pages import read
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
+from support.small_urdf import LIMIT, THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource
@@ -15,10 +15,6 @@ from proprio_ros.live.workspace import Keeping
 from proprio_ros.pipeline.replay import ReplayOptions
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from small_urdf import LIMIT, THREE, chain, joint, link
 
 TOPIC = "/arm1/robot_description"
 ARM = resource("urdf", "open_manipulator_x").read_text()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
+from support.small_urdf import THREE, chain, joint, link
 
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
@@ -17,10 +17,6 @@ from proprio_ros.recordings.bags import _types
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.description import hand_link, read_model
 from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from small_urdf import THREE, chain, joint, link
 
 UR10E = Path(__file__).resolve().parents[3] / "shared" / "recordings_real" / "models" / "ur10e.urdf"
 MARKED = "nominal_torque_constant_N_m_per_A: null"

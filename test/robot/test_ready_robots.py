@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.machines import REAL, UR10E_N_M_PER_A
+from support.moved_arm import record_arm
 
 from proprio_ros.cli import main
 from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drives import DutyCycle, PositionServo
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from machines import REAL, UR10E_N_M_PER_A
-from moved_arm import record_arm
 
 # Universal Robots: d [m], a [m], alpha [rad], mass [kg] of each joint's link
 UR10E_DH = (

@@ -9,14 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.small_urdf import INERTIAL, THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource_names
 from proprio_ros.robot import bare_settings, load_robot, with_recorded_torque
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from small_urdf import INERTIAL, THREE, chain, joint, link
 
 MINIMAL = """\
 name: arm

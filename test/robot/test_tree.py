@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.small_urdf import THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.robot import JOINT_KINDS, ReducedModel, RobotModel, load_robot, rotation_from_rpy, transform
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from small_urdf import THREE, chain, joint, link
 
 GRAVITY = np.array([0.7, -1.9, -9.4])  # not along an axis, so that no component can be lost
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.small_urdf import chain, inertial, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.robot import RobotModel
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from small_urdf import chain, inertial, joint, link
 
 BAD_URDF = {
     "not XML": ("joint: revolute", "not XML"),

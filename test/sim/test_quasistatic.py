@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support.second_order import bonded_force
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim.energies import LAWS, lame, small_strain_lame, young
 from proprio_ros.sim.mesh import TetMesh, box
 from proprio_ros.sim.quasistatic import QuasiStatic
-
-sys.path.insert(0, str(Path(__file__).parent))
-from second_order import bonded_force
 
 EDGE = 0.03
 HEAVY = (5097.6, 5430.4)

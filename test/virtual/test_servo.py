@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import struct
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 
 import pytest
+from support.rotors import TORQUE_CONSTANT_NM_A, Rotors
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode
 from proprio_ros.virtual.protocol import ALERT, Error
 from proprio_ros.virtual.servo import REBOOT_S, VirtualServo
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from rotors import TORQUE_CONSTANT_NM_A, Rotors
 
 REGISTERS = XM430_W350.registers
 UNIT_A = XM430_W350.current_unit_A

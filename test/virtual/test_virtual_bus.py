@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import dynamixel_sdk as sdk
 import pytest
+from support.rotors import Rotors
 
 from proprio_ros.bus.control_table import XM430_W350
 from proprio_ros.clock import run_in_real_time, run_like_others
@@ -19,10 +19,6 @@ from proprio_ros.virtual.bus import Faults, VirtualBus
 from proprio_ros.virtual.port import MemoryPort, PtyPort
 from proprio_ros.virtual.protocol import BROADCAST_ID, Code, Instruction, Parser, encode_instruction
 from proprio_ros.virtual.servo import REBOOT_S, VirtualServo
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from rotors import Rotors
 
 IDS = (11, 12, 13, 14, 15)
 BAUD = 1_000_000

@@ -7,7 +7,6 @@ goes off, so support the arm first; nothing moves a motor without ``--hardware-m
 from __future__ import annotations
 
 import statistics
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,14 +15,11 @@ from typing import Any
 
 import dynamixel_sdk as sdk
 import pytest
+from support.desk import Desk, servos_named
 
 from proprio_ros.bus.control_table import BUS_WATCHDOG_TRIPPED, XM430_W350, OperatingMode
 from proprio_ros.bus.dynamixel import ALERT, DynamixelBus, Goal
 from proprio_ros.errors import BusError
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from desk import Desk, servos_named
 
 REGISTERS = XM430_W350.registers
 KEPT = ("return_delay_time", "drive_mode", "operating_mode", "homing_offset", "current_limit")

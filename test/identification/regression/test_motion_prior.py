@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from arm_in_motion import FOUR, SIX, Build, Twin, write_robot
+from support.arm_in_motion import FOUR, SIX, Build, Twin, write_robot
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict

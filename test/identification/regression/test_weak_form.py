@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +9,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from arm_in_motion import SIX, Twin, nominal, urdf, write_robot
+from support.arm_in_motion import SIX, Twin, nominal, urdf, write_robot
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings_real"
+REAL = Path(__file__).resolve().parents[3] / "shared" / "recordings_real"
 """Not part of this repository: what needs it is skipped without."""
 UR10E_N_M_PER_A = {
     "shoulder_pan_joint": 11.976,

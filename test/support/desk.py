@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,10 +12,7 @@ from proprio_ros.bus.dynamixel import BusServo, DynamixelBus, SerialLike
 from proprio_ros.virtual.bus import VirtualBus
 from proprio_ros.virtual.port import MemoryPort, PtyPort
 from proprio_ros.virtual.servo import VirtualServo
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "virtual"))
-
-from rotors import Rotors
+from support.rotors import Rotors
 
 MEGABAUD = 3  # of the register Baud Rate
 PATIENCE_S = 0.1

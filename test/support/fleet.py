@@ -8,7 +8,6 @@ rotors and torque constants are drawn at random, as in ``identification/arm_in_m
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,16 +15,13 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
-
-from arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
-
 import proprio_ros.batch.local as local
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import Job
 from proprio_ros.recordings.bags import write_recording
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import JointRecord, Recording
+from support.arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
 
 STEP_S, RATE_HZ = 0.002, 50.0
 BEGIN_NS = 1_780_000_000_000_000_000
