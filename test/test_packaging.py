@@ -181,6 +181,6 @@ def test_colcon_builds_it_and_its_entry_point_runs(tmp_path: Path) -> None:
         cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600, check=True,
     )  # fmt: skip
     assert located.stdout.split() == [
-        str(libraries / "proprio_ros/resources.py"),
+        str(libraries / "proprio_ros/inputs/resources.py"),
         str(prefix / "share" / "proprio_ros"),
     ]

@@ -29,9 +29,9 @@ def test_resources_of_the_source_tree() -> None:
 def test_resources_of_an_installation(tmp_path: Path, installed: str) -> None:
     """As pip and colcon lay files out, and as a sourced workspace names them where code and data lie apart."""
     package = tmp_path / installed / "proprio_ros"
-    package.mkdir(parents=True)
-    for name in ("__init__.py", "errors.py", "resources.py"):
-        shutil.copy(REPOSITORY / "proprio_ros" / name, package)
+    (package / "inputs").mkdir(parents=True)
+    for name in ("__init__.py", "version.py", "errors.py", "inputs/__init__.py", "inputs/resources.py"):
+        shutil.copy(REPOSITORY / "proprio_ros" / name, package / name)
     prefix = tmp_path if installed.startswith("lib") else tmp_path / "prefix"
     share = prefix / "share" / "proprio_ros" / "config" / "robots"
     share.mkdir(parents=True)
