@@ -18,8 +18,9 @@ from typing import Any, NoReturn
 from proprio_ros import progress, schema
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line, printable
 from proprio_ros.inputs.reading import path_problem
-from proprio_ros.inputs.settings import parse_settings
-from proprio_ros.probes import all_probes, probe_named
+from proprio_ros.inputs.settings import Settings, parse_settings
+from proprio_ros.probes import all_probes, probe_named, probe_that
+from proprio_ros.probes.base import HasTable
 from proprio_ros.quantity import shown, spec_for
 from proprio_ros.version import __version__
 
@@ -569,29 +570,17 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
-    settings = _settings(options.set)
-    from proprio_ros.probes.softness import rebuild_table
-
+    settings = Settings(_settings(options.set))
     started = time.monotonic()
-    facts, table, path = rebuild_table(settings)
+    probe: HasTable = probe_that(HasTable)
+    facts = probe.facts(settings)
+    settings.refuse_rest()
+    content, text = probe.rebuild_table(facts)
     elapsed = time.monotonic() - started
-    squeezes, ratios = (0.1, 0.2, 0.3), (0.1, 0.3, 0.45)
-    # force over E A: what a Young's modulus has to be multiplied with
-    phi = [table(squeezes, ratio)[0].tolist() for ratio in ratios]
     if options.json:
-        content = {
-            **schema.header("table"),
-            "file": str(path), "size_m": facts.size.tolist(), "area_m2": facts.area, "law": facts.law, "contact": facts.contact,
-            "reach": table.reach, "squeeze": squeezes, "poissons_ratio": ratios, "force_per_E_A": phi, "elapsed_s": elapsed,
-        }  # fmt: skip
-        print(json.dumps(content, indent=1))
-        return EXIT_OK
-    edges = " x ".join(f"{1e3 * edge:.4g}" for edge in facts.size)
-    print(f"block of {edges} mm, faces {facts.contact}, law {facts.law}, squeezed by up to {100.0 * table.reach:.0f} %")
-    print("force over E A at a squeeze of" + "".join(f"{100.0 * squeeze:8.0f} %" for squeeze in squeezes))
-    for ratio, row in zip(ratios, phi, strict=True):
-        print(f"  Poisson's ratio {ratio:<12g}" + "".join(f"{value:10.4f}" for value in row))
-    print(f"{path}, {elapsed:.1f} s")
+        print(json.dumps({**schema.header("table"), **content, "elapsed_s": elapsed}, indent=1))
+    else:
+        print(f"{text}\n{content['file']}, {elapsed:.1f} s")
     return EXIT_OK
 
 

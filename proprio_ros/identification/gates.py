@@ -16,6 +16,8 @@ from proprio_ros.robot import DriveTrain, Robot
 MIN_USED = 5
 STUCK_TRAVEL = 0.1
 """Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
+UNMOVED_RAD = 0.02
+"""A gripper that moves less shows nothing but its friction."""
 LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
 MOVING_START = 0.1

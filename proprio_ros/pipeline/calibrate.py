@@ -31,7 +31,7 @@ from proprio_ros.identification.regression.one_joint_estimate import best_delay,
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.inputs.reading import text_of, yaml_of
 from proprio_ros.inputs.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
-from proprio_ros.inputs.settings import Settings, probe_file
+from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.replay import (
     DEFAULT_ROBOT,
     Recordings,
@@ -45,7 +45,8 @@ from proprio_ros.pipeline.replay import (
     robot_of,
     runs_or_motion,
 )
-from proprio_ros.probes.payload.facts import payload_facts
+from proprio_ros.probes import probe_that
+from proprio_ros.probes.base import WeighsReferences
 from proprio_ros.quantity import Quantity
 from proprio_ros.recordings.bags import read_motors
 from proprio_ros.recordings.datasets import episode_of
@@ -99,7 +100,7 @@ def calibrate_from_bags(
         overrides = with_recorded_torque(options.robot or DEFAULT_ROBOT, overrides)
     robot = robot_of(options.robot, None, overrides)
     held = held_positions(robot, settings)
-    facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
+    facts = _reference(settings)
     settings.refuse_rest()
     loads = [*((Path(path), KnownLoad()) for path in paths)]
     loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
@@ -203,6 +204,11 @@ def refresh_from_bags(
     return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
 
 
+def _reference(settings: Settings) -> PayloadFacts:
+    probe: WeighsReferences = probe_that(WeighsReferences)
+    return probe.reference(settings)
+
+
 def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, MotorIdentity]:
     """The motors of the arm that all recordings are of, as far as they say it.
 
@@ -236,7 +242,7 @@ def plan_probes(
     settings = Settings(options.settings)
     overrides = settings.take_prefix("robot.")
     robot = robot_of(options.robot, options.calibration, overrides)
-    facts = payload_facts(settings, probe_file("payload", ("payload",))["payload"])
+    facts = _reference(settings)
     settings.refuse_rest()
     return robot, plan(robot, masses_kg, facts, count, progress=progress)
 

@@ -12,7 +12,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
 from proprio_ros.identification.estimate import plain
-from proprio_ros.identification.gates import MIN_USED, Findings, screen_run, unusable
+from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, screen_run, unusable
 from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.inputs.resources import paths_of
@@ -636,8 +636,6 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
 
 def _unusable_closing(run: PreparedRun) -> str:
     """Why a closing of the gripper is of no use: fingers on a stiff block need not get far."""
-    from proprio_ros.probes.softness.identify import UNMOVED_RAD  # brings finite elements along
-
     if run.used >= MIN_USED and abs(run.travel) < UNMOVED_RAD:
         moved = 1e3 * abs(run.travel * run.drive.transmission)
         return Reason("stuck", f"the fingers moved only {moved:.2f} mm, so friction decides where they are")

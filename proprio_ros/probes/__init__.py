@@ -64,6 +64,11 @@ def all_probes() -> list[Probe[Any]]:
     return [_load(place) for place in registry().values()]
 
 
+def probe_that(kind: type[Any]) -> Any:
+    """The first of the registry that has what a protocol of `base` asks for."""
+    return next(probe for probe in all_probes() if isinstance(probe, kind))
+
+
 def probe_at_work() -> Probe[Any]:
     """The one that says what the hand holds while the arm works: the first of the registry that can."""
     return next(probe for probe in all_probes() if probe.at_work)

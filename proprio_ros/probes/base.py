@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from proprio_ros.recordings.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
+    from proprio_ros.sim.payload import PayloadFacts
 
 Facts = TypeVar("Facts")
 
@@ -326,3 +327,26 @@ class Probe(ABC, Generic[Facts]):
     def shapes(self, robot: Robot, facts: Facts, estimate: Estimate) -> Shapes | None:
         """How an accepted answer looks."""
         return None
+
+
+@runtime_checkable
+class WeighsReferences(Protocol):
+    """A probe that knows what may be stated of a weighed reference, with which a robot is calibrated."""
+
+    def reference(self, settings: Settings) -> PayloadFacts:
+        """Shape and place of the reference; Raises as `Probe.facts` does."""
+
+
+@runtime_checkable
+class HasTable(Protocol):
+    """A probe that reads a simulation from a table, which ``proprio table`` makes anew."""
+
+    def facts(self, settings: Settings) -> Any:
+        """As `Probe.facts`."""
+
+    def rebuild_table(self, facts: Any) -> tuple[dict[str, Any], str]:
+        """Compute the table of an object anew, whatever the cache has: what it is as JSON, and for the terminal.
+
+        Raises:
+            ConfigurationError, SimulationError: in one line, what is wrong with the object.
+        """

@@ -87,6 +87,11 @@ class Payload(Probe[PayloadJob]):
         paper = settings.options(PaperOptions, "paper.", defaults["paper"])
         return PayloadJob(payload, weighing, paper if profile == "paper" else None, frozenset(settings.taken))
 
+    def reference(self, settings: Settings) -> PayloadFacts:
+        from proprio_ros.probes.payload.facts import payload_facts
+
+        return payload_facts(settings, probe_file(self.name, ("payload",))["payload"])
+
     def identify(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
         from proprio_ros.probes.payload.paper import as_published, weigh_as_paper

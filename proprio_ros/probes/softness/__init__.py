@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from proprio_ros.probes.softness.problem import BlockFacts
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
-    from proprio_ros.sim.response import Response
 
 LIMIT = "largest_squeeze"
 GAP_M = 0.0005
@@ -107,6 +105,27 @@ class Softness(Probe[SoftnessJob]):
         super().prepare(robot, facts)
         facts.block.table()
 
+    def rebuild_table(self, facts: SoftnessJob) -> tuple[dict[str, Any], str]:
+        from proprio_ros.sim.response import kept_at
+
+        block = facts.block
+        table = block.table(rebuild=True)
+        squeezes, ratios = (0.1, 0.2, 0.3), (0.1, 0.3, 0.45)
+        # force over E A: what a Young's modulus has to be multiplied with
+        phi = [table(squeezes, ratio)[0].tolist() for ratio in ratios]
+        content = {
+            "file": str(kept_at(table.made_of)), "size_m": block.size.tolist(), "area_m2": block.area, "law": block.law,
+            "contact": block.contact, "reach": table.reach, "squeeze": squeezes, "poissons_ratio": ratios, "force_per_E_A": phi,
+        }  # fmt: skip
+        edges = " x ".join(f"{1e3 * edge:.4g}" for edge in block.size)
+        lines = [
+            f"block of {edges} mm, faces {block.contact}, law {block.law}, squeezed by up to {100.0 * table.reach:.0f} %",
+            "force over E A at a squeeze of" + "".join(f"{100.0 * squeeze:8.0f} %" for squeeze in squeezes),
+        ]
+        for ratio, row in zip(ratios, phi, strict=True):
+            lines.append(f"  Poisson's ratio {ratio:<12g}" + "".join(f"{value:10.4f}" for value in row))
+        return content, "\n".join(lines)
+
     def chooser(
         self, robot: Robot, facts: SoftnessJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
     ) -> Chooser:
@@ -171,24 +190,3 @@ def block_rotation(robot: Robot, joint: str) -> np.ndarray:
     across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     return np.stack([along, across, np.cross(along, across)], axis=1)
-
-
-def rebuild_table(settings: Mapping[str, object]) -> tuple[BlockFacts, Response, Path]:
-    """Compute a block's response anew, whatever the cache has.
-
-    Args:
-        settings: dotted keys that describe the block.
-
-    Returns:
-        The block, its table, and where that is kept.
-
-    Raises:
-        ConfigurationError, SimulationError: in one line, what is wrong with the block.
-    """
-    from proprio_ros.sim.response import kept_at
-
-    given = Settings(settings)
-    facts = Softness().facts(given).block
-    given.refuse_rest()
-    table = facts.table(rebuild=True)
-    return facts, table, kept_at(table.made_of)

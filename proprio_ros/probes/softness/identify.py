@@ -27,6 +27,7 @@ from proprio_ros.identification.fit import (
 from proprio_ros.identification.gates import (
     MIN_USED,
     MISFIT_LIMIT,
+    UNMOVED_RAD,
     Contradiction,
     Findings,
     contradicting,
@@ -56,8 +57,6 @@ from proprio_ros.sim.energies import lame, lame_by_poissons_ratio, lame_of_small
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.quasistatic import QuasiStatic
 
-UNMOVED_RAD = 0.02
-"""A gripper that moves less shows nothing but its friction."""
 ALIKE_SHARE = 0.15
 """Moduli that differ by less, or by less than they are known to, do not contradict each other: friction is not the same in each
 run, and it is as large as a soft block's force."""
