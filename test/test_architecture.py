@@ -25,7 +25,7 @@ ROOMS: dict[str, set[str]] = {
     "virtual": {"robot", "bus"},
     "excitation": {"inputs", "robot"},
     "sim": {"inputs", "robot"},
-    "identification": {"calibration_files", "robot", "recordings", "sim", "experiment_design"},
+    "identification": {"calibration_files", "robot", "recordings", "sim"},
     "experiment_design": {"robot", "recordings", "excitation", "sim", "identification"},
     "report": {"inputs", "calibration_files", "identification"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room above
@@ -55,7 +55,7 @@ ROOMS: dict[str, set[str]] = {
     },
 }
 # arrows that still point up
-CLIMBS = {"robot": {"recordings"}, "identification": {"experiment_design"}}
+CLIMBS = {"robot": {"recordings"}}
 ROS = {
     "rclpy",
     "std_msgs",

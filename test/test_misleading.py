@@ -115,7 +115,7 @@ def empty_runs(bags: Path, robot: Robot) -> list[LoadedRun]:
 
 def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, robot: Robot) -> None:
     """Torque over weight is known ten times better than each: off by little in each, a fit may be far from both."""
-    learnt = calibrate(robot, empty_runs(bags, robot), advice=0).calibration
+    learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
     runs = [prepare_run(known, run) for run in bag_runs(bag_in(bags / BALL), known, ReplayOptions(), {})]
@@ -262,7 +262,7 @@ def test_a_run_of_the_calibration_is_weighed_with_its_noise(bags: Path, robot: R
         position = np.interp(np.clip(seen, run.times_s[0], run.times_s[-1]), run.times_s, run.position)
         runs.append(LoadedRun(replace(run, times_s=clockwork, position=position)))
     fitted = fit(robot, [prepare_run(robot, loaded.run, loaded.load) for loaded in runs])
-    learnt = calibrate(robot, runs, advice=0).calibration
+    learnt = calibrate(robot, runs).calibration
     assert learnt is not None and learnt.stamp_jitter_s > 1e-3
     known = robot.with_calibration(learnt)
     for loaded, there in zip(runs, fitted.problem.runs, strict=True):
@@ -292,7 +292,7 @@ def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot,
     """
     folders = sorted(bags.glob("realistic_s00_empty_0[0-4]_joint3"))
     runs = [LoadedRun(run) for folder in folders for run in stamped_off(folder, robot, off_s)]
-    estimate = calibrate(robot, runs, advice=0)
+    estimate = calibrate(robot, runs)
     assert (estimate.verdict is Verdict.ACCEPTED) is accepted
     if not accepted:
         assert "on_bound" in reason_codes(estimate.reasons) and "one clock" in " ".join(estimate.reasons)
@@ -310,7 +310,7 @@ def test_commands_stamped_too_early_are_no_calibration(bags: Path, robot: Robot,
 def test_commands_stamped_by_another_clock_than_the_calibrations_are_refused(
     bags: Path, robot: Robot, off_s: float
 ) -> None:
-    learnt = calibrate(robot, empty_runs(bags, robot), advice=0).calibration
+    learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
     assert weigh(known, stamped_off(bags / BALL, known, off_s), PayloadFacts()).verdict is Verdict.REJECTED
@@ -355,7 +355,7 @@ def test_a_block_whose_size_is_guessed_says_so(bags: Path) -> None:
 
 def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> None:
     """What 5 mm along each axis would do to the mass is in the interval, and refits with the centre there say the same."""
-    learnt = calibrate(robot, empty_runs(bags, robot), advice=0).calibration
+    learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
     runs = bag_runs(bag_in(bags / BALL), known, ReplayOptions(), {})

@@ -8,13 +8,15 @@ promises what a weighing with it will give.
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.calibration_estimate import ProbePlan, Weighable
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan, Weighable
+from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
 from proprio_ros.identification.problem import (
     KnownLoad,
@@ -134,6 +136,40 @@ def plan(
         )
     found.sort(key=lambda p: max(p.std_kg))
     return _varied(found, count)
+
+
+def with_advice(
+    robot: Robot, estimate: CalibrationEstimate, count: int = 3, progress: Callable[[str], None] = lambda _: None
+) -> CalibrationEstimate:
+    """A calibration of pushes with what comes after it: what can be weighed with it, and the runs that would help most.
+
+    Args:
+        robot: as it was calibrated.
+        estimate: of it; one that is rejected, or of free swings, gets no advice.
+        count: how many further runs to suggest, none for a calibration that was only brought up to date.
+        progress: called with what is being looked at.
+    """
+    calibration, whole = estimate.calibration, estimate.whole
+    if calibration is None:
+        return estimate
+    began = time.perf_counter()
+    suggestions: list[ProbePlan] = []
+    can_weigh = None
+    if estimate.verdict is not Verdict.REJECTED and calibration.swing_error == 0.0:
+        if whole is not None:
+            progress("looking for the run that would help most")
+            learnt, one_way = robot.with_calibration(whole), estimate.driven_one_way
+            if one_way:  # then nothing is worth advice but the other way
+                found = advise(learnt, tuple(one_way), 10 * count)
+                suggestions = [p for p in found if (p.travel[0] > 0.0) != one_way[p.joint]][:count]
+            else:
+                suggestions = advise(learnt, whole.joints, count)
+        if estimate.verdict is Verdict.ACCEPTED:
+            if whole is None:
+                progress("looking at what can be weighed")
+            can_weigh = weighable(robot.with_calibration(calibration), calibration.joints)
+    timing_s = {**estimate.timing_s, "advice": time.perf_counter() - began}
+    return replace(estimate, advice=tuple(suggestions), weighable=can_weigh, timing_s=timing_s)
 
 
 def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: float = 0.6) -> list[ProbePlan]:

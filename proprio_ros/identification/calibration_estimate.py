@@ -189,6 +189,8 @@ class CalibrationEstimate:
         joint: what motions of one joint with known loads say; then ``calibration`` is None, too.
         weighed_empty: of motions, what each weighs by the others, which should be nothing, or the known load.
         origin: bags, references, and the file that was written, as ``as_json`` gives them.
+        whole: ``calibration`` with the joints that were driven one way only; None of one that was only brought up to date.
+        driven_one_way: those joints, and whether upwards.
     """
 
     robot: str
@@ -211,6 +213,8 @@ class CalibrationEstimate:
     weighed_empty: tuple[EmptyWeighing, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
+    whole: Calibration | None = None
+    driven_one_way: Mapping[str, bool] = field(default_factory=dict)
 
     @property
     def used(self) -> int:

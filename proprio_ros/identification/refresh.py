@@ -14,7 +14,6 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import RANGES, Calibration
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.experiment_design.planning import weighable
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
@@ -37,7 +36,7 @@ ITERATIONS = 40
 
 
 def refresh(
-    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None, look_ahead: bool = True
+    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
 ) -> CalibrationEstimate:
     """Bring a calibration up to date.
 
@@ -45,7 +44,6 @@ def refresh(
         robot: With its calibration, aged to when the runs were made.
         runs: Mostly with an empty hand.
         progress: Called with what is going on.
-        look_ahead: Whether to say what can be weighed with the outcome.
 
     Raises:
         ConfigurationError: The robot has no calibration of driven runs, or a run is one of those that it was made of.
@@ -116,11 +114,6 @@ def refresh(
         found.reasons.insert(0, Reason("hand_not_empty", hand.contradiction()))
     calibration = _updated(old, problem, values, posterior)
     fits, rms, expected = run_fits(problem, values, usable)
-    solved = time.perf_counter()
-    can_weigh = None
-    if look_ahead and verdict is Verdict.ACCEPTED:
-        progress("looking at what can be weighed")
-        can_weigh = weighable(robot.with_calibration(calibration), calibration.joints)
     return CalibrationEstimate(
         robot=robot.name,
         verdict=verdict,
@@ -131,9 +124,8 @@ def refresh(
         run_fits=fits,
         unknowns=rows,
         notes=tuple(found.notes),
-        weighable=can_weigh,
         empty_hand=hand,
-        timing_s={"solve": solved - started, "advice": time.perf_counter() - solved},
+        timing_s={"solve": time.perf_counter() - started},
     )
 
 

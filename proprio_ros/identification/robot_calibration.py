@@ -17,15 +17,12 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.experiment_design.planning import advise, weighable
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import (
     NOT_EMPTY,
     CalibrationEstimate,
     EmptyHand,
     HeldOutRun,
-    ProbePlan,
-    Weighable,
 )
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.gates import Findings, contradicting, never_reversed, screen_run, unusable
@@ -141,14 +138,13 @@ class _Fitted:
 
 
 def calibrate(
-    robot: Robot, runs: Sequence[LoadedRun], advice: int = 3, progress: Callable[[str], None] = lambda _: None
+    robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
 ) -> CalibrationEstimate:
     """Learn the robot from runs whose load is known.
 
     Args:
         robot: as its file states it; its standard deviations are the priors.
         runs: empty-hand runs, and runs with a weighed reference.
-        advice: how many further runs to suggest; with 0 it is not looked either what can be weighed.
         progress: called with what is going on.
 
     Raises:
@@ -267,18 +263,6 @@ def calibrate(
     fits, rms, expected = run_fits(fitted.problem, fitted.values, used)
     posterior = fitted.posterior
     chi2 = float(posterior.residual @ posterior.residual)
-    solved = time.perf_counter()
-    suggestions: list[ProbePlan] = []
-    can_weigh: Weighable | None = None
-    if advice and verdict is not Verdict.REJECTED and not swings:
-        progress("looking for the run that would help most")
-        if one_way:  # then nothing is worth advice but the other way
-            found_runs = advise(robot.with_calibration(whole), tuple(one_way), 10 * advice)
-            suggestions = [p for p in found_runs if (p.travel[0] > 0.0) != one_way[p.joint]][:advice]
-        else:
-            suggestions = advise(robot.with_calibration(whole), whole.joints, advice)
-        if verdict is Verdict.ACCEPTED:
-            can_weigh = weighable(robot.with_calibration(calibration), calibration.joints)
     return CalibrationEstimate(
         robot=robot.name,
         verdict=verdict,
@@ -290,11 +274,11 @@ def calibrate(
         unknowns=_rows(fitted),
         held_out=_held_out(fitted),
         not_separated=_not_separated(robot, fitted, calibration),
-        advice=tuple(suggestions),
         notes=tuple(found.notes),
-        weighable=can_weigh,
         empty_hand=hand,
-        timing_s={"solve": solved - started, "advice": time.perf_counter() - solved},
+        timing_s={"solve": time.perf_counter() - started},
+        whole=whole,
+        driven_one_way=one_way,
     )
 
 

@@ -187,5 +187,5 @@ def _drive(arm: VirtualArm, command: Command, joints: tuple[str, ...], scale: np
 def learnt_robot(seed: int, sequence: str) -> Robot | None:
     """The robot of a seed as it learnt itself from a sequence with an empty hand; None where it refused what it learnt."""
     robot = stated_robot()
-    estimate = calibrate(robot, [LoadedRun(run) for run in play(sequence, seed, None).runs], advice=0)
+    estimate = calibrate(robot, [LoadedRun(run) for run in play(sequence, seed, None).runs])
     return None if estimate.calibration is None else robot.with_calibration(estimate.calibration)

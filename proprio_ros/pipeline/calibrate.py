@@ -21,7 +21,7 @@ from proprio_ros.calibration_files.motors import MotorIdentity, other_arm
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibration
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
-from proprio_ros.experiment_design.planning import plan
+from proprio_ros.experiment_design.planning import plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
 from proprio_ros.identification.problem import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
@@ -129,7 +129,7 @@ def calibrate_from_bags(
     elif motions:
         estimate = _from_motions(robot, motions, facts if "payload.com" in settings.taken else None, progress)
     else:
-        estimate = calibrate(robot, runs, progress=progress)
+        estimate = with_advice(robot, calibrate(robot, runs, progress), progress=progress)
     if estimate.calibration is not None:
         made = moment_of([each.run for each in runs], [path for path, _ in loads], options.state_topic)
         estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
@@ -191,7 +191,7 @@ def refresh_from_bags(
     fresh = robot.calibration
     robot = aged_robot(robot, now)
     read = time.perf_counter()
-    estimate = refresh(robot, [LoadedRun(run) for run in runs], progress)
+    estimate = with_advice(robot, refresh(robot, [LoadedRun(run) for run in runs], progress), progress=progress)
     if (learnt := estimate.calibration) is not None:
         learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
         estimate = replace(estimate, calibration=learnt)

@@ -8,6 +8,7 @@ import numpy as np
 from case import Case, Row, measure
 from scipy.optimize import least_squares
 
+from proprio_ros.experiment_design.planning import with_advice
 from proprio_ros.identification.problem import KnownLoad, Problem, prepare_run, robot_unknowns
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
 from proprio_ros.identification.unknowns import Role
@@ -58,9 +59,9 @@ def rows(case: Case) -> list[Row]:
     """The comparison; the benchmark's own recording is not used."""
     robot = load_robot(DEFAULT_ROBOT)
     known = empty_runs(robot)
-    ours = measure(lambda: calibrate(robot, known, advice=0), repeats=5, warm_up=1)
-    whole = measure(lambda: calibrate(robot, known), repeats=3, warm_up=0)
-    estimate = calibrate(robot, known, advice=0)
+    ours = measure(lambda: calibrate(robot, known), repeats=5, warm_up=1)
+    whole = measure(lambda: with_advice(robot, calibrate(robot, known)), repeats=3, warm_up=0)
+    estimate = calibrate(robot, known)
     assert estimate.calibration is not None
     calibrated = robot.with_calibration(estimate.calibration)
     (run,) = bag_runs(BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", robot, ReplayOptions(), {})

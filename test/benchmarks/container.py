@@ -537,7 +537,7 @@ def _whole_rows() -> list[Row]:
         found = sorted(bags.glob(f"realistic_s00_{pattern}"))
         return [run for path in found for run in bag_runs(path / "bag_mcap", robot, ReplayOptions(), {})]
 
-    calibrated = calibrate(robot, [LoadedRun(run) for run in runs("empty_*")], advice=0).calibration
+    calibrated = calibrate(robot, [LoadedRun(run) for run in runs("empty_*")]).calibration
     assert calibrated is not None
     robot = robot.with_calibration(calibrated)
     facts = container_facts(Settings({}), probe_file("container"))

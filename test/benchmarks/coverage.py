@@ -185,7 +185,7 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
     if set(effects).isdisjoint({*OPEN, *OPEN_OF_ALL, "once_per_turn"} - {"run_torque", "onset"}):
         calibrated, kept = robot, []  # nothing about this robot is open
     else:
-        learnt = calibrate(robot, known, advice=0)
+        learnt = calibrate(robot, known)
         if learnt.calibration is None or learnt.verdict.value != "accepted":
             return answers, len(MASSES_KG), len(MASSES_KG)
         calibrated = robot.with_calibration(learnt.calibration)

@@ -111,9 +111,7 @@ def one_robot(job: tuple[int, str, float, float, float, Sequence[float]]) -> tup
     sequence = load_sequence("empty_hand", fresh)
     bench = Bench(later, sequence, rng)
     pushes, _, _ = chosen_refresh(stale, old, REFRESH_S, sequence)
-    learnt = refresh(
-        old, [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)], look_ahead=False
-    ) if pushes else None  # fmt: skip
+    learnt = refresh(old, [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)]) if pushes else None
     said = "nothing to do" if learnt is None else f"{learnt.verdict.value} {'; '.join(learnt.reasons)}"
     if learnt is None:
         robots[REFRESHED] = old

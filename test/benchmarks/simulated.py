@@ -71,7 +71,7 @@ class Row:
 
 def calibrated_on(runs: list[LoadedRun]) -> Robot:
     """The robot as it learns itself from these runs."""
-    learnt = calibrate(ROBOT, runs, advice=0)
+    learnt = calibrate(ROBOT, runs)
     assert learnt.calibration is not None
     return ROBOT.with_calibration(learnt.calibration)
 

@@ -188,7 +188,7 @@ def recorded(seed: int, effects: Collection[str] = EFFECTS) -> Recorded:
 def calibrated(made: Recorded) -> tuple[Robot, list[PreparedRun]] | None:
     """The robot as it learnt itself, and the runs that it learnt from; None where it refuses to."""
     robot = load_robot("open_manipulator_x")
-    learnt = calibrate(robot, [LoadedRun(run) for run in made.empty], advice=0)
+    learnt = calibrate(robot, [LoadedRun(run) for run in made.empty])
     if learnt.calibration is None or learnt.verdict.value != "accepted":
         return None
     used = {run["name"] for run in learnt.calibration.runs}

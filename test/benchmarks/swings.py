@@ -136,7 +136,7 @@ def main(given: Sequence[str]) -> None:
             runs = [as_run(f"s{n}", *swing) for n, swing in enumerate(released(rng, masses, machine, harsh))]
             known = [LoadedRun(run, KnownLoad(float(m), facts())) for run, m in zip(runs[:2], masses[:2], strict=True)]
             try:
-                learnt = calibrate(robot, known, advice=0)
+                learnt = calibrate(robot, known)
                 if learnt.calibration is None or learnt.verdict.value != "accepted":
                     raise ProprioError("; ".join(learnt.reasons))
                 estimate = weigh(robot.with_calibration(learnt.calibration), runs[2:], facts())

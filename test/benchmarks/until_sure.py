@@ -128,7 +128,7 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
     if reference in ("shipped", "chosen"):
         for probe in load_sequence("reference", robot).runs:
             known += [LoadedRun(run, load) for run in bench.push(probe, weight)]
-    learnt = calibrate(robot, known, advice=0)
+    learnt = calibrate(robot, known)
     if reference in ("empty", "chosen") and learnt.calibration is not None:
         began, count = bench.time_s, len(known)
         so_far = robot.with_calibration(learnt.calibration)
@@ -139,7 +139,7 @@ def calibrated(hidden: HiddenRobot, reference: str, rng: np.random.Generator) ->
             for probe in chosen_known(so_far, REFERENCE_KG, CALIBRATION_KG, REFERENCE_S, sequence):
                 known += [LoadedRun(run, load) for run in bench.push(probe, weight)]
         print(f"  chosen: {len(known) - count} runs, {bench.time_s - began:.0f} s", file=sys.stderr)
-        learnt = calibrate(robot, known, advice=0)
+        learnt = calibrate(robot, known)
     if learnt.calibration is None or learnt.verdict.value != "accepted":
         return None
     return robot.with_calibration(learnt.calibration)

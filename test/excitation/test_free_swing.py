@@ -375,7 +375,7 @@ def test_swings_of_a_virtual_arm_tell_its_friction_and_its_rotor(seed: int) -> N
     """
     machine, ticks, hand = swung(SEQUENCE, coulomb=None, seed=seed)
     assert machine.phase is Phase.DONE and all(outcome.used for outcome in machine.outcomes)
-    learnt = calibrate(ROBOT, [LoadedRun(run) for run in cut_runs(recorded(ticks), joints=JOINTS)], advice=0)
+    learnt = calibrate(ROBOT, [LoadedRun(run) for run in cut_runs(recorded(ticks), joints=JOINTS)])
     assert learnt.verdict.value == "accepted" and len(learnt.run_fits) == 4
     truth = hand.arm.truth.joints[WRIST]
     found = {row.kind: row for row in learnt.unknowns if row.scope == WRIST}

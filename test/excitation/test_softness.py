@@ -63,7 +63,7 @@ def calibrated(seed: int) -> Robot:
     """The robot after its gripper was closed and opened with nothing between the fingers."""
     machine, runs, _ = played("empty_hand_gripper", Hand(seed, None))
     assert machine.phase is Phase.DONE and "all 4 runs are good" in machine.message, machine.message
-    estimate = calibrate(ROBOT, [LoadedRun(run) for run in runs], advice=0)
+    estimate = calibrate(ROBOT, [LoadedRun(run) for run in runs])
     assert estimate.calibration is not None, estimate.reasons
     return ROBOT.with_calibration(estimate.calibration)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from proprio_ros.experiment_design.planning import (
     candidate_joints,
     clearance,
     plan,
+    with_advice,
 )
-from proprio_ros.identification.calibration_estimate import ProbePlan
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
@@ -33,16 +36,35 @@ BALL = PayloadFacts(shape=PayloadShape.of("sphere", 0.03))
 
 
 @pytest.fixture(scope="module")
-def calibrated(bags: Path) -> Robot:
+def estimate(bags: Path) -> CalibrationEstimate:
     robot = load_robot("open_manipulator_x")
     known = [
         LoadedRun(run)
         for folder in sorted(bags.glob("realistic_s00_empty_*"))
         for run in bag_runs(folder / "bag_mcap", robot, ReplayOptions(), {})
     ]
-    estimate = calibrate(robot, known, advice=0)
+    return calibrate(robot, known)
+
+
+@pytest.fixture(scope="module")
+def calibrated(estimate: CalibrationEstimate) -> Robot:
     assert estimate.calibration is not None
-    return robot.with_calibration(estimate.calibration)
+    return load_robot("open_manipulator_x").with_calibration(estimate.calibration)
+
+
+def test_only_a_calibration_that_holds_gets_advice(estimate: CalibrationEstimate) -> None:
+    robot = load_robot("open_manipulator_x")
+    assert not estimate.advice and estimate.weighable is None
+    for other in (replace(estimate, verdict=Verdict.REJECTED), replace(estimate, calibration=None)):
+        advised = with_advice(robot, other)
+        assert not advised.advice and advised.weighable is None
+    said: list[str] = []
+    refreshed = with_advice(robot, replace(estimate, whole=None), progress=said.append)
+    assert not refreshed.advice and refreshed.weighable is not None and said == ["looking at what can be weighed"]
+    assert estimate.calibration is not None
+    upwards = dict.fromkeys(estimate.calibration.joints, True)
+    one_way = with_advice(robot, replace(estimate, driven_one_way=upwards), count=2)
+    assert len(one_way.advice) == 2 and all(plan.travel[0] < 0.0 for plan in one_way.advice)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +111,7 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ProbePl
         return cut_runs(recording, joints=[*JOINTS, GRIPPER])[0]
 
     known = [LoadedRun(run_of(p.joint, p.start, p.current_A, None)) for p in EMPTY_PROBES]
-    learnt = calibrate(robot, known, advice=0).calibration
+    learnt = calibrate(robot, known).calibration
     assert learnt is not None
     arm = robot.with_calibration(learnt)
     checked = 0
@@ -156,11 +178,11 @@ def test_the_advised_run_teaches_more_than_a_middling_one(bags: Path) -> None:
     known = [run_of(p.joint, p.start, p.current_A) for p in (EMPTY_PROBES[0], EMPTY_PROBES[2], EMPTY_PROBES[4])]
 
     def uncertainty(runs) -> float:
-        calibration = calibrate(robot, runs, advice=0).calibration
+        calibration = calibrate(robot, runs).calibration
         rows = [calibration.keys.index((term, "joint3")) for term in ADVISED_TERMS]
         return float(np.linalg.slogdet(calibration.covariance[np.ix_(rows, rows)])[1])
 
-    first = calibrate(robot, known, advice=0).calibration
+    first = calibrate(robot, known).calibration
     advised = advise(robot.with_calibration(first), ["joint3"], count=1)[0]
     middling = EMPTY_PROBES[1]
     gains = [

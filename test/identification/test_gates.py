@@ -33,7 +33,7 @@ def robot() -> Robot:
 @pytest.fixture(scope="module")
 def calibrated(bags: Path, robot: Robot) -> Robot:
     known = [LoadedRun(run_of(bags, folder.name, robot)) for folder in sorted(bags.glob("realistic_s00_empty_*"))]
-    estimate = calibrate(robot, known, advice=0)
+    estimate = calibrate(robot, known)
     assert estimate.calibration is not None
     return robot.with_calibration(estimate.calibration)
 
@@ -259,7 +259,7 @@ def test_not_calibrated(bags: Path, robot: Robot, calibrated: Robot) -> None:
 
 def test_a_joint_that_was_not_calibrated(bags: Path, robot: Robot, lift: Run) -> None:
     known = [LoadedRun(run_of(bags, f"realistic_s00_empty_{n:02d}_joint2", robot)) for n in range(6, 12)]
-    shoulder = calibrate(robot, known, advice=0).calibration
+    shoulder = calibrate(robot, known).calibration
     assert shoulder is not None
     estimate = weigh(robot.with_calibration(shoulder), [lift])
     assert any("joint3 was not calibrated" in reason for reason in estimate.reasons)

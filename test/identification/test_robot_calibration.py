@@ -67,15 +67,15 @@ def learnt(recordings: Path, robot: Robot) -> dict[tuple[str, bool], Calibration
     found = {}
     for level in LEVELS:
         known = empty_runs(recordings / level, robot)
-        found[level, False] = calibrate(robot, known, advice=0)
-        found[level, True] = calibrate(robot, known + reference_runs(recordings / level, robot), advice=0)
+        found[level, False] = calibrate(robot, known)
+        found[level, True] = calibrate(robot, known + reference_runs(recordings / level, robot))
     return found
 
 
 @pytest.fixture(scope="module")
 def quantised(recordings: Path, robot: Robot) -> CalibrationEstimate:
     """Of a robot without friction and noise, on all of its empty runs."""
-    return calibrate(robot, empty_runs(recordings / "quantised_s00", robot), advice=0)
+    return calibrate(robot, empty_runs(recordings / "quantised_s00", robot))
 
 
 def weighings(level: Path, robot: Robot, estimate: CalibrationEstimate) -> list[tuple[float, Estimate]]:
@@ -177,7 +177,7 @@ def test_frictionless_robots_are_found_frictionless(quantised: CalibrationEstima
 def test_the_gripper_is_calibrated_at_its_motor(recordings: Path, robot: Robot) -> None:
     level = recordings / "realistic_s00"
     runs = empty_runs(level, robot, "empty_0[0-5]*") + empty_runs(level, robot, "squeeze_empty_*")
-    estimate = calibrate(robot, runs, advice=0)
+    estimate = calibrate(robot, runs)
     truth = truth_of(level / "squeeze_empty_0")["joints"]["gripper_left_joint"]
     for term in ("coulomb", "armature", "viscous"):
         quantity = estimate.calibration.quantities[term, "gripper_left_joint"]
@@ -198,9 +198,7 @@ def test_a_run_that_was_not_empty_is_named_and_left_out(
 ) -> None:
     known = empty_runs(recordings / level, robot)
     clean = quantised if level == "quantised_s00" else learnt[level, False]
-    spoilt = calibrate(
-        robot, [*known, *(LoadedRun(run) for run in runs_of(recordings / level / intruder, robot))], advice=0
-    )
+    spoilt = calibrate(robot, [*known, *(LoadedRun(run) for run in runs_of(recordings / level / intruder, robot))])
     assert spoilt.verdict is Verdict.ACCEPTED and intruder in spoilt.reasons[0]
     assert "contradicts the other runs and was left out" in spoilt.reasons[0]
     assert len(spoilt.run_fits) == len(clean.run_fits)
@@ -215,17 +213,17 @@ def test_a_hand_that_was_never_empty_is_refused(recordings: Path, robot: Robot) 
         for name in ("fixed_heavy_ball_50g_joint3", "fixed_heavy_ball_50g_joint3_x0", "fixed_heavy_ball_50g_joint3_x1")
         for run in runs_of(level / name, robot)
     ]
-    estimate = calibrate(robot, empty_runs(level, robot, "empty_0[0-2]*") + loaded, advice=0)
+    estimate = calibrate(robot, empty_runs(level, robot, "empty_0[0-2]*") + loaded)
     assert estimate.verdict is Verdict.REJECTED or len(estimate.run_fits) < 6
 
 
 def test_what_was_not_probed_is_not_determined(recordings: Path, robot: Robot) -> None:
     """Lifting only: friction and torque are one number."""
     lifts = empty_runs(recordings / "realistic_s00", robot, "empty_0[0-2]*")
-    estimate = calibrate(robot, lifts, advice=0)
+    estimate = calibrate(robot, lifts)
     assert any("joint3 only ever moved in the negative direction" in reason for reason in estimate.reasons)
     assert any("load friction, joint3 was not learnt" in sentence for sentence in estimate.not_separated)
-    both = calibrate(robot, empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*"), advice=0)
+    both = calibrate(robot, empty_runs(recordings / "realistic_s00", robot, "empty_0[0-5]*"))
     assert not any("only ever moved" in reason for reason in both.reasons)
     stds = [e.calibration.quantities["coulomb", "joint3"].std for e in (estimate, both)]
     assert stds[1] < 0.5 * stds[0]
@@ -245,7 +243,7 @@ def test_stuck_runs_only(recordings: Path, robot: Robot) -> None:
 def test_another_robot_is_refused(recordings: Path, robot: Robot) -> None:
     """Recordings of one arm, described by a file with arms of three times the weight."""
     heavy = robot.with_overrides({"arm_scale": {"value": 3.0, "std": 0.02}})
-    estimate = calibrate(heavy, empty_runs(recordings / "quantised_s00", robot), advice=0)
+    estimate = calibrate(heavy, empty_runs(recordings / "quantised_s00", robot))
     assert estimate.verdict is Verdict.REJECTED and estimate.reasons
 
 
@@ -259,7 +257,7 @@ def test_a_calibration_is_not_calibrated_again(
 
 def test_the_posterior_does_not_depend_on_the_order_of_the_runs(recordings: Path, robot: Robot) -> None:
     known = empty_runs(recordings / "realistic_s01", robot, "empty_0[0-5]*")
-    one, other = (calibrate(robot, runs, advice=0).calibration for runs in (known, known[::-1]))
+    one, other = (calibrate(robot, runs).calibration for runs in (known, known[::-1]))
     for key, quantity in one.quantities.items():
         assert other.quantities[key].value == pytest.approx(quantity.value, abs=0.02 * quantity.std)
         assert other.quantities[key].std == pytest.approx(quantity.std, rel=0.02)
@@ -293,7 +291,7 @@ def test_an_empty_hand_weighs_nothing(
     known = empty_runs(recordings / "realistic_s00", robot)
     for out in (0, 4, 7):
         kept = [run for row, run in enumerate(known) if row != out]
-        calibrated = robot.with_calibration(calibrate(robot, kept, advice=0).calibration)
+        calibrated = robot.with_calibration(calibrate(robot, kept).calibration)
         value = weigh(calibrated, [known[out].run]).value("payload_mass")
         assert value.ci95[0] == 0.0 and value.value < 2.0 * value.std < 6e-3
 
@@ -303,7 +301,7 @@ def test_a_wider_prior_never_narrows(recordings: Path, robot: Robot) -> None:
     unsure = replace(robot, torque_disturbance=3.0 * robot.torque_disturbance)
     stds = []
     for arm in (robot, unsure):
-        calibrated = arm.with_calibration(calibrate(arm, known, advice=0).calibration)
+        calibrated = arm.with_calibration(calibrate(arm, known).calibration)
         folder = recordings / "realistic_s00" / "fixed_light_ball_20g_joint3"
         stds.append(weigh(calibrated, runs_of(folder, robot), facts_of(folder)).value("payload_mass").std)
     assert stds[1] > stds[0]
@@ -318,7 +316,7 @@ def test_an_empty_hand_looks_empty(learnt: dict[tuple[str, bool], CalibrationEst
 @pytest.mark.parametrize(("pattern", "mass"), [("fixed_heavy_ball_50g_*", 0.05), ("fixed_reference_100g_*", 0.1)])
 def test_a_hand_that_always_held_the_same_is_seen(recordings: Path, robot: Robot, pattern: str, mass: float) -> None:
     """Every run with the same object, stated to be empty: no run contradicts another, but the arm's weight does."""
-    estimate = calibrate(robot, empty_runs(recordings / "quantised_s00", robot, pattern), advice=0)
+    estimate = calibrate(robot, empty_runs(recordings / "quantised_s00", robot, pattern))
     hand = estimate.empty_hand
     assert hand is not None and abs(hand.mass_kg - mass) < 2.0 * hand.std_kg < 0.03
     assert any("look as if the hand held" in reason for reason in estimate.reasons)

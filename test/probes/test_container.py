@@ -105,7 +105,7 @@ def level_of() -> Callable[[Path, str], Level]:
                 for run in runs_of(path, robot)
                 if run.joint != "gripper_left_joint"
             ]
-            estimate = calibrate(robot, empty, advice=0)
+            estimate = calibrate(robot, empty)
             assert estimate.calibration is not None
             known[folder, prefix] = Level(folder, prefix, robot.with_calibration(estimate.calibration))
         return known[folder, prefix]

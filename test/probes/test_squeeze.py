@@ -57,7 +57,7 @@ def calibrated(recordings: Path) -> Callable[[str], Robot]:
                 *sorted((recordings / level).glob("empty_*")),
                 *sorted((recordings / level).glob("squeeze_empty_*")),
             ]
-            estimate = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)], advice=0)
+            estimate = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)])
             assert estimate.calibration is not None
             known[level] = robot.with_calibration(estimate.calibration)
         return known[level]
@@ -269,7 +269,7 @@ def test_from_a_clone(bags: Path) -> None:
     """The recordings that come with the package, and nothing else: 7 % off at most, as on the others of that robot."""
     robot = load_robot("open_manipulator_x")
     folders = [*sorted(bags.glob("realistic_s00_empty_*")), *sorted(bags.glob("realistic_s00_squeeze_empty_*"))]
-    known = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)], advice=0).calibration
+    known = calibrate(robot, [LoadedRun(run) for f in folders for run in runs_of(f, robot)]).calibration
     assert known is not None
     for name in ("light", "heavy"):
         folder = bags / f"realistic_s00_squeeze_{name}"
