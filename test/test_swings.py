@@ -14,7 +14,7 @@ from swings import ROBOT, URDF, as_run, facts, machine_of, released
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags

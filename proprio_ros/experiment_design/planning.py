@@ -18,14 +18,9 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan, Weighable
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
-from proprio_ros.identification.problem import (
-    KnownLoad,
-    PreparedRun,
-    Problem,
-    load_unknowns,
-    prepare_run,
-    robot_unknowns,
-)
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns, robot_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import Key, label_of
 from proprio_ros.quantity import Z95, shown

@@ -30,14 +30,9 @@ from proprio_ros.experiment_design.planning import (
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.identification.fit import FitResult, SearchOptions, solve_load
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
-from proprio_ros.identification.problem import (
-    PAYLOAD_TERMS,
-    RIPPLE_TERMS,
-    PreparedRun,
-    Problem,
-    load_unknowns,
-    prepare_run,
-)
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, RIPPLE_TERMS, load_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, Quantity, shown
 from proprio_ros.records import Run

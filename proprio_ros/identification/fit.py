@@ -15,14 +15,10 @@ from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Scan, SolverSummary, StartPath, UnknownRow
 from proprio_ros.identification.gates import Findings, chi2_limit
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import (
-    DRIVE_TERMS,
-    PreparedRun,
-    Problem,
-    joints_of,
-    load_unknowns,
-)
+from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, load_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import key_of, label_of
 from proprio_ros.quantity import Z95

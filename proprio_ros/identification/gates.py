@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import PreparedRun, Problem, joints_of
+from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.quantity import shown
 from proprio_ros.robot import DriveTrain, Robot

@@ -32,7 +32,7 @@ from proprio_ros.identification.fit import (
 )
 from proprio_ros.identification.gates import MOVING_START, Contradiction, Findings, chance_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import PreparedRun, joints_of
+from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.stamps import stamps_off
 from proprio_ros.kinds import label_of

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.identification.estimate import RunFit
-from proprio_ros.identification.problem import PreparedRun, Problem
+from proprio_ros.identification.prepared_runs import PreparedRun
+from proprio_ros.identification.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.estimate import RecordedRun
-from proprio_ros.identification.problem import at_the_shaft
+from proprio_ros.identification.prepared_runs import at_the_shaft
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import side_view

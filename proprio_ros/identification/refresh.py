@@ -20,9 +20,11 @@ from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings, screen_run, unusable
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import Problem, prepare_run, robot_unknowns
+from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_calibration import LoadedRun, empty_hand, entry_of
+from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts

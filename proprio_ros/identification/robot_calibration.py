@@ -27,18 +27,10 @@ from proprio_ros.identification.calibration_estimate import (
 from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
 from proprio_ros.identification.gates import Findings, contradicting, never_reversed, screen_run, unusable
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import (
-    DRIVE_TERMS,
-    FIRST_SWING_ERROR,
-    RISE,
-    KnownLoad,
-    PreparedRun,
-    Problem,
-    joints_of,
-    prepare_run,
-    robot_unknowns,
-)
+from proprio_ros.identification.prepared_runs import FIRST_SWING_ERROR, KnownLoad, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, RISE, robot_unknowns
 from proprio_ros.identification.swings import (
     CHANGING,
     MISSED_SHARE,

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from proprio_ros.identification.fit import FitResult
-from proprio_ros.identification.problem import PreparedRun, onset_std
+from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.robot_unknowns import onset_std
 from proprio_ros.records import MEASURED_EFFORT
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import INDEX

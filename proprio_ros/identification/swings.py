@@ -17,7 +17,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import PreparedRun
+from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
 
 MISSED_SHARE = 0.03

@@ -19,7 +19,9 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.fit import SearchOptions, solve_load
-from proprio_ros.identification.problem import KnownLoad, Problem, load_unknowns, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.hand import CAMERA_STD_M, known_robot, learnt_robot, play, stated_robot

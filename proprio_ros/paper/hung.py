@@ -14,17 +14,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from proprio_ros.identification import solvers
+from proprio_ros.identification.coefficients import axis_and_gravity, reduced_model
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import (
-    KnownLoad,
-    PreparedRun,
-    Problem,
-    axis_and_gravity,
-    prepare_run,
-    reduced_model,
-    robot_unknowns,
-)
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint, inertial_parameters
 from proprio_ros.quantity import Z95

@@ -16,7 +16,10 @@ import numpy as np
 import warp as wp
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run, reduced_model
+from proprio_ros.identification.coefficients import reduced_model
+from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.resources import share_directory

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Value
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.softbody import SOFT_INDEX, SoftBody, SoftRun

@@ -23,7 +23,7 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.planning import plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
-from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.refresh import refresh
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions

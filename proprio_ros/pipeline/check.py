@@ -13,7 +13,7 @@ from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
 from proprio_ros.identification.estimate import plain
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, screen_run, unusable
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings

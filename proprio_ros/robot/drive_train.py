@@ -117,6 +117,11 @@ class DriveTrain:
     driven_by: Drive | None = None
 
     @property
+    def reading_std(self) -> float:
+        """Standard deviation of one reading of the encoder, rounding included [rad]."""
+        return float(np.hypot(self.encoder_resolution / np.sqrt(12.0), self.encoder_noise))
+
+    @property
     def electric_damping(self) -> float:
         """Viscous friction that back EMF makes where a voltage drives the motor [N m s/rad]."""
         if self.driven_by is None:

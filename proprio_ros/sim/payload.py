@@ -144,6 +144,11 @@ class PayloadFacts:
     shape_std_relative: float = 0.0
     com_guessed: bool = False
 
+    @property
+    def per_kg(self) -> np.ndarray:
+        """Inertial parameters of 1 kg of it, shape (10,)."""
+        return payload_parameters(np.array(1.0), self.com, self.shape.second_moment_per_mass)
+
 
 def payload_parameters(mass: np.ndarray, com: np.ndarray, second_moment_per_mass: np.ndarray) -> np.ndarray:
     """The ten inertial parameters (m, m c, second moments) of payloads, linear in the mass.

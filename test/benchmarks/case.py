@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.identification.problem import PreparedRun, Problem, load_unknowns, prepare_run
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings

@@ -20,7 +20,7 @@ import numpy as np
 from case import REPEATS, REPOSITORY, Case, Row, Timing, measure, measure_in_turn
 from scipy.optimize import least_squares
 
-from proprio_ros.identification.problem import prepare_run
+from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role

@@ -43,8 +43,10 @@ from random_arm import (
 )
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, load_unknowns, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95

@@ -30,7 +30,7 @@ from random_arm import EFFECTS, EMPTY_PROBES, GRIPPER, HiddenRobot, Load, Probe,
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.gates import LITTLE_TRAVEL
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import find_sphere

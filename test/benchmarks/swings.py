@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.runs import cut_runs

@@ -35,7 +35,7 @@ from proprio_ros.excitation.machine import approach_s
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, Until, load_sequence
 from proprio_ros.experiment_design.sequential import half_of
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
-from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.runs import cut_runs

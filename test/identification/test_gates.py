@@ -10,8 +10,10 @@ import pytest
 
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import chi2_limit
-from proprio_ros.identification.problem import Problem, load_unknowns, prepare_run
+from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
 from proprio_ros.probes.payload.identify import weigh

@@ -10,7 +10,9 @@ import pytest
 
 from proprio_ros.identification import solvers
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import KnownLoad, Problem, prepare_run, robot_unknowns
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
 from proprio_ros.robot import load_robot

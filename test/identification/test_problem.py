@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from proprio_ros.calibration_files.pushes import Calibration
-from proprio_ros.identification.problem import KnownLoad, Problem, load_unknowns, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.recordings.bags import read_recording
 from proprio_ros.recordings.runs import cut_runs

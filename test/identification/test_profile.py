@@ -13,7 +13,8 @@ from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.fit import CHI2_95, FitResult, SearchOptions, _split, misfit_profile, solve_load
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import Problem, prepare_run
+from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay

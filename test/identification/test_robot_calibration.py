@@ -13,7 +13,7 @@ import pytest
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.problem import KnownLoad
+from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.pipeline.replay import ReplayOptions, bag_runs

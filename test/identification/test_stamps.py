@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proprio_ros.identification.problem import PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.stamps import driven_beyond, moves_before
 from proprio_ros.records import Run
 from proprio_ros.robot import load_robot

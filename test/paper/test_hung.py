@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from proprio_ros.identification.problem import KnownLoad, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.hand import known_robot, play, stated_robot
 from proprio_ros.paper.hung import Hung, HungProblem, hung_unknowns, weigh_hung

@@ -14,7 +14,7 @@ import pytest
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import prepare_run
+from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file

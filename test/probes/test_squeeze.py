@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from proprio_ros.cli import main
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.problem import KnownLoad, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file

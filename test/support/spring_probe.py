@@ -12,7 +12,9 @@ from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.fit import FitResult, SearchOptions, summary
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
 from proprio_ros.identification.judge import Assessment, judge, rejected
-from proprio_ros.identification.problem import KnownLoad, Problem, joints_of, prepare_run, robot_unknowns
+from proprio_ros.identification.prepared_runs import KnownLoad, joints_of, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.inputs.settings import Settings, number
 from proprio_ros.kinds import KINDS, Kind

@@ -32,7 +32,7 @@ from proprio_ros.experiment_design.sequential import (
 from proprio_ros.experiment_design.until import after_standing, run_of
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
-from proprio_ros.identification.problem import PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.identify import (
     STILL_M,

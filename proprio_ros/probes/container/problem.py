@@ -12,13 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from proprio_ros.identification.problem import (
-    PreparedRun,
-    Problem,
-    axis_and_gravity,
-    load_unknowns,
-    reduced_model,
-)
+from proprio_ros.identification.coefficients import axis_and_gravity, reduced_model
+from proprio_ros.identification.prepared_runs import PreparedRun
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity

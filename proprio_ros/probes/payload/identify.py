@@ -55,7 +55,8 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, Problem, joints_of, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.identification.swings import (
     FRICTION_LAW,

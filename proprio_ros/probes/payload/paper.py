@@ -20,8 +20,10 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Estimate, Fit, Scan, SolverSummary, StartPath, Value, Verdict
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.identification.posterior import run_fits
-from proprio_ros.identification.problem import PreparedRun, Problem, load_unknowns, prepare_run
+from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh

@@ -23,7 +23,7 @@ from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.experiment_design.sequential import FASTEST, Push, best_first
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.identify import SqueezeOptions, fit_squeezes
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns

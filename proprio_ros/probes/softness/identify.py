@@ -46,7 +46,7 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.problem import KnownLoad, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
 from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts, SqueezeProblem, block_unknowns

@@ -13,7 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.problem import PreparedRun, Problem, robot_unknowns
+from proprio_ros.identification.prepared_runs import PreparedRun
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import Robot

@@ -1,0 +1,342 @@
+"""Runs made ready for a fit: the usable window, the weight of each sample, where the joint rests, and what it moves.
+
+The encoder shows the true position less the joint's zero and a once-per-turn error, plus rounding, noise and stamp jitter. A
+residual is weighted by ``sqrt(resolution^2 / 12 + noise^2 + (velocity x jitter)^2)``. All samples of the used window count, not
+only the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.coefficients import Coefficients, arm_coefficients, slide_coefficients
+from proprio_ros.identification.locked_joints import Motion, held_motions, loads_of_yielding
+from proprio_ros.quantity import Quantity
+from proprio_ros.records import Run
+from proprio_ros.robot import DriveTrain, Robot
+from proprio_ros.sim.payload import PayloadFacts, payload_parameters
+
+REST_S = 0.2
+"""Where a joint rests is determined from so much of what was recorded before the onset [s]."""
+AWAY_READINGS = 4.0
+"""Farther from there than this, in counts with their noise, it was still on its way."""
+START_STD = 0.1
+"""How far off a free swing's first reading may be: next to nothing is assumed [rad]."""
+SLOPE_S = 0.08
+"""Over which the velocity is taken with which a free swing begins [s]."""
+FIRST_SWING_ERROR = 0.02
+"""What is taken for the error of a simulated swing until the swing shows it [rad]."""
+SLOW = 0.1
+"""Below this speed the direction of a swing is not read off its samples for certain [rad/s]."""
+MIN_SLOW = 3
+"""Slow samples needed to relate reported effort to the command."""
+
+
+@dataclass(frozen=True)
+class KnownLoad:
+    """What the hand held in a run whose mass is stated; the default is nothing.
+
+    Attributes:
+        mass: [kg].
+        facts: Its place and shape.
+    """
+
+    mass: float = 0.0
+    facts: PayloadFacts = field(default_factory=PayloadFacts)
+
+    @property
+    def inertial_parameters(self) -> np.ndarray:
+        """Shape (10,), see ``payload_parameters``."""
+        return payload_parameters(np.array(self.mass), self.facts.com, self.facts.shape.second_moment_per_mass)
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A run as the fit uses it.
+
+    Attributes:
+        run: As recorded.
+        used: Number of leading samples inside the usable window.
+        cut_reason: Why later samples are left out, or an empty string.
+        hit_limit: Whether that is because the joint reached its limit.
+        drive: Drive train of the driven joint.
+        coefficients: See ``Coefficients``.
+        sigma: Standard deviation of each used sample [rad or m], shape (used,).
+        rest: Start position from the samples before onset.
+        limited: Whether the supply may limit the current inside the window, as far as the recording says.
+        load: What the hand is known to hold; None means the payload to be weighed.
+        yielding: Names of locked joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing
+            it is the load that each kilogram's weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``.
+        arm_as_payload: Payload that would load the gears as the arm does [kg]; only known of free swings.
+    """
+
+    run: Run
+    used: int
+    cut_reason: str
+    hit_limit: bool
+    drive: DriveTrain
+    coefficients: Coefficients
+    sigma: np.ndarray
+    rest: Quantity
+    limited: bool
+    load: KnownLoad | None = None
+    yielding: tuple[str, ...] = ()
+    yielding_times_s: np.ndarray | None = None
+    yielding_load: np.ndarray | None = None
+    arm_as_payload: float = 0.0
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return self.run.times_s[: self.used]
+
+    @property
+    def position(self) -> np.ndarray:
+        return self.run.position[: self.used]
+
+    @property
+    def start_velocity(self) -> float:
+        """Slope of the first samples [rad/s]: with what a free swing about begins."""
+        first = max(int(np.searchsorted(self.times_s, SLOPE_S)), 3)
+        return float(np.polyfit(self.times_s[:first], self.position[:first], 1)[0])
+
+    @property
+    def travel(self) -> float:
+        """Signed largest excursion from rest, or from the start of a free swing, inside the used window."""
+        excursion = self.position - self.rest.value
+        return float(excursion[np.argmax(np.abs(excursion))])
+
+    def weight_at_rest(self, coefficients: np.ndarray) -> float:
+        """What gravity puts on the driven joint at the start [N m], of ``coefficients`` of shape (4,)."""
+        _, cos, sin, constant = coefficients
+        return float(cos * np.cos(self.rest.value) + sin * np.sin(self.rest.value) + constant)
+
+    @property
+    def torque_stds(self) -> np.ndarray:
+        """What the robot file leaves open of the torque that moves the joint: Coulomb, motor, load friction [N m]."""
+        drive = self.drive
+        current = float(np.abs(self.run.input_current_A).max())
+        motor = drive.torque_constant.value * current
+        return np.array([drive.coulomb.std, drive.torque_constant.std * current, drive.load_friction.std * motor])
+
+
+def joints_of(runs: Sequence[PreparedRun]) -> tuple[str, ...]:
+    """The joints that runs drive, each once."""
+    return tuple(dict.fromkeys(run.run.joint for run in runs))
+
+
+def at_the_shaft(robot: Robot, run: Run) -> Run:
+    """The same run as the motor's shaft sees it [rad]: what a slide's positions are divided by its transmission."""
+    drive = robot.drive_trains.get(run.joint)
+    if drive is None or drive.transmission == 1.0:
+        return run
+    return replace(
+        run,
+        position=run.position / drive.transmission,
+        before_position=run.before_position / drive.transmission,
+        after_position=run.after_position / drive.transmission,
+    )
+
+
+def prepare_run(
+    robot: Robot, run: Run, load: KnownLoad | None = None, facts: PayloadFacts | None = None, past_fast: bool = False
+) -> PreparedRun:
+    """Choose the usable window, weigh the samples, and reduce the robot to the driven joint.
+
+    Args:
+        robot: Of the recording.
+        run: As recorded.
+        load: What the hand is known to hold; None means the payload to be weighed.
+        facts: Where the payload sits, for what yielding joints do with it; default at the payload frame.
+        past_fast: Whether samples count from where the joint runs so fast that the supply may limit the current. That is then
+            simulated with the supply's nominal numbers: for motions that are fast for a moment and informative mostly after it.
+
+    Raises:
+        RecordingError: A joint the robot has is missing from the recording, the driven joint has no drive train, or the load to
+            be weighed does not move with it.
+    """
+    run, coefficients, motions = _reduced(robot, run)
+    if (load is None or load.mass > 0.0) and not coefficients.payload.any():
+        raise RecordingError(
+            f"{run.name}: {run.joint} was driven but does not move {robot.payload_frame}: probe a joint between the base and it"
+        )
+    drive, joint = robot.drive_trains[run.joint], robot.model.joint(run.joint)
+    run = at_the_shaft(robot, run)
+    velocity = np.gradient(run.position, run.times_s)
+    followed = _followed(run, velocity, drive)
+    lower, upper = joint.lower / drive.transmission, joint.upper / drive.transmission
+    counted = np.ones_like(followed) if past_fast or run.free else followed
+    used, reason, hit_limit = _usable_window(run, velocity, counted, drive, lower, upper)
+    yielding_times_s = yielding_load = None
+    if motions:
+        where = load.facts if load is not None else facts or PayloadFacts()
+        yielding_times_s, yielding_load = loads_of_yielding(robot, run, motions, where, drive.reading_std)
+    arm_as_payload = 0.0
+    if run.free and coefficients.payload.any():
+        facts_of_it = load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
+        arm_as_payload, per_kg = _weight_on_gears(run, coefficients, facts_of_it)
+        yielding_times_s, yielding_load = run.times_s, np.stack([np.zeros_like(per_kg), per_kg], axis=1)
+    return PreparedRun(
+        run,
+        used,
+        reason,
+        hit_limit,
+        drive,
+        coefficients,
+        _sigma(robot, run, velocity[:used]),
+        _rest(robot, run, drive),
+        limited=not run.free and not followed[1:used].all(),
+        load=load,
+        yielding=tuple(motions),
+        yielding_times_s=yielding_times_s,
+        yielding_load=yielding_load,
+        arm_as_payload=arm_as_payload,
+    )
+
+
+def _reduced(robot: Robot, run: Run) -> tuple[Run, Coefficients, dict[str, Motion]]:
+    """What the driven joint moves, how locked joints gave way meanwhile, and the run with them where they were at its start.
+
+    Raises:
+        RecordingError: See ``prepare_run``.
+    """
+    if run.joint not in robot.drive_trains:
+        known = ", ".join(robot.drive_trains)
+        raise RecordingError(
+            f"{run.name}: {run.joint} was driven, but {robot.name} has no drive train for it (it has: {known})"
+        )
+    others = [name for name in robot.model.independent_joints if name != run.joint]
+    missing = [name for name in others if name not in run.held]
+    if missing:
+        raise RecordingError(
+            f"{run.name}: no position of {', '.join(missing)} in the recording; state it with --set held.{missing[0]}=VALUE"
+        )
+    if robot.model.joint(run.joint).kind == "prismatic":
+        return run, slide_coefficients(robot, run), {}
+    coefficients = arm_coefficients(robot, run, others)
+    motions = {} if run.free else held_motions(robot, run, coefficients.pose)
+    if motions:
+        starts = {name: motion.start for name, motion in motions.items()}
+        run = replace(run, held={**run.held, **starts})
+        coefficients = arm_coefficients(robot, run, others)
+    return run, coefficients, motions
+
+
+def _sigma(robot: Robot, run: Run, velocity: np.ndarray) -> np.ndarray:
+    """Standard deviations of readings at these velocities, shape (K,)."""
+    jitter = robot.stamp_jitter_s
+    if robot.calibration is None:
+        # random errors of the stamps show in their intervals, sqrt(2) times; stamps like clockwork have none. What a calibration
+        # learnt from residuals holds as it is: whatever makes them grow with speed is in it, and not in the intervals.
+        jitter = min(jitter, float(np.std(np.diff(run.times_s))) / np.sqrt(2.0))
+    reading = robot.residual_scale * robot.drive_trains[run.joint].reading_std
+    sigma: np.ndarray = np.hypot(reading, velocity * jitter)
+    return np.hypot(sigma, robot.swing_error or FIRST_SWING_ERROR) if run.free else sigma
+
+
+def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
+    """Where the joint was before the onset; of a free swing, where it begins."""
+    if run.free:
+        return Quantity(float(run.position[0]), START_STD)
+    resting = _at_rest(run, drive)
+    if len(resting) == 0:
+        return Quantity(float(run.position[0]), 3.0 * (robot.residual_scale * drive.reading_std))
+    # at rest the rounding error repeats, so only the noise averages out
+    noise = drive.encoder_noise / np.sqrt(len(resting))
+    return Quantity(float(np.mean(resting)), float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)))
+
+
+def _weight_on_gears(run: Run, coefficients: Coefficients, facts: PayloadFacts) -> tuple[float, np.ndarray]:
+    """What friction that grows with the load acts on in a free swing.
+
+    With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way it
+    goes is read off the recording, so that this friction is a known load times one unknown.
+
+    Returns:
+        The payload [kg] that weighs on the joint as the arm does, and the size of the moment of 1 kg with the sign of the
+        velocity at each sample [N m/kg], shape (K,).
+    """
+    _, cos, sin, constant = coefficients.per_kg(facts)
+    arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
+    width = max(round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1, 3)
+    smooth = np.convolve(np.pad(run.position, width // 2, mode="edge"), np.full(width, 1.0 / width), "valid")
+    side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
+    moment = np.abs(cos * np.cos(run.position) + sin * np.sin(run.position) + constant)
+    return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
+
+
+def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
+    """At which samples the motor reported the commanded current, shape (K,); False where nothing was reported.
+
+    The reported effort is compared with the command in its own unit: what the two have to do with each other is read off the
+    slow samples, where the supply limits nothing.
+    """
+    blind = np.zeros(len(run.times_s), dtype=bool)
+    if run.reported_effort is None:
+        return blind
+    command = run.input_current_A[np.searchsorted(run.input_times_s, run.times_s, side="left").clip(1) - 1]
+    slow = (np.abs(velocity) < 0.5 * drive.usable_velocity) & (command != 0.0) & np.isfinite(run.reported_effort)
+    slow &= run.times_s > run.times_s[0]  # the first report may be older than the command
+    if slow.sum() < MIN_SLOW or np.median(run.reported_effort[slow] / command[slow]) <= 0.0:
+        return blind
+    unit = float(np.median(run.reported_effort[slow] / command[slow]))
+    off = np.abs(run.reported_effort / unit - command)
+    noise = 1.4826 * float(np.median(off[slow]))
+    return off <= np.maximum(0.05 * np.abs(command), 4.0 * noise)
+
+
+def _at_rest(run: Run, drive: DriveTrain) -> np.ndarray:
+    """Positions before the onset from where the joint had come to rest; all of them where it had not.
+
+    A recording holds up to a second of what was before, and a probe may settle for less after its way there.
+    """
+    position = run.before_position
+    last = position[run.before_times_s >= -REST_S]
+    if len(last) == 0:
+        return position
+    off = np.abs(position - np.median(last)) > AWAY_READINGS * float(
+        np.hypot(drive.encoder_resolution, drive.encoder_noise)
+    )
+    if off[-len(last) :].any() or not off.any():
+        return position
+    return position[np.flatnonzero(off)[-1] + 1 :]
+
+
+def _usable_window(
+    run: Run, velocity: np.ndarray, followed: np.ndarray, drive: DriveTrain, lower: float, upper: float
+) -> tuple[int, str, bool]:
+    """Samples before the joint meets its limit, or runs so fast that the supply may no longer drive the current.
+
+    A fast sample still counts while the motor itself reports the commanded current. Returns how many samples are usable, why no
+    more, and whether the limit is the reason.
+    """
+    count = len(run.times_s)
+    # how close to the limit a reading is no longer certain to be short of it
+    margin = 3.0 * float(np.hypot(drive.zero.std, drive.encoder_resolution))
+    before = np.concatenate([[run.position[0]], run.position[:-1]])
+    step = np.diff(run.position, prepend=run.position[0])
+    # where the sample would be at the speed of the last interval: an impact may hide between two samples
+    expected = before + np.concatenate([[0.0], step[:-1]])
+    furthest, nearest = np.maximum(run.position, expected), np.minimum(run.position, expected)
+    beyond = (furthest > upper - margin) | (nearest < lower + margin)
+    # a joint that starts at a limit and leaves it is free to move
+    stopped = np.flatnonzero(beyond & (np.abs(run.position - run.position[0]) > margin))
+    fast = np.flatnonzero((np.abs(velocity) > drive.usable_velocity) & ~followed)
+    limit = int(stopped[0]) if len(stopped) else count
+    speed = int(fast[0]) if len(fast) else count
+    if limit < count and limit <= speed:
+        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start", True
+    if speed < count:
+        why = (
+            "the supply may no longer drive the commanded current"
+            if run.reported_effort is None
+            else "the motor did not report the commanded current"
+        )
+        reason = (
+            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start and {why}"
+        )
+        return speed, reason, False
+    return count, "", False

@@ -1,0 +1,127 @@
+"""The unknowns of a fit of rigid loads: what is open about the robot and the payload, and each run's own start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from proprio_ros.identification.coefficients import link_stds
+from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.kinds import Key, Scope
+from proprio_ros.quantity import Quantity
+from proprio_ros.records import MEASURED_EFFORT
+from proprio_ros.robot import Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+PAYLOAD_TERMS = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale")
+DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
+"""Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
+SLOWEST_STRIBECK = 0.02
+"""A bump of friction narrower than this is over within a sample of any push [rad/s]."""
+RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
+"""The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
+START_VELOCITY_STD = 2.0
+"""How far off the slope of a free swing's first samples may be: next to nothing is assumed [rad/s]."""
+NOT_IN_A_SWING = ("torque_constant", "delay")
+"""Without a current, nothing depends on these."""
+RISE = ("stribeck", "stribeck_velocity")
+"""How dry friction rises towards standstill."""
+KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, *RISE)
+"""Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
+learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows. What another rise would
+have made of the rest is in a calibration's covariance; the next swing of the joint, whose rise is the same, is fitted given it."""
+COMMON_SHARE = 0.5
+"""Of the variance of torque constants, what motors of one kind have in common before anything is learnt: a maker's number is off
+for all of them, and each differs from it. If each erred on its own alone, several joints together would tell the arm's weight from
+that number better than anybody knows it."""
+
+
+def load_unknowns(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, drive_role: Role, start_mass_kg: float
+) -> list[Unknown]:
+    """All unknowns of a weighing: the payload, what is open about the robot, and each run's start.
+
+    Args:
+        robot: Of the runs.
+        runs: Weighed together.
+        facts: What is stated about the payload.
+        drive_role: ``FROZEN`` keeps the robot at its file's values, ``FREE`` lets the recording move them under their priors.
+        start_mass_kg: The payload's, from which a fit starts [kg].
+    """
+    unknowns = [Unknown("payload_mass", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
+    for axis, name in enumerate("xyz"):
+        spread = float(facts.com_std[axis])
+        unknowns.append(Unknown(f"payload_com_{name}", float(facts.com[axis]), spread, -1.0, 1.0).at_role(Role.FREE))
+    unknowns.append(Unknown("shape_scale", 1.0, facts.shape_std_relative, 0.0, 10.0).at_role(drive_role))
+    return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
+
+
+def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) -> list[Unknown]:
+    """What is open about the robot in these runs, shared and of each run on its own.
+
+    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown.
+    """
+    shared = [
+        _from_quantity("arm_scale", None, robot.arm_scale, lower=0.1),
+        _from_quantity("delay", None, robot.delay, lower=-0.1, upper=0.1),
+    ]
+    for name in joints_of(runs):
+        drive = robot.drive_trains[name]
+        for kind in DRIVE_TERMS:
+            lower = SLOWEST_STRIBECK if kind == "stribeck_velocity" else 0.0
+            shared.append(_from_quantity(kind, name, getattr(drive, kind), lower=lower))
+    for name in dict.fromkeys(name for run in runs for name in (run.run.joint, *run.coefficients.pose)):
+        moved = robot.drive_trains.get(name)
+        if moved is not None and moved.transmission == 1.0:
+            # a locked joint's reading is rounded the same way in every sample
+            std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
+            shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
+            for kind in RIPPLE_TERMS:
+                shared.append(_from_quantity(kind, name, Quantity(0.0, moved.encoder_once_per_turn)))
+    stds = link_stds(robot)
+    for kind, link in dict.fromkeys(key for run in runs for key in run.coefficients.links):
+        shared.append(_from_quantity(kind, link, Quantity(0.0, stds[kind])))
+    known = {} if robot.calibration is None else robot.calibration.quantities
+    unknowns = [
+        _from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u for u in shared
+    ]
+    unknowns = [u.at_role(drive_role) for u in unknowns]
+    for row, run in enumerate(runs):
+        unknowns.append(Unknown("q0", run.rest.value, run.rest.std, scope=row))
+        if run.run.free:
+            unknowns.append(Unknown("v0", run.start_velocity, START_VELOCITY_STD, scope=row))
+            change = Unknown("friction_change", 0.0, robot.friction_spread, -0.9, scope=row)
+            unknowns.append(change.at_role(drive_role))
+        else:
+            unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
+        unknowns.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
+        # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
+        disturbance = 0.0 if run.run.free else robot.torque_disturbance
+        unknowns.append(Unknown("disturbance", 0.0, disturbance, scope=row).at_role(drive_role))
+    return unknowns
+
+
+def onset_std(robot: Robot, run: PreparedRun) -> float:
+    """How the delay differs from run to run; where the input is measured effort, its onset is only known to one period."""
+    if run.run.free:  # no command begins it
+        return 0.0
+    period = float(np.median(np.diff(run.run.times_s))) if run.run.source == MEASURED_EFFORT else 0.0
+    return float(np.hypot(robot.onset_jitter_s, period / 2.0))
+
+
+def _from_quantity(
+    kind: str, scope: Scope, quantity: Quantity, lower: float = -np.inf, upper: float = np.inf
+) -> Unknown:
+    return Unknown(kind, float(np.clip(quantity.value, lower, upper)), quantity.std, lower, upper, scope=scope)
+
+
+def of_one_kind(robot: Robot, free: Sequence[Unknown]) -> tuple[list[Key], np.ndarray]:
+    """Keys and prior covariance of the torque constants among some unknowns; motors of one kind err together in part."""
+    constants = [unknown for unknown in free if unknown.kind == "torque_constant"]
+    kinds = [robot.drive_trains[str(unknown.scope)].nominal_effort_per_current for unknown in constants]
+    std = np.array([unknown.std for unknown in constants])
+    alike = np.array([[one == other for other in kinds] for one in kinds], dtype=float).reshape(len(std), len(std))
+    shares = COMMON_SHARE * alike + (1.0 - COMMON_SHARE) * np.eye(len(std))
+    return [unknown.key for unknown in constants], shares * np.outer(std, std)
