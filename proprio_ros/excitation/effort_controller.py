@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.hold import LONGEST_WAIT_S, SLOWEST_HZ, Hold, HoldGains
-from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.robot import Robot
 

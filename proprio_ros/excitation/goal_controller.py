@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.machine import Command
+from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.robot import Robot
 from proprio_ros.robot.drives import PositionServo

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from proprio_ros.excitation.machine import JointSample
+from proprio_ros.excitation.commands import JointSample
 
 SPAN_S = 0.02
 """A velocity that is not stated is the mean over at least so long: encoders are coarse, and messages may come in pairs."""

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.machine import ExcitationMachine, approach_s
+from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence
+from proprio_ros.excitation.ways import approach_s
 from proprio_ros.experiment_design.sequential import WORTH, Push
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.quantity import Sought, shown
@@ -315,7 +316,7 @@ def passes(machine: ExcitationMachine, sequence: ProbeSequence, pose: Mapping[st
     driven = {name: pose[name] for name in machine.joints}
     try:
         check_sequence(sequence, machine.robot)
-        machine.check_way(driven, {**driven, **sequence.runs[0].start}, sequence)
+        machine.ways.find(driven, {**driven, **sequence.runs[0].start}, sequence, "the start of the push")
     except (ConfigurationError, ExcitationError):
         return False
     return True

@@ -16,11 +16,13 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.effort_controller import UNITS, EffortController
 from proprio_ros.excitation.goal_controller import GoalController
+from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.joint_states import JointStates
-from proprio_ros.excitation.machine import Command, ExcitationMachine, Guards, JointSample, Phase
+from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords

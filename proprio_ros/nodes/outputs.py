@@ -15,10 +15,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from proprio_ros.errors import ExcitationError
+from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
 from proprio_ros.excitation.goal_controller import GoalController
 from proprio_ros.excitation.hold import HoldGains
-from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.nodes import last_words, messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords

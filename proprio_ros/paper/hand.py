@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSample, Phase
+from proprio_ros.excitation.commands import Command, JointSample
+from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.recordings.runs import cut_runs

@@ -31,8 +31,8 @@ from coverage import DIAMETER_M, MATCHED, REFERENCE_KG, facts_of
 from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, HiddenRobot, Load, ball, draw_robot, record
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.excitation.machine import approach_s
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, Until, load_sequence
+from proprio_ros.excitation.ways import approach_s
 from proprio_ros.experiment_design.sequential import half_of
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
 from proprio_ros.identification.prepared_runs import KnownLoad

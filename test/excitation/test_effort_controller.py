@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
-from proprio_ros.excitation.machine import Command
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
 from proprio_ros.robot import load_robot
 

@@ -11,17 +11,11 @@ import pytest
 from support.hand import JOINTS, PERIOD_S, RATE_HZ, ROBOT, Hand
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.excitation import machine as machine_module
+from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.free_swing import free_swing
-from proprio_ros.excitation.machine import (
-    CAUGHT_RAD_S,
-    LET_GO_S,
-    LONGEST_CATCH_S,
-    Command,
-    ExcitationMachine,
-    Guards,
-    JointSample,
-    Phase,
-)
+from proprio_ros.excitation.guards import Guards
+from proprio_ros.excitation.machine import CAUGHT_RAD_S, LET_GO_S, LONGEST_CATCH_S, ExcitationMachine, Phase
 from proprio_ros.excitation.plans import LEAST_CURRENT_A, ProbeRun, ProbeSequence, load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.recordings.runs import MOVING_SPAN, cut_runs
@@ -221,7 +215,7 @@ def test_a_guard_catches_the_joint_and_ends_the_sequence(
     ended_by: str, guards: Guards, least_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a hand that is not as the machine takes it to be: what it foretells is switched off."""
-    monkeypatch.setattr(ExcitationMachine, "_check_swing", lambda *_: None)
+    monkeypatch.setattr(machine_module, "check_swing", lambda *_: None)
     sequence = replace(ONCE, min_clearance_m=least_m, approach_velocity=0.6)
     machine, ticks, _ = swung(sequence, guards=guards)
     assert machine.phase is Phase.ABORTED and machine.aborted_by == ended_by
@@ -237,7 +231,7 @@ def test_a_guard_catches_the_joint_and_ends_the_sequence(
 
 def test_a_joint_that_is_caught_too_late_is_held_at_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing brakes it: the catch commands the current, and the motor gives none."""
-    monkeypatch.setattr(ExcitationMachine, "_check_swing", lambda *_: None)
+    monkeypatch.setattr(machine_module, "check_swing", lambda *_: None)
     monkeypatch.setattr("proprio_ros.excitation.machine.CATCH_TIME_S", 1e9)
     start = {"joint2": 0.0, "joint3": 0.42, WRIST: 0.1}
     run = replace(ONCE.runs[0], start=start)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.effort_controller import EffortController
 from proprio_ros.excitation.goal_controller import LARGEST_SUM_RAD, GoalController
 from proprio_ros.excitation.joint_states import JointStates
-from proprio_ros.excitation.machine import Command, ExcitationMachine, Phase
+from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, as_text, load_sequence
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.effort_driver import PositionDriver

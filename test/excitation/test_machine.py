@@ -15,7 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from proprio_ros.errors import ExcitationError
-from proprio_ros.excitation.machine import MOST_LOST_RUNS, Command, ExcitationMachine, Guards, JointSample, Phase
+from proprio_ros.excitation.commands import Command, JointSample
+from proprio_ros.excitation.guards import Guards
+from proprio_ros.excitation.machine import MOST_LOST_RUNS, ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
 from proprio_ros.recordings.bags import read_recording, write_recording
 from proprio_ros.recordings.runs import cut_runs

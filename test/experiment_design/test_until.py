@@ -17,7 +17,8 @@ import yaml
 from support.pushed_arm import Hand
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.machine import ExcitationMachine, JointSample
+from proprio_ros.excitation.commands import JointSample
+from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import Until, as_text, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.experiment_design.until import UntilSure, chosen_known

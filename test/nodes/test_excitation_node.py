@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from proprio_ros.excitation.machine import Command
+from proprio_ros.excitation.commands import Command
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.identifier import IdentifierNode

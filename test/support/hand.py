@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.excitation.machine import Command, JointSample
+from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.arm import VirtualArm

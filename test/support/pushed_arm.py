@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.excitation.machine import Command, ExcitationMachine, JointSample, Phase
+from proprio_ros.excitation.commands import Command, JointSample
+from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.paper import hand as paper_hand
 from proprio_ros.recordings.runs import cut_runs

@@ -1,0 +1,142 @@
+"""What must hold before an excitation begins and while it goes on: the limits of motion, and the checks that need no machine.
+
+Before anything moves it is computed whether a servo that goes all the way to its goal stays inside, and whether a joint that is let
+go of would swing back inside its limits, without friction and with an empty hand. Limits of motion that are given in rad count at
+the motor's shaft; for a joint that slides they are scaled by its transmission.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from proprio_ros.errors import ExcitationError
+from proprio_ros.excitation.commands import JointSample
+from proprio_ros.excitation.free_swing import free_swing
+from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.excitation.ways import Ways
+
+
+@dataclass(frozen=True)
+class Guards:
+    """When to stop. Angles and speeds count at the motor's shaft.
+
+    Attributes:
+        limit_margin_rad: Room left before a joint's limit during a run.
+        max_velocity_rad_s: No joint may be faster.
+        stale_after_s: Neither samples nor ticks may be further apart while a current is on; such a run is repeated.
+        patience_s: The same while all joints are held, which the servos do without us.
+        follow_error_rad, follow_time_s: A joint may be off its goal by so much, for so long, while no current is on.
+        lookahead_s: A run ends when its joint would reach a limit or the table within this time at its present speed.
+        held_joint_error_rad: A joint that is held during a run may be off its goal by so much.
+        max_jump_rad: A position may change by so much from one sample to the next, or as far as the largest velocity takes it.
+    """
+
+    limit_margin_rad: float = 0.05
+    max_velocity_rad_s: float = 6.0
+    stale_after_s: float = 0.1
+    patience_s: float = 1.0
+    follow_error_rad: float = 0.15
+    follow_time_s: float = 0.5
+    lookahead_s: float = 0.08
+    held_joint_error_rad: float = 0.12
+    max_jump_rad: float = 0.3
+
+
+def unfit(sample: JointSample, joints: Sequence[str]) -> str:
+    """What is wrong with a sample in itself; empty when nothing is."""
+    if not math.isfinite(sample.time_s):
+        return f"a sample has the time stamp {sample.time_s}: check the driver"
+    for what, values in (("position", sample.position), ("velocity", sample.velocity)):
+        missing = [name for name in joints if name not in values]
+        if missing:
+            return f"a sample lacks the {what} of {', '.join(missing)}: check that all servos answer"
+        for name in joints:
+            if not math.isfinite(values[name]):
+                return f"the {what} of {name} is {values[name]}: check the driver and the cable"
+    return ""
+
+
+def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
+    """Whether an excitation may begin at a sample.
+
+    Raises:
+        ExcitationError: The sample is no good, or a joint is beyond its limits.
+    """
+    if problem := unfit(sample, ways.joints):
+        raise ExcitationError(f"cannot start: {problem}")
+    for name in ways.joints:
+        low, high = ways.limits(name, -guards.limit_margin_rad)
+        if not low <= sample.position[name] <= high:
+            joint = ways.robot.model.joint(name)
+            raise ExcitationError(
+                f"cannot start: {name} reads {sample.position[name]:.4g}, outside its limits {joint.lower:.4g} .. "
+                f"{joint.upper:.4g}; check its zero and its unit, or move it back by hand with torque off"
+            )
+
+
+def check_step(
+    run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, ways: Ways, guards: Guards, words: str
+) -> None:
+    """Whether a servo that goes all the way to its goal stays within limits and clear of the table.
+
+    Raises:
+        ExcitationError: It would not.
+    """
+    low, high = ways.limits(run.joint, guards.limit_margin_rad)
+    goal = start[run.joint] + run.goal_step
+    if not low <= goal <= high:
+        raise ExcitationError(
+            f"{words}: its goal would be {goal:.3g}, outside {low:.3g} .. {high:.3g} (limits less a margin); use a smaller "
+            "goal_step, or another start"
+        )
+    if not ways.clear((start, {**start, run.joint: goal}), sequence.min_clearance_m):
+        raise ExcitationError(
+            f"{words}: on the way to its goal the arm would come too near to the base's plane; choose a higher pose"
+        )
+
+
+def check_swing(
+    run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, ways: Ways, guards: Guards, words: str
+) -> None:
+    """Whether the joint would swing back without a guard ending it, with the lightest rotor that the robot file allows.
+
+    Raises:
+        ExcitationError: It would not.
+    """
+    name, pose = run.joint, ways.whole(start)
+    swing = free_swing(ways.robot, name, pose)
+    drive = ways.robot.drive_trains[name]
+    weight_N_m = abs(swing.moment_at(pose[name]) * drive.transmission)
+    # what is to be expected of a number that cannot be negative and is only known to be small: a half-normal's mean
+    friction_N_m = max(drive.coulomb.value, math.sqrt(2.0 / math.pi) * drive.coulomb.std)
+    hangs = f"it would hang at {swing.rest:.3g} rad"
+    low, high = ways.limits(name, guards.limit_margin_rad)
+    if not low <= swing.rest <= high:
+        raise ExcitationError(
+            f"{words}: {hangs}, outside {low:.3g} .. {high:.3g} (limits less a margin); move the other joints, so that it "
+            "hangs inside, or choose another joint"
+        )
+    if weight_N_m <= friction_N_m:
+        raise ExcitationError(
+            f"{words}: from {pose[name]:.3g} rad gravity pulls with {weight_N_m:.2g} N m, and its friction is probably "
+            f"{friction_N_m:.2g} N m; start farther from where {hangs}, or take a calibration that knows the friction"
+        )
+    rotor = max(drive.armature.value - drive.armature.std, 0.0) / drive.transmission**2
+    for place in swing.way(pose[name]).tolist():
+        speed = swing.speed_at(place, pose[name], rotor)
+        if speed > guards.max_velocity_rad_s * ways.per_rad[name]:
+            raise ExcitationError(f"{words}: it may reach {speed:.1f} rad/s; start nearer to where {hangs}")
+        for ahead in (place - speed * guards.lookahead_s, place + speed * guards.lookahead_s):
+            if not low <= ahead <= high:
+                raise ExcitationError(
+                    f"{words}: {hangs}, and may swing past {ahead:.3g} rad without friction, outside {low:.3g} .. {high:.3g} "
+                    "(limits less a margin); start nearer to where it hangs, or move the other joints"
+                )
+            height = ways.height({**pose, name: ahead})
+            if height < sequence.min_clearance_m:
+                raise ExcitationError(
+                    f"{words}: it would come {100 * height:.1f} cm above the base's plane at {ahead:.3g} rad without friction; "
+                    "choose a higher pose, or start nearer to where it hangs"
+                )

@@ -1,0 +1,144 @@
+"""Ways of the arm from pose to pose: minimum-jerk motions in joint space that stay clear of the base's plane, the table."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.errors import ExcitationError
+from proprio_ros.excitation.commands import JointSample
+from proprio_ros.excitation.plans import ProbeSequence, margin
+from proprio_ros.records import FloatArray
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import clearance, zero_pose
+
+MIN_APPROACH_S = 0.3
+PEAK_OVER_MEAN = 1.875
+"""Of a minimum-jerk motion (Flash & Hogan 1985): peak speed over mean speed."""
+PATH_STEP_RAD = 0.03  # of the joint that moves most, between two poses whose height is looked at
+PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are not exact
+
+
+@dataclass(frozen=True)
+class Way:
+    """Minimum-jerk motions from pose to pose, with a stop at each.
+
+    Attributes:
+        poses: The first is where it begins.
+        durations_s: Of the motions between them, one less.
+    """
+
+    poses: tuple[dict[str, float], ...] = ({},)
+    durations_s: tuple[float, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """Of the whole way [s]."""
+        return sum(self.durations_s)
+
+    def at(self, elapsed_s: float) -> dict[str, float]:
+        """Positions of all joints at a time from the beginning [rad or m]."""
+        for (before, after), duration_s in zip(itertools.pairwise(self.poses), self.durations_s, strict=True):
+            if elapsed_s < duration_s:
+                s = max(elapsed_s, 0.0) / duration_s
+                part = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+                return {name: start + part * (after[name] - start) for name, start in before.items()}
+            elapsed_s -= duration_s
+        return dict(self.poses[-1])
+
+
+def approach_s(widest_rad: FloatArray | float, velocity_rad_s: float) -> FloatArray:
+    """How long a minimum-jerk way takes [s].
+
+    Args:
+        widest_rad: Of the joint that moves farthest, at the motor's shaft.
+        velocity_rad_s: Peak speed there.
+    """
+    return np.maximum(MIN_APPROACH_S, PEAK_OVER_MEAN * widest_rad / velocity_rad_s)
+
+
+class Ways:
+    """Poses of one arm and ways between them.
+
+    Attributes:
+        robot: The arm; joints: Those with a drive train.
+        per_rad: By joint, what an angle at the motor's shaft is in the joint's own unit [1 or m/rad].
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.joints = tuple(robot.drive_trains)
+        self.per_rad = {name: margin(robot, name, 1.0) for name in self.joints}
+        # joints without a motor are taken to stand at zero, or at the limit nearest to it
+        self._rest = zero_pose(robot)
+
+    def pose(self, sample: JointSample) -> dict[str, float]:
+        """Where the driven joints are [rad or m]."""
+        return {name: float(sample.position[name]) for name in self.joints}
+
+    def whole(self, pose: Mapping[str, float]) -> dict[str, float]:
+        """The pose with the joints that it does not name [rad or m]."""
+        return {**self._rest, **pose}
+
+    def height(self, pose: Mapping[str, float]) -> float:
+        """Of what can be lowered, above the base's plane [m]."""
+        return clearance(self.robot, self.whole(pose))
+
+    def limits(self, joint: str, margin_rad: float) -> tuple[float, float]:
+        """Of a joint, less a margin at the motor's shaft [rad or m]."""
+        model, spare = self.robot.model.joint(joint), margin_rad * self.per_rad[joint]
+        return model.lower + spare, model.upper - spare
+
+    def find(self, before: Mapping[str, float], after: Mapping[str, float], sequence: ProbeSequence, where: str) -> Way:
+        """The straight way in joint space, or one over a higher pose when that comes too low.
+
+        Args:
+            before: Where all driven joints are [rad or m].
+            after: Where they are to be.
+            sequence: Says how fast, and how near to the base's plane.
+            where: What is there, for the message.
+
+        Raises:
+            ExcitationError: Neither keeps the clearance.
+        """
+        for via in itertools.chain([()], ((pose,) for pose in self._high_poses(before, after))):
+            poses = (dict(before), *via, dict(after))
+            if self.clear(poses, sequence.min_clearance_m):
+                spans = [self._widest_rad(*pair) for pair in itertools.pairwise(poses)]
+                return Way(poses, tuple(float(approach_s(span, sequence.approach_velocity)) for span in spans))
+        raise ExcitationError(
+            f"no way to {where} keeps the arm {100 * sequence.min_clearance_m:.0f} cm above the base's plane: move it to a "
+            "higher pose by hand, with torque off, and start again"
+        )
+
+    def _high_poses(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[dict[str, float]]:
+        """Poses to go over, highest first: some joints moved before the others, or the arm at its zero pose."""
+        turning = [name for name in self.joints if self.robot.model.joint(name).kind != "prismatic"]
+        moved = [name for name in turning if before[name] != after[name]]
+        poses = [
+            {**before, **{name: after[name] for name in first}}
+            for count in range(1, len(moved))
+            for first in itertools.combinations(moved, count)
+        ]
+        # the base joint does not lift anything: leave it where it is
+        poses.append({**before, **{name: self._rest[name] for name in turning[1:]}})
+        return sorted(poses, key=lambda pose: -self.height(pose))
+
+    def clear(self, poses: Sequence[Mapping[str, float]], min_clearance_m: float) -> bool:
+        """Whether the arm stays high enough; where it begins too low, whether it only rises until it is."""
+        reached = self.height(poses[0])
+        for before, after in itertools.pairwise(poses):
+            steps = max(2, 1 + math.ceil(self._widest_rad(before, after) / PATH_STEP_RAD))
+            for part in np.linspace(0.0, 1.0, steps).tolist():
+                height = self.height({name: q + part * (after[name] - q) for name, q in before.items()})
+                if height < min(min_clearance_m, reached) - PATH_SLACK_M:
+                    return False
+                reached = max(reached, height)
+        return reached >= min_clearance_m - PATH_SLACK_M
+
+    def _widest_rad(self, before: Mapping[str, float], after: Mapping[str, float]) -> float:
+        return max(abs(after[name] - before[name]) / self.per_rad[name] for name in self.joints)
