@@ -15,19 +15,15 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
-from proprio_ros.bus.dynamixel import DynamixelBus, Goal, Reading, ServoHealth
+from proprio_ros.bus.dynamixel import DynamixelBus, Reading, ServoHealth
+from proprio_ros.bus.state import ArmSample, BusState, CurrentCommand, DrivenJoint, DriverStatistics, JointMode
 from proprio_ros.clock import RoundTrips
 from proprio_ros.errors import BusError, PortLostError
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
-
-FAR_COUNTS = 1_000_000
-"""Goal position, from the present one, at which current-based position mode pushes with its whole current."""
 
 SAG_RAD = 0.06
 """A held joint under load is no further from its goal than this: 0.03 rad at 0.3 A with the servo's own gain."""
@@ -76,86 +72,6 @@ class DriverSettings:
     reconnect_s: float = 0.5
 
 
-class JointMode(Enum):
-    """What a joint is doing."""
-
-    HELD = "held"
-    DRIVEN = "driven"
-    FREE = "free"  # torque on, current zero
-
-
-class BusState(Enum):
-    """What the whole arm is doing."""
-
-    DISCONNECTED = "disconnected"
-    RUNNING = "running"
-    STOPPED = "stopped"  # ~/stop: current zero until torque is switched on again
-    RELEASED = "released"  # torque off
-
-
-class ArmSample(NamedTuple):
-    """One intact round of the bus, at the joints.
-
-    Attributes:
-        sampled_at_s: On the monotonic clock.
-        position: Of each joint [rad or m]; velocity: [rad/s or m/s]; current_A: as the servos report it.
-        commanded_A: Current that each joint is driven with from here on, in whole counts as sent to the servo; 0 where held.
-    """
-
-    sampled_at_s: float
-    position: Mapping[str, float]
-    velocity: Mapping[str, float]
-    current_A: Mapping[str, float]
-    commanded_A: Mapping[str, float]
-
-
-@dataclass
-class DriverStatistics:
-    """Counts since the start.
-
-    Attributes:
-        cycles: Begun.
-        incomplete: Without an intact answer of every servo.
-        untimely: Whose answers took so much longer than usual that the instant they were taken at is not known.
-        retries: Rounds that were asked for again, for either reason.
-    """
-
-    cycles: int = 0
-    incomplete: int = 0
-    untimely: int = 0
-    retries: int = 0
-    reconnects: int = 0
-    refused_commands: int = 0
-
-
-@dataclass
-class _Joint:
-    """What is known and wanted of one joint; angles at the motor's shaft."""
-
-    name: str
-    lower_rad: float
-    upper_rad: float
-    transmission: float
-    current_limit_A: float
-    mode: JointMode = JointMode.HELD
-    angle_rad: float = 0.0
-    velocity_rad_s: float = 0.0
-    goal_rad: float = 0.0  # position commanded to the servo
-    target_rad: float = 0.0  # where the goal is going
-    commanded_A: float = 0.0
-    blocked: str = ""  # why it must not be driven until the commands have paused
-
-
-@dataclass(frozen=True)
-class _Command:
-    """Attributes: sender: who sent it; leased: whether it, or one before it in an unbroken row, drove a joint."""
-
-    arrived_s: float
-    current_A: Mapping[str, float]
-    sender: int = 0
-    leased: bool = False
-
-
 class ArmDriver:
     """Drives the servos of one robot.
 
@@ -186,10 +102,14 @@ class ArmDriver:
         self.health: dict[str, ServoHealth] = {}
         self._log = log
         self._clock = clock
-        self._joints = {servo.joint: self._joint(servo.joint) for servo in bus.servos}
-        self._models = {servo.joint: servo.model for servo in bus.servos}
+        self._joints = {
+            servo.joint: DrivenJoint.of(
+                robot.model.joint(servo.joint), robot.drive_trains[servo.joint], robot.motors[servo.joint], servo.model
+            )
+            for servo in bus.servos
+        }
         self._lock = threading.Lock()
-        self._command: _Command | None = None
+        self._command: CurrentCommand | None = None
         self._targets: dict[str, float] = {}
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
         self._hold_wanted = False
@@ -209,16 +129,6 @@ class ArmDriver:
         # joints without a motor are taken to stand at zero, or at the limit nearest to it
         self._rest = zero_pose(robot)
 
-    def _joint(self, name: str) -> _Joint:
-        joint, drive = self.robot.model.joint(name), self.robot.drive_trains[name]
-        return _Joint(
-            name,
-            joint.lower / drive.transmission,
-            joint.upper / drive.transmission,
-            drive.transmission,
-            self.robot.motors[name].current_limit_A,
-        )
-
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints in the order of an unlabelled command."""
@@ -232,10 +142,7 @@ class ArmDriver:
     @property
     def limp(self) -> bool:
         """Whether any joint is without torque: all of them, or one that a lease drives with a current of zero."""
-        return any(
-            joint.mode is JointMode.FREE or (joint.mode is JointMode.DRIVEN and joint.commanded_A == 0.0)
-            for joint in self._joints.values()
-        )
+        return any(joint.limp for joint in self._joints.values())
 
     # --- what others ask for ------------------------------------------------------------------------------------------
 
@@ -258,8 +165,8 @@ class ArmDriver:
             if not reason and lasts and last is not None and last.sender != sender:
                 reason = f"{', '.join(last.current_A)}: driven by another publisher; one at a time"
             if not reason:
-                pushes = any(self._pushes(self._joints[name], value) for name, value in current_A.items())
-                self._command = _Command(now, dict(current_A), sender, pushes or (lasts and bool(current_A)))
+                pushes = any(self._joints[name].pushed_by(value) for name, value in current_A.items())
+                self._command = CurrentCommand(now, dict(current_A), sender, pushes or (lasts and bool(current_A)))
         self.statistics.refused_commands += bool(reason)
         return reason
 
@@ -341,8 +248,7 @@ class ArmDriver:
         """End every current, and hold all joints where they are from the next cycle on; an arm without torque stays so."""
         with self._lock:
             self._hold_wanted = True
-            self._command = None
-            self._targets.clear()
+            self._drop_commands()
 
     def stop(self) -> None:
         """Current zero on every joint from the next cycle on, until torque is switched on again."""
@@ -351,8 +257,7 @@ class ArmDriver:
             if self._torque_wanted:  # the later request counts
                 self._torque_wanted = None
                 self._torque_set.set()
-            self._command = None
-            self._targets.clear()
+            self._drop_commands()
 
     def set_torque(self, on: bool) -> None:
         """Off: the arm is limp. On: servos with a fault are rebooted, and the arm is held where it is."""
@@ -360,8 +265,11 @@ class ArmDriver:
             self._torque_set.clear()
             self._torque_wanted = on
             self._stop_wanted = False
-            self._command = None
-            self._targets.clear()
+            self._drop_commands()
+
+    def _drop_commands(self) -> None:
+        self._command = None
+        self._targets.clear()
 
     def await_torque(self, seconds: float) -> bool:
         """Wait until the last `set_torque` was obeyed, or failed; returns whether that was in time."""
@@ -387,9 +295,8 @@ class ArmDriver:
                 self._last_answer_s = now
                 self._take(reading)
             elif now - self._last_answer_s > LOST_AFTER_S:
-                raise PortLostError(
-                    f"{self.bus.port_name}: no intact answer for {LOST_AFTER_S} s: check power and cable"
-                )
+                words = f"no intact answer for {LOST_AFTER_S} s: check power and cable"
+                raise PortLostError(f"{self.bus.port_name}: {words}")
             else:
                 self.statistics.incomplete += 1
             # the deadline of a command counts, whether an answer came or not
@@ -440,7 +347,7 @@ class ArmDriver:
         """Report that nothing is driven or held."""
         self._driving = False
         for joint in self._joints.values():
-            joint.mode, joint.commanded_A = JointMode.FREE, 0.0
+            joint.let_go()
 
     def _hold_here(self) -> None:
         """Torque on, every joint held at its present position."""
@@ -456,8 +363,7 @@ class ArmDriver:
         # a hot servo must not be driven before its turn comes
         self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
         with self._lock:
-            self._command = None
-            self._targets.clear()  # but not a stop that came meanwhile
+            self._drop_commands()  # but not a stop that came meanwhile
         self._alerts.clear()
         self._driving = self._limp = False
         for name, joint in self._joints.items():
@@ -515,28 +421,19 @@ class ArmDriver:
             if abs(joint.angle_rad - before_rad) > explained:
                 problems.append(f"{name}: its encoder jumped from {before_rad:.3f} to {joint.angle_rad:.3f} rad")
                 if joint.mode is not JointMode.FREE:
-                    self._hold(joint)  # the old goal, seen by the new encoder, would swing the arm
+                    joint.hold()  # the old goal, seen by the new encoder, would swing the arm
             if state.alert and name not in self._alerts:
                 self._alerts.add(name)
                 problems.append(f"{name}: its servo reports a fault and has switched itself off")
                 self._next_health_s = -np.inf
                 self._health_turn = list(self._joints).index(name)
-        for problem in problems:
-            self._block_all(problem)
-
-    def _block_all(self, reason: str) -> None:
-        """End every current, until the commands have paused."""
-        self._log("error", f"{reason}; all joints are held")
-        for joint in self._joints.values():
-            if joint.mode is JointMode.DRIVEN:
-                self._hold(joint)
-            joint.blocked = reason
-        self.reason = reason
-
-    def _hold(self, joint: _Joint) -> None:
-        joint.mode = JointMode.HELD
-        joint.goal_rad = joint.target_rad = min(max(joint.angle_rad, joint.lower_rad), joint.upper_rad)
-        joint.commanded_A = 0.0
+        for problem in problems:  # ends every current, until the commands have paused
+            self._log("error", f"{problem}; all joints are held")
+            for joint in self._joints.values():
+                if joint.mode is JointMode.DRIVEN:
+                    joint.hold()
+                joint.blocked = problem
+            self.reason = problem
 
     def _decide(self, now: float, seen: bool, timely: bool) -> None:
         """What every joint does until the next cycle."""
@@ -553,52 +450,45 @@ class ArmDriver:
         for joint in self._joints.values():
             current_A = currents.get(joint.name)
             # a zero from nobody must not drop a joint that is held
-            if current_A is not None and (joint.mode is JointMode.DRIVEN or self._pushes(joint, current_A)):
+            if current_A is not None and (joint.mode is JointMode.DRIVEN or joint.pushed_by(current_A)):
                 # a push begins in a cycle whose stamp is right, since everything is measured from that instant
                 if timely or joint.mode is JointMode.DRIVEN:
                     self._drive(joint, current_A)
                 continue
             if hold and joint.mode is not JointMode.HELD:
-                self._hold(joint)
+                joint.hold()
             if joint.mode is JointMode.DRIVEN:
                 timed_out = not fresh and self._driving
                 if timed_out and self.settings.on_timeout == "zero":
-                    joint.mode, joint.commanded_A = JointMode.FREE, 0.0
+                    joint.let_go()
                 else:
-                    self._hold(joint)
+                    joint.hold()
                 if timed_out:
-                    self._log(
-                        "warning",
-                        f"{joint.name}: no current command for {1e3 * self.settings.command_timeout_s:.0f} ms",
-                    )
+                    pause_ms = 1e3 * self.settings.command_timeout_s
+                    self._log("warning", f"{joint.name}: no current command for {pause_ms:.0f} ms")
             if current_A is None:
                 joint.blocked = ""  # the commands have paused
             if joint.name in targets:
                 if joint.mode is JointMode.FREE:
-                    self._hold(joint)
+                    joint.hold()
                 joint.target_rad = targets[joint.name]
         self._driving = any(joint.mode is JointMode.DRIVEN for joint in self._joints.values())
         if seen:
             self._advance_goals()
 
-    def _pushes(self, joint: _Joint, current_A: float) -> bool:
-        """Whether a current is one for the servo, which counts in steps."""
-        return self._models[joint.name].counts_of_current(current_A) != 0
-
-    def _drive(self, joint: _Joint, current_A: float) -> None:
+    def _drive(self, joint: DrivenJoint, current_A: float) -> None:
         reason = joint.blocked or self._why_not_driven(joint, current_A)
         if reason:
             if not joint.blocked:
                 self._log("warning", f"{reason}; held")
             joint.blocked = reason
             if joint.mode is JointMode.DRIVEN:
-                self._hold(joint)
+                joint.hold()
             return
-        model = self._models[joint.name]
         joint.mode = JointMode.DRIVEN
-        joint.commanded_A = model.current_A(model.counts_of_current(current_A))
+        joint.commanded_A = joint.model.current_A(joint.model.counts_of_current(current_A))
 
-    def _why_not_driven(self, joint: _Joint, current_A: float) -> str:
+    def _why_not_driven(self, joint: DrivenJoint, current_A: float) -> str:
         margin = self.settings.limit_margin_rad
         ahead_rad = joint.angle_rad + joint.velocity_rad_s * LOOKAHEAD_S
         if ahead_rad > joint.upper_rad - margin and (joint.velocity_rad_s > 0.0 or current_A > 0.0):
@@ -626,10 +516,8 @@ class ArmDriver:
         ahead = {name: angle + min(max(ways.get(name, 0.0), -reach), reach) for name, angle in before.items()}
         # joints arrive one after the other: between two poses that are high enough the arm may come too low
         if self._height(ahead) < min(self.settings.min_clearance_m, self._height(before)):
-            self._log(
-                "warning",
-                "the arm was about to come too near to the base's plane (min_clearance); it stays where it is",
-            )
+            words = "the arm was about to come too near to the base's plane (min_clearance); it stays where it is"
+            self._log("warning", words)
             for joint in held:
                 joint.target_rad = joint.goal_rad
             return
@@ -639,30 +527,17 @@ class ArmDriver:
     def _write_goals(self) -> None:
         if self.state is BusState.RELEASED:
             return
-        goals = {}
-        for name, joint in self._joints.items():
-            model = self._models[name]
-            here = model.counts_of_position(joint.angle_rad)
-            if self.state is BusState.STOPPED or joint.mode is JointMode.FREE:
-                goals[name] = Goal(0, here)
-            elif joint.mode is JointMode.DRIVEN:
-                counts = model.counts_of_current(joint.commanded_A)
-                # the sign is in the direction of the goal, the size in the limit
-                goals[name] = Goal(abs(counts), here + (FAR_COUNTS if counts > 0 else -FAR_COUNTS if counts < 0 else 0))
-            else:
-                goals[name] = Goal(
-                    model.counts_of_current(joint.current_limit_A), model.counts_of_position(joint.goal_rad)
-                )
-        self.bus.write_goals(goals)
+        stopped = self.state is BusState.STOPPED
+        self.bus.write_goals({name: joint.goal(stopped) for name, joint in self._joints.items()})
 
     def _sample(self, reading: Reading) -> ArmSample:
-        joints = self._joints.values()
+        joints = self._joints.items()
         return ArmSample(
             reading.sampled_at_s,
-            {joint.name: joint.angle_rad * joint.transmission for joint in joints},
-            {joint.name: joint.velocity_rad_s * joint.transmission for joint in joints},
-            {joint.name: reading.states[joint.name].current_A for joint in joints},
-            {joint.name: joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0 for joint in joints},
+            {name: joint.angle_rad * joint.transmission for name, joint in joints},
+            {name: joint.velocity_rad_s * joint.transmission for name, joint in joints},
+            {name: reading.states[name].current_A for name, _ in joints},
+            {name: joint.commanded_A if joint.mode is JointMode.DRIVEN else 0.0 for name, joint in joints},
         )
 
     def _look_after_health(self, now: float) -> None:
@@ -708,7 +583,7 @@ class ArmDriver:
             try:
                 if hold and self.state is BusState.RUNNING:
                     for joint in self._joints.values():
-                        self._hold(joint)
+                        joint.hold()
                     self._write_goals()
                     for servo in self.bus.servos:
                         self.bus.write(servo.id, "bus_watchdog", 0)

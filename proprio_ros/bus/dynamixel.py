@@ -1,7 +1,7 @@
 """Dynamixel servos over a serial port: `dynamixel_sdk`, without its traps.
 
 The SDK (4.1.0) spins on the port while a reply is due, waits 34 ms of wall-clock time for a dead servo, returns 0 for data
-that never came, stays "in use" after an exception, and lets whatever the port raises through. `_Port` and `DynamixelBus` turn
+that never came, stays "in use" after an exception, and lets whatever the port raises through. `Port` and `DynamixelBus` turn
 that into: sleeping waits on the monotonic clock, a time limit of the caller's choice, values only where there are values, and
 `BusError` in one line. One thread owns a bus; nothing here is thread-safe.
 """
@@ -10,17 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import os
-import select
-import termios
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import dynamixel_sdk
-import serial
 
 from proprio_ros.bus.control_table import (
     BAUD_RATES,
@@ -32,12 +27,18 @@ from proprio_ros.bus.control_table import (
     model_name,
     servo_model,
 )
+from proprio_ros.bus.port import (
+    PORT_FAULTS,
+    REPLY_TIMEOUT_S,
+    Port,
+    SerialLike,
+    first_line,
+    latency_warnings,
+    why_not_open,
+)
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
 from proprio_ros.errors import BusError, PortLostError, RobotError
 from proprio_ros.robot import Robot
-
-REPLY_TIMEOUT_S = 0.020
-"""How long a reply may take beyond its time on the wire. A timer of 16 ms in an FTDI adapter still fits."""
 
 TRIES = 3
 """A read or write is tried so often before the servo counts as not answering."""
@@ -55,66 +56,7 @@ _STATUS_WORDS = {
     7: "refuses access to the register (EEPROM is writable only while torque is off)",
 }
 _GOAL_BLOCK = ("goal_current", "goal_velocity", "profile_acceleration", "profile_velocity", "goal_position")
-_PORT_FAULTS = (serial.SerialException, OSError, termios.error, TypeError, AttributeError)
-"""What pyserial and the SDK raise when a cable is pulled, depending on the moment."""
-
 _Result = TypeVar("_Result")
-
-
-class SerialLike(Protocol):
-    """What a bus needs of a port; reads return what is there and never wait."""
-
-    def read(self, size: int, /) -> bytes: ...
-
-    def write(self, data: bytes, /) -> int | None: ...
-
-    def reset_input_buffer(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class _Port(dynamixel_sdk.PortHandler):
-    """A port that waits without spinning, on the monotonic clock, and only as long as asked."""
-
-    def __init__(self, name: str, reply_timeout_s: float, connect: Callable[[], SerialLike] | None) -> None:
-        super().__init__(name)
-        self.ser: Any = None
-        self.is_open: bool = False
-        self.reply_timeout_s = reply_timeout_s
-        self._connect = connect
-
-    def setupPort(self, _flag: int) -> bool:
-        if self.is_open:
-            self.closePort()
-        if self._connect is not None:
-            self.ser = self._connect()
-        else:
-            # exclusive: two drivers on one bus would answer each other's servos
-            self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
-        self.is_open = True
-        self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 10_000.0 / self.baudrate
-        return True
-
-    def readPort(self, length: int) -> bytes:
-        if length <= 0:
-            return b""
-        data: bytes = self.ser.read(length)
-        if not data:
-            left_s = max(1e-3 * (self.packet_timeout - self.getTimeSinceStart()), 0.0)
-            if self._connect is None:
-                select.select([self.ser.fileno()], [], [], min(left_s, 0.005))
-            else:
-                time.sleep(min(left_s, 0.0002))  # not every such port has a descriptor to wait for
-            data = self.ser.read(length)
-        return data
-
-    def getCurrentTime(self) -> float:
-        return 1e3 * time.monotonic()
-
-    def setPacketTimeout(self, packet_length: int) -> None:
-        self.packet_start_time = self.getCurrentTime()
-        self.packet_timeout = self.tx_time_per_byte * packet_length + 1e3 * self.reply_timeout_s
 
 
 @dataclass(frozen=True)
@@ -236,7 +178,7 @@ class DynamixelBus:
         self._want_fast = fast_sync_read
         self._connect = connect
         self._fast = False
-        self._port: _Port | None = None
+        self._port: Port | None = None
         self._packets = dynamixel_sdk.PacketHandler(2.0)
         # ROS 2 Jazzy ships 4.0.5, which has no fast option
         self._sdk_is_fast = "fast_option" in inspect.signature(self._packets.syncReadTx).parameters
@@ -264,23 +206,23 @@ class DynamixelBus:
             PortLostError: It is not there, not permitted, or in use; the message says which.
         """
         self.close()
-        port = _Port(self.port_name, self._reply_timeout_s, self._connect)
+        port = Port(self.port_name, self._reply_timeout_s, self._connect)
         try:
             opened = port.setBaudRate(self.baud_rate)
-        except _PORT_FAULTS as error:
-            raise PortLostError(_why_not_open(self.port_name, error)) from error
+        except PORT_FAULTS as error:
+            raise PortLostError(why_not_open(self.port_name, error)) from error
         if not opened:
             raise PortLostError(
                 f"{self.port_name}: cannot be set to {self.baud_rate} bit/s; choose a baud rate that the adapter knows"
             )
         self._port = port
-        self.warnings = _latency_warnings(self.port_name, port.ser)
+        self.warnings = latency_warnings(self.port_name, port.ser)
 
     def close(self) -> None:
         """Close the port; whatever it answers, it is closed afterwards."""
         port, self._port = self._port, None
         if port is not None and port.ser is not None:
-            with contextlib.suppress(*_PORT_FAULTS):  # it may be gone, which is what was asked for
+            with contextlib.suppress(*PORT_FAULTS):  # it may be gone, which is what was asked for
                 port.ser.close()
 
     def _guarded(self, action: Callable[[Any], _Result]) -> _Result:
@@ -291,11 +233,9 @@ class DynamixelBus:
         port.is_using = False  # an exception or a lost reply leaves it set, and every later call would be refused
         try:
             return action(port)
-        except _PORT_FAULTS as error:
+        except PORT_FAULTS as error:
             self.close()
-            raise PortLostError(
-                f"{self.port_name}: the port is gone ({_first_line(error)}): check the cable"
-            ) from error
+            raise PortLostError(f"{self.port_name}: the port is gone ({first_line(error)}): check the cable") from error
 
     def _settle(self) -> None:
         """After a lost reply: whatever still comes belongs to the past."""
@@ -595,43 +535,3 @@ class DynamixelBus:
             self._guarded(
                 lambda port: self._packets.syncWriteTxOnly(port, self._goal_start, self._goal_length, param, len(param))
             )
-
-
-# --- words and the system -----------------------------------------------------------------------------------------------
-
-
-def _first_line(error: BaseException) -> str:
-    return (" ".join(str(error).split()) or type(error).__name__)[:120]
-
-
-def _why_not_open(port: str, error: BaseException) -> str:
-    number = getattr(error, "errno", None)
-    text = _first_line(error)
-    if not Path(port).exists():
-        others = sorted(str(path) for pattern in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(pattern))
-        return f"{port}: there is no such port; plugged in: {', '.join(others) or 'none'}: check the cable, or name another port"
-    if number == 13 or "ermission" in text:
-        return f"{port}: not permitted: add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again"
-    if number == 11 or "xclusively lock" in text:
-        return f"{port}: another program uses it: stop that one first"
-    return f"{port}: cannot be opened ({text}): check the cable"
-
-
-def _latency_warnings(port: str, handle: serial.Serial) -> list[str]:
-    """Ask for low latency, and say so where the adapter still holds replies back."""
-    with contextlib.suppress(
-        Exception
-    ):  # not every driver has it, and pyserial raises what it likes; the timer below decides
-        handle.set_low_latency_mode(True)
-    timer = Path("/sys/bus/usb-serial/devices") / Path(os.path.realpath(port)).name / "latency_timer"
-    try:
-        milliseconds = int(timer.read_text())
-    except (OSError, ValueError):
-        return []
-    if milliseconds <= 1:
-        return []
-    cycles = 1000 // (milliseconds + 4)
-    return [
-        f"{port}: the adapter's latency timer is {milliseconds} ms, which allows about {cycles} cycles per second: "
-        f"echo 1 | sudo tee {timer}"
-    ]

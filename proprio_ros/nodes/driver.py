@@ -13,8 +13,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from proprio_ros.bus.driver import ArmDriver, ArmSample, BusState, DriverSettings
+from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
+from proprio_ros.bus.state import ArmSample, BusState
 from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from case import REPOSITORY, Case, Row, Timing
 
-from proprio_ros.bus.driver import ArmDriver, BusState, DriverSettings
+from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
+from proprio_ros.bus.state import BusState
 from proprio_ros.clock import Pacer, run_in_real_time
 from proprio_ros.robot import load_robot
 

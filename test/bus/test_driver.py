@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError
-from proprio_ros.bus.driver import LOST_AFTER_S, ArmDriver, ArmSample, BusState, DriverSettings
+from proprio_ros.bus.driver import LOST_AFTER_S, ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
+from proprio_ros.bus.state import ArmSample, BusState
 from proprio_ros.clock import Pacer
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.kinematics import clearance

@@ -8,7 +8,8 @@ from pathlib import Path
 from types import TracebackType
 
 from proprio_ros.bus.control_table import XM430_W350
-from proprio_ros.bus.dynamixel import BusServo, DynamixelBus, SerialLike
+from proprio_ros.bus.dynamixel import BusServo, DynamixelBus
+from proprio_ros.bus.port import SerialLike
 from proprio_ros.virtual.bus import VirtualBus
 from proprio_ros.virtual.port import MemoryPort, PtyPort
 from proprio_ros.virtual.servo import VirtualServo

@@ -1,0 +1,136 @@
+"""What a driver knows and wants of an arm's joints, and what it says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from proprio_ros.bus.control_table import ServoModel
+from proprio_ros.bus.dynamixel import Goal
+from proprio_ros.robot.drive_train import DriveTrain, Motor
+from proprio_ros.robot.urdf import Joint
+
+FAR_COUNTS = 1_000_000
+"""Goal position, from the present one, at which current-based position mode pushes with its whole current."""
+
+
+class JointMode(Enum):
+    """What a joint is doing."""
+
+    HELD = "held"
+    DRIVEN = "driven"
+    FREE = "free"  # torque on, current zero
+
+
+class BusState(Enum):
+    """What the whole arm is doing."""
+
+    DISCONNECTED = "disconnected"
+    RUNNING = "running"
+    STOPPED = "stopped"  # ~/stop: current zero until torque is switched on again
+    RELEASED = "released"  # torque off
+
+
+class ArmSample(NamedTuple):
+    """One intact round of the bus, at the joints.
+
+    Attributes:
+        sampled_at_s: On the monotonic clock.
+        position: Of each joint [rad or m]; velocity: [rad/s or m/s]; current_A: as the servos report it.
+        commanded_A: Current that each joint is driven with from here on, in whole counts as sent to the servo; 0 where held.
+    """
+
+    sampled_at_s: float
+    position: Mapping[str, float]
+    velocity: Mapping[str, float]
+    current_A: Mapping[str, float]
+    commanded_A: Mapping[str, float]
+
+
+@dataclass
+class DriverStatistics:
+    """Counts since the start.
+
+    Attributes:
+        cycles: Begun.
+        incomplete: Without an intact answer of every servo.
+        untimely: Whose answers took so much longer than usual that the instant they were taken at is not known.
+        retries: Rounds that were asked for again, for either reason.
+    """
+
+    cycles: int = 0
+    incomplete: int = 0
+    untimely: int = 0
+    retries: int = 0
+    reconnects: int = 0
+    refused_commands: int = 0
+
+
+@dataclass(frozen=True)
+class CurrentCommand:
+    """What a sender wants joints to be driven with.
+
+    Attributes:
+        leased: Whether it, or one before it in an unbroken row, drove a joint.
+    """
+
+    arrived_s: float
+    current_A: Mapping[str, float]
+    sender: int = 0
+    leased: bool = False
+
+
+@dataclass
+class DrivenJoint:
+    """What is known and wanted of one joint; angles at the motor's shaft."""
+
+    name: str
+    model: ServoModel
+    lower_rad: float
+    upper_rad: float
+    transmission: float
+    current_limit_A: float
+    mode: JointMode = JointMode.HELD
+    angle_rad: float = 0.0
+    velocity_rad_s: float = 0.0
+    goal_rad: float = 0.0  # position commanded to the servo
+    target_rad: float = 0.0  # where the goal is going
+    commanded_A: float = 0.0
+    blocked: str = ""  # why it must not be driven until the commands have paused
+
+    @classmethod
+    def of(cls, joint: Joint, drive: DriveTrain, motor: Motor, model: ServoModel) -> DrivenJoint:
+        """As the robot file states it."""
+        scale = drive.transmission
+        return cls(joint.name, model, joint.lower / scale, joint.upper / scale, scale, motor.current_limit_A)
+
+    @property
+    def limp(self) -> bool:
+        """Whether it is without torque."""
+        return self.mode is JointMode.FREE or (self.mode is JointMode.DRIVEN and self.commanded_A == 0.0)
+
+    def pushed_by(self, current_A: float) -> bool:
+        """Whether a current is one for the servo, which counts in steps."""
+        return self.model.counts_of_current(current_A) != 0
+
+    def hold(self) -> None:
+        """Stay where it was last seen, within its limits."""
+        self.mode, self.commanded_A = JointMode.HELD, 0.0
+        self.goal_rad = self.target_rad = min(max(self.angle_rad, self.lower_rad), self.upper_rad)
+
+    def let_go(self) -> None:
+        """No current, until it is held or driven again."""
+        self.mode, self.commanded_A = JointMode.FREE, 0.0
+
+    def goal(self, stopped: bool) -> Goal:
+        """What its servo is to be told; ``stopped``: no current, whatever it is doing."""
+        here = self.model.counts_of_position(self.angle_rad)
+        if stopped or self.mode is JointMode.FREE:
+            return Goal(0, here)
+        if self.mode is JointMode.DRIVEN:
+            counts = self.model.counts_of_current(self.commanded_A)
+            # the sign is in the direction of the goal, the size in the limit
+            return Goal(abs(counts), here + (FAR_COUNTS if counts > 0 else -FAR_COUNTS if counts < 0 else 0))
+        return Goal(self.model.counts_of_current(self.current_limit_A), self.model.counts_of_position(self.goal_rad))
