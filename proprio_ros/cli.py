@@ -530,11 +530,12 @@ def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def _robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
     from proprio_ros.inputs.resources import check_new_yaml, write_in_one_step
+    from proprio_ros.recordings.description import description_of
     from proprio_ros.robot.new_file import new_robot_file
 
     output = Path(options.output)
     check_new_yaml(output, options.force)
-    new = new_robot_file(options.urdf, output)
+    new = new_robot_file(options.urdf, output, description_of)
     write_in_one_step(output, new.text, "--output")
     if options.json:
         content = {**schema.header("robot"), "robot": new.name, "output": str(output), "joints": list(new.joints),

@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.robot import load_robot
+from proprio_ros.recordings.description import robot_named
 from proprio_ros.virtual.objects import parse_object
 
 
@@ -27,7 +27,7 @@ def check_arguments(robot: str = "", params_file: str = "", held: str = "") -> N
     if params_file:
         _check_parameters(Path(params_file))
     if robot:
-        load_robot(robot)
+        robot_named(robot)
     if held:
         parse_object(held)
 

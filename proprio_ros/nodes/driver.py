@@ -24,7 +24,7 @@ from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.nodes.senders import Senders
 from proprio_ros.recordings.bags import TEMPERATURES
-from proprio_ros.robot import load_robot
+from proprio_ros.recordings.description import robot_named
 
 _D = DriverSettings()
 LATE_S = 0.005
@@ -79,7 +79,7 @@ class DriverNode(ManagedNode):
         for name, choices in (("on_timeout", ("hold", "zero")), ("on_shutdown", ("hold", "zero"))):
             if values[name] not in choices:
                 raise ConfigurationError(f"parameter {name}={values[name]!r}: choose one of {', '.join(choices)}")
-        robot = load_robot(values["robot"])
+        robot = robot_named(values["robot"])
         servos = servos_of(robot)
         self._order = tuple(values["joints"]) or tuple(servo.joint for servo in servos)
         unknown = [name for name in self._order if name not in robot.motors]

@@ -38,7 +38,7 @@ from proprio_ros.nodes.runtime import (
     run_node,
 )
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
-from proprio_ros.robot import load_robot
+from proprio_ros.recordings.description import robot_named
 
 _G, _H = Guards(), HoldGains()
 STATUS_PERIOD_S = 0.1
@@ -121,7 +121,7 @@ class ExcitationNode(ManagedNode):
         self._published: tuple[Any, ...] = ()
 
     def configure(self) -> None:
-        self._robot = load_robot(self.values["robot"])
+        self._robot = robot_named(self.values["robot"])
         for name, choices in (("command_interface", INTERFACES), ("effort_unit", UNITS), ("on_end", ENDS)):
             if self.values[name] not in choices:
                 raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")

@@ -21,7 +21,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
-from proprio_ros.robot import load_robot
+from proprio_ros.recordings.description import robot_named
 from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.effort_driver import UNITS, EffortDriver, PositionDriver
 from proprio_ros.virtual.objects import Payload, parse_object
@@ -86,7 +86,7 @@ class VirtualNode(ManagedNode):
         for name, choices in (("interface", INTERFACES), ("effort_unit", UNITS)):
             if self.values[name] not in choices:
                 raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
-        robot = load_robot(self.values["robot"])
+        robot = robot_named(self.values["robot"])
         self._object = parse_object(self.values["object"])
         self._reference = Payload(self.values["reference"])
         if self.values["truth"]:

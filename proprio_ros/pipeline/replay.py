@@ -35,6 +35,7 @@ from proprio_ros.recordings.bags import (
     without_jumps,
 )
 from proprio_ros.recordings.datasets import episode_of, read_episode
+from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.drivers import Driver, load_driver
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.plausibility import effort_per_torque, effort_units
@@ -43,7 +44,7 @@ from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
 from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run, Span
 from proprio_ros.report import write_page
-from proprio_ros.robot import Robot, is_description, load_robot, with_recorded_torque
+from proprio_ros.robot import Robot, is_description, with_recorded_torque
 from proprio_ros.schema import calibration_used
 from proprio_ros.threads import one_blas_thread
 
@@ -349,18 +350,18 @@ def robot_of(name: str | None, calibration: str | Path | None, overrides: Mappin
         RobotError: either cannot be read, or the calibration is of another robot.
     """
     if calibration is None:
-        return load_robot(name or DEFAULT_ROBOT, overrides)
+        return robot_named(name or DEFAULT_ROBOT, overrides)
     if Path(calibration).suffix not in (".yaml", ".yml"):
         raise RobotError(
             f"--calibration {calibration}: expected the .yaml file that `proprio calibrate --output` wrote"
         )
-    robot = load_robot(calibration, overrides)
+    robot = robot_named(calibration, overrides)
     if robot.calibration is None and robot.motion_calibration is None and robot.joint_calibration is None:
         raise RobotError(
             f"--calibration {calibration}: holds no calibration; write it with `proprio calibrate --output`"
         )
     if name is not None:
-        asked = load_robot(name, with_recorded_torque(name, {}))
+        asked = robot_named(name, with_recorded_torque(name, {}))
         if asked.model.fingerprint() != robot.model.fingerprint():
             raise RobotError(
                 f"--calibration {calibration} is of {robot.name}, whose URDF is not that of --robot {name}: calibrate that robot"
@@ -374,7 +375,7 @@ def configured_robot(
     """The robot as the user's ``robot.`` settings and ``payload.frame`` have it.
 
     Args:
-        name: as for `load_robot`.
+        name: as for `robot_named`.
         calibration: what ``proprio calibrate`` wrote.
         settings: the two are taken out of them.
         effort_unit: a URDF alone is enough where torque was recorded.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from proprio_ros.errors import RobotError, one_line
@@ -28,15 +29,15 @@ def is_bag(path: Path) -> bool:
     return path.suffix in _BAGS or path.is_dir()
 
 
-def read_model(source: str) -> RobotModel:
+def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> RobotModel:
     """The tree of links that a source describes.
 
     Args:
         source: a path, or ``robot_descriptions:NAME``.
+        of_bag: takes a description out of a bag; it raises what it likes. None: a bag is refused.
 
     Raises:
         RobotError: there is no such description, or it is no physical tree.
-        RecordingError: a bag cannot be read, or holds no description.
     """
     if source.startswith(PACKAGE):
         return RobotModel.from_urdf(_packaged(source.removeprefix(PACKAGE)))
@@ -45,9 +46,9 @@ def read_model(source: str) -> RobotModel:
     if problem:
         raise RobotError(f"{one_line(source, 60)}: {problem}")
     if is_bag(path):
-        from proprio_ros.recordings.bags import read_description  # only here: it brings the readers of bags along
-
-        return RobotModel.from_urdf_string(read_description(path), f"/robot_description of {path.name}")
+        if of_bag is None:
+            raise RobotError(f"{path}: is a bag, which only a reader of bags can take a description from")
+        return RobotModel.from_urdf_string(of_bag(path), f"/robot_description of {path.name}")
     if path.suffix == ".xacro":
         raise RobotError(
             f"{path.name}: holds xacro macros; expand it first: xacro {path} > {path.name.split('.')[0]}.urdf"

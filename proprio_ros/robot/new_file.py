@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,17 +42,18 @@ class NewFile:
     to_state: tuple[str, ...]
 
 
-def new_robot_file(source: str, output: Path) -> NewFile:
+def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | None = None) -> NewFile:
     """Write down what a URDF says of a robot, and what must be stated beside it.
 
     Args:
         source: URDF file, bag with ``/robot_description``, or ``robot_descriptions:NAME``.
         output: where the file will be, since it names its URDF by the way to it.
+        of_bag: as for `read_model`.
 
     Raises:
         RobotError, RecordingError: the description cannot be read, or links that move have no mass; these are named.
     """
-    model = read_model(source)
+    model = read_model(source, of_bag)
     check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)
     frame = hand_link(model)
     values = {"name": model.name, "payload_frame": frame}

@@ -556,11 +556,9 @@ def _few(names: Sequence[str], longest: int = 60) -> str:
 
 
 def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
-    """A robot from merged settings; the model is read from the URDF unless it is given."""
+    """A robot from merged settings; None: they name no URDF."""
     file = source.name
     settings = _stated(settings)
-    if model is None and "urdf" in settings:
-        model = read_model(settings["urdf"])
     if model is not None:
         _check_stated(settings, source, model)
     given = _section(
@@ -725,7 +723,11 @@ def _drive_train(settings: Any, model: RobotModel, name: str, where: str) -> tup
     )
 
 
-def load_robot(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Robot:
+def load_robot(
+    name_or_path: str | Path,
+    overrides: Mapping[str, Any] | None = None,
+    of_bag: Callable[[Path], str] | None = None,
+) -> Robot:
     """Read a robot.
 
     Args:
@@ -733,16 +735,17 @@ def load_robot(name_or_path: str | Path, overrides: Mapping[str, Any] | None = N
             the path of a YAML file, whose keys are explained in ``config/robots/open_manipulator_x.yaml``; or a description
             alone (a URDF file, or ``robot_descriptions:NAME``), whose torque constants the overrides must state.
         overrides: As for `Robot.with_overrides`; they may state what a file leaves open.
+        of_bag: As for `read_model`.
 
     Raises:
         RobotError: There is no such robot, or its file or its URDF is wrong.
     """
     path = _located(str(name_or_path), Path())
     settings = _read_settings(path)
-    if not overrides or settings.get("calibration") is not None or settings.get("urdf") is None:
-        robot = _robot(settings, path)
+    model = None if settings.get("urdf") is None else read_model(settings["urdf"], of_bag)
+    if not overrides or model is None or settings.get("calibration") is not None:
+        robot = _robot(settings, path, model)
         return robot.with_overrides(overrides) if overrides else robot
-    model = read_model(settings["urdf"])
     return _robot(_merged(settings, nested_settings(model, overrides)), path, model)
 
 

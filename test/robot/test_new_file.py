@@ -10,10 +10,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from support.small_urdf import THREE, chain, joint, link
 
 from proprio_ros.cli import main
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.inputs.forms import Text
 from proprio_ros.inputs.reading import yaml_of
 from proprio_ros.recordings.bags import _types
+from proprio_ros.recordings.description import description_of, robot_named
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.description import hand_link, read_model
 from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT
@@ -95,7 +96,9 @@ def test_a_bag_brings_its_description(tmp_path: Path, storage: StoragePlugin) ->
     assert main(["robot", "new", str(tmp_path / "bag"), "--output", str(tmp_path / "new.yaml")]) == 0
     content = (tmp_path / "new.yaml").read_text().replace(MARKED, "nominal_torque_constant_N_m_per_A: 2.0")
     (tmp_path / "new.yaml").write_text(content)
-    robot = load_robot(tmp_path / "new.yaml")
+    with pytest.raises(RobotError, match="is a bag, which only a reader of bags"):
+        load_robot(tmp_path / "new.yaml")
+    robot = robot_named(tmp_path / "new.yaml")
     (tmp_path / "arm.urdf").write_text(THREE)
     assert robot.model.fingerprint() == read_model(str(tmp_path / "arm.urdf")).fingerprint()
 
@@ -103,10 +106,10 @@ def test_a_bag_brings_its_description(tmp_path: Path, storage: StoragePlugin) ->
 def test_a_bag_without_one_description(tmp_path: Path) -> None:
     bag(tmp_path / "two", StoragePlugin.MCAP, [THREE, THREE.replace("arm", "leg")])
     with pytest.raises(RecordingError, match="2 descriptions that differ"):
-        read_model(str(tmp_path / "two"))
+        description_of(tmp_path / "two")
     bag(tmp_path / "none", StoragePlugin.MCAP, ["hello"], "/chatter")
     with pytest.raises(RecordingError, match=r"no /robot_description .* it holds: /chatter"):
-        read_model(str(tmp_path / "none"))
+        description_of(tmp_path / "none")
 
 
 def bag(path: Path, storage: StoragePlugin, texts: list[str], topic: str = "/robot_description") -> None:
