@@ -20,7 +20,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError, one_line, print
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.settings import Settings, parse_settings
 from proprio_ros.probes import all_probes, probe_named, probe_that
-from proprio_ros.probes.base import HasTable
+from proprio_ros.probes.base import HasSolvers, HasTable
 from proprio_ros.quantity import shown, spec_for
 from proprio_ros.version import __version__
 
@@ -137,11 +137,13 @@ def _parser() -> argparse.ArgumentParser:
         "since its calibration; for --probe container with the empty container",
     )
     _add_set(replay)
-    replay.add_argument("--solver", default="lm", choices=_choices(probe.solvers for probe in probes))
+    replay.add_argument(
+        "--solver", default="lm", choices=_choices(probe.solvers for probe in probes if isinstance(probe, HasSolvers))
+    )
     replay.add_argument(
         "--profile",
         default="default",
-        choices=_choices(probe.profiles for probe in probes),
+        choices=_choices(probe.profiles for probe in probes if isinstance(probe, HasSolvers)),
         help="paper: the paper's own method",
     )
     _add_topics(replay)
@@ -573,7 +575,7 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
 def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = Settings(_settings(options.set))
     started = time.monotonic()
-    probe: HasTable = probe_that(HasTable)
+    probe: HasTable[Any] = probe_that(HasTable)
     facts = probe.facts(settings)
     settings.refuse_rest()
     content, text = probe.rebuild_table(facts)

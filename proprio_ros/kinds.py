@@ -6,8 +6,11 @@ made of both; files, messages and ``--json`` carry names, everything inside look
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from proprio_ros.errors import ConfigurationError
 
 Scope = str | int | None
 """A joint, a link, the number of a run, or nothing."""
@@ -69,36 +72,26 @@ KINDS: dict[str, Kind] = {
     "onset": Kind("s", "delay that differs from run to run", "run"),
     "disturbance": Kind("N m", "torque that differs from run to run", "run"),
     "friction_change": Kind("1", "friction that differs from swing to swing", "run"),
-    # what is looked for
+    # a rigid load in the hand, which references are, too
     "payload_mass": Kind("kg", "payload mass"),
     "payload_com": Kind("m", "centre of mass of the payload"),
     "payload_com_x": Kind("m", "centre of mass of the payload, x"),
     "payload_com_y": Kind("m", "centre of mass of the payload, y"),
     "payload_com_z": Kind("m", "centre of mass of the payload, z"),
-    "equivalent_pendulum_length": Kind("m", "length of the equivalent pendulum"),
-    # of a payload that moves in the hand
-    "payload_frequency": Kind("rad/s", "frequency of the payload on its joint"),
-    "payload_decay": Kind("1/s", "decay of the payload's own motion"),
-    **{f"payload_start_{n}": Kind("m, rad", f"start of the payload on its joint {n}", "run") for n in (1, 2)},
-    **{f"payload_speed_{n}": Kind("m/s, rad/s", f"speed of the payload on its joint {n}", "run") for n in (1, 2)},
     "shape_scale": Kind("1", "payload's spread over its shape's"),
-    "container_mass": Kind("kg", "container mass"),
-    "sphere_mass": Kind("kg", "sphere mass"),
-    "sphere_x": Kind("m", "start of the sphere, x", "run"),
-    "sphere_y": Kind("m", "start of the sphere, y", "run"),
-    "sphere_z": Kind("m", "start of the sphere, z", "run"),
-    "contact_damping": Kind("1", "damping ratio of a touch"),
-    "contact_friction": Kind("1", "friction between sphere and walls"),
-    "youngs_modulus": Kind("Pa", "Young's modulus"),
-    "poissons_ratio": Kind("1", "Poisson's ratio"),
-    "lame_mu": Kind("Pa", "Lam\u00e9's mu"),
-    "lame_lambda": Kind("Pa", "Lam\u00e9's lambda"),
-    "secant_stiffness": Kind("N/m", "secant stiffness"),
-    "largest_squeeze": Kind("1", "largest squeeze"),
-    "block_relaxation": Kind("s", "relaxation time of the block"),
-    "gap": Kind("m", "closing before the touch", "run"),
 }
-"""Unit and label of every kind; whoever fits something else adds it."""
+"""Unit and label of every kind; whoever fits something else adds it, as each probe does."""
+
+
+def add_kinds(kinds: Mapping[str, Kind]) -> None:
+    """Let unknowns of these kinds be named; once more the same changes nothing.
+
+    Raises:
+        ConfigurationError: One of that name means something else.
+    """
+    for name, kind in kinds.items():
+        if KINDS.setdefault(name, kind) != kind:
+            raise ConfigurationError(f"unknown {name}: there is one of that name already, {KINDS[name].label}")
 
 
 def key_of(name: str) -> Key:

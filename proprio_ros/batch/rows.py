@@ -16,7 +16,7 @@ from proprio_ros.batch.grasps import Grasp, Grasps
 from proprio_ros.errors import ProprioError, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.pipeline.replay import Prepared, ReplayOptions, identify, prepare, read_for
-from proprio_ros.probes.base import Recorded
+from proprio_ros.probes.base import Online, Recorded
 from proprio_ros.recordings.bags import is_text_recording, parts_of
 from proprio_ros.recordings.datasets import parts_of_episode
 from proprio_ros.records import Span
@@ -143,7 +143,7 @@ def _answered(episode: Episode, job: Job, prepared: Prepared, spans: Sequence[Sp
             rows[-1] |= _place(rows[-1], span)
         if len(spans) > 1 and rows[-1]["kind"] == EPISODE:
             rows[-1]["kind"] = PART
-        if job.grasps and rows[-1]["kind"] != FAILED and read.motions and here.probe.at_work:
+        if job.grasps and rows[-1]["kind"] != FAILED and read.motions and isinstance(here.probe, Online):
             if grasps is None and robot.motion_calibration is not None:
                 grasps = Grasps(here, robot, read.motions[0])
             if grasps is not None:

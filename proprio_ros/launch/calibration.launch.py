@@ -30,6 +30,7 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.nodes.arguments import check_arguments
 from proprio_ros.probes import all_probes
+from proprio_ros.probes.base import HasBaseline
 
 RELEASE_S = "15.0"
 """From SIGINT to SIGTERM [s]: a job that is under way is ended and its recording written before a node goes."""
@@ -179,7 +180,7 @@ def _services_for(held: str) -> list[str]:
     kind = held.strip().partition(":")[0] if ":" in held else ""
     probes = [probe for probe in all_probes() if probe.example is not None and probe.example.kind == kind]
     probe = probes[0] if probes else all_probes()[0]
-    baseline = [] if probe.baseline is None else [f"record_{probe.name}_baseline"]
+    baseline = [f"record_{probe.name}_baseline"] if isinstance(probe, HasBaseline) else []
     return [*baseline, f"calibrate_{probe.name}"]
 
 

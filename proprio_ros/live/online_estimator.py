@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from proprio_ros.identification.regression.running import RunningEstimate, RunningWeight
-from proprio_ros.probes.base import Carried, Probe
+from proprio_ros.probes.base import Carried, Online
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.recordings.bags import ampere
 from proprio_ros.recordings.motions import MOVED_RAD
@@ -46,7 +46,7 @@ class RunningFeed:
     """Makes a running estimate of joint states as they come.
 
     Args:
-        probe: That is `at_work`.
+        probe: That says what the hand holds.
         robot: With a calibration of motions.
         facts: What is stated about what the hand holds.
 
@@ -60,7 +60,7 @@ class RunningFeed:
         RobotError: The calibration is of another arm.
     """
 
-    def __init__(self, probe: Probe[Any], robot: Robot, facts: Any) -> None:
+    def __init__(self, probe: Online[Any], robot: Robot, facts: Any) -> None:
         assert robot.motion_calibration is not None
         self.probe, self._robot, self._facts = probe, robot, facts
         self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}

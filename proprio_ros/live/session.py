@@ -38,7 +38,7 @@ from proprio_ros.pipeline.replay import (
     probe_asked_for,
 )
 from proprio_ros.probes import all_probes
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
 from proprio_ros.recordings.bags import RawMessage, read_recording, write_messages
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
@@ -236,7 +236,9 @@ def check_settings(options: ReplayOptions) -> None:
     # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
     concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
     for probe in concerned:
-        probe.check_live(probe.facts(settings))
+        facts = probe.facts(settings)
+        if isinstance(probe, Guards):
+            probe.check_live(facts)
     if settings.left:
         for probe in all_probes():  # so that the refusal can list every key there is
             if probe not in concerned:
@@ -272,7 +274,8 @@ def setting_of(options: ReplayOptions) -> Setting:
     robot = robot_of_settings(options, settings)
     facts = probe.facts(settings, options.solver, options.profile)
     settings.refuse_rest()
-    probe.check_live(facts)
+    if isinstance(probe, Guards):
+        probe.check_live(facts)
     return Setting(probe, robot, facts, options)
 
 
@@ -301,7 +304,7 @@ def baseline_runs(setting: Setting) -> list[Run]:
 def baseline_options(setting: Setting) -> ReplayOptions:
     """How the hand without the object is identified: as what the probe's baseline says it is."""
     probe, options = setting.probe, setting.options
-    assert probe.baseline is not None
+    assert isinstance(probe, HasBaseline)
     left_out = (*probe.keys, "solver.")
     settings = {key: value for key, value in options.settings.items() if not key.startswith(left_out)}
     settings |= probe.baseline_settings(setting.facts)
@@ -492,6 +495,8 @@ class LiveEstimate:
         self._weighed = count
         runs, setting = self.runs(), self._setting
         try:
-            return setting.probe.identify_so_far(setting.robot, runs, setting.facts) if runs else None
+            if not runs or not isinstance(setting.probe, EstimatesLive):
+                return None
+            return setting.probe.identify_so_far(setting.robot, runs, setting.facts)
         except ProprioError:
             return None

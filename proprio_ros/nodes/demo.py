@@ -27,7 +27,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.graph import Graph, Patience
 from proprio_ros.nodes.runtime import LATCHED
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import HasBaseline, Probe
 
 SILENCE_S = 600.0
 """Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang;
@@ -121,7 +121,7 @@ def demo(
             while sentence.startswith("not ready") and time.monotonic() - asked < NOT_READY_S:  # a slow computer
                 accepted, sentence = client.call("/identifier/calibrate_robot")
             tell(sentence)
-            if accepted and probe.baseline is not None:
+            if accepted and isinstance(probe, HasBaseline):
                 tell(f"now an {probe.baseline.noun} is in its hand")
                 accepted, sentence = client.call(f"/identifier/record_{probe.name}_baseline")
                 tell(sentence)

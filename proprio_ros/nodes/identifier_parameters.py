@@ -9,7 +9,7 @@ from proprio_ros.nodes.job import REFRESH, WEIGH
 from proprio_ros.nodes.job import ROBOT as ROBOT_JOB
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.probes import all_probes
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import Guards, HasBaseline, Probe
 
 
 def services() -> dict[str, str]:
@@ -17,7 +17,7 @@ def services() -> dict[str, str]:
     found = {ROBOT_JOB: "calibrate_robot", REFRESH: "refresh_robot", WEIGH: "weigh"}
     for probe in all_probes():
         found[probe.name] = f"calibrate_{probe.name}"
-        if probe.baseline is not None:
+        if isinstance(probe, HasBaseline):
             found[f"{probe.name}_baseline"] = f"record_{probe.name}_baseline"
     return found
 
@@ -26,15 +26,15 @@ def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
     """What can be said to the node about a probe."""
     called = f"calibrate_{probe.name}"
     baseline = f"record_{probe.name}_baseline"
-    if probe.baseline is not None:
+    if isinstance(probe, HasBaseline):
         called += f" and {baseline}"
     parameters = [
         Parameter(f"{probe.name}_sequence", probe.default_sequence, f"Probe sequence of {called}.", dynamic=True)
     ]
-    if probe.baseline is not None:
+    if isinstance(probe, HasBaseline):
         words = f"Bag of the {probe.baseline.noun}; empty: what {baseline} kept last; none: without."
         parameters.append(Parameter(f"{probe.name}_baseline", "", words, dynamic=True))
-    for limit in probe.limits:
+    for limit in probe.limits if isinstance(probe, Guards) else ():
         parameters.append(
             Parameter(limit.name, limit.default, limit.description, limit.lowest, limit.highest, dynamic=True)
         )

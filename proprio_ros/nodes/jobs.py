@@ -48,7 +48,7 @@ from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, aged_robot, replay, write_report
 from proprio_ros.probes import all_probes, probe_named
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Prepares, Probe, Shown, chooser_of
 from proprio_ros.recordings.bags import RawMessage
 from proprio_ros.records import Run
 from proprio_ros.report import write_calibration_report
@@ -114,9 +114,9 @@ class Jobs:
         if job.kind == REFRESH:
             ways, results = self._value("robot_sequence"), self._results
             return refresh_robot(job, self._keeping, self._inputs, results, ways, self.record, self._keep)
-        name = job.kind.removesuffix("_baseline")
-        if name != job.kind and name in (probe.name for probe in all_probes()):
-            return self._record_baseline(job, probe_named(name))
+        for probe in all_probes():
+            if isinstance(probe, HasBaseline) and job.kind == f"{probe.name}_baseline":
+                return self._record_baseline(job, probe)
         return self._identify_object(job, probe_named(job.kind))
 
     def await_others(self) -> None:
@@ -142,34 +142,34 @@ class Jobs:
     def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
         """Have the runs of a probe made, and identify the object from them."""
         baseline = None
-        if probe.baseline is not None:
+        if isinstance(probe, HasBaseline):
             baseline = self._keeping.find_baseline(probe, self._value(f"{probe.name}_baseline"))
         stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
         setting = self._keeping.setting(probe, stated, baseline)
         setting = replace(setting, robot=aged_robot(setting.robot, self._inputs.moment()))
         self._results.link = setting.robot.payload_frame
-        if baseline is None and probe.baseline is not None and probe.needs_baseline(setting.facts):
+        if baseline is None and isinstance(probe, HasBaseline) and probe.needs_baseline(setting.facts):
             raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
         sequence = job.sequence or self._value(f"{probe.name}_sequence")
-        limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
         plan = load_sequence(sequence, setting.robot)
         if job.until is not None:
             plan = replace(plan, until=job.until, runs=plan.runs if job.sequence else ())
             check_sequence(plan, setting.robot)
-        if probe.limits:
+        if isinstance(probe, Guards):
+            limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
             probe.check(setting.robot, setting.facts, plan, limits)
-        live = plan.until is not None or (probe.live and self._node.values["live_period"] > 0.0)
+        live = plan.until is not None or (isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0)
         self._inputs.live = LiveEstimate(setting) if live else None
-        if probe.prepares:
+        if isinstance(probe, Prepares):
             self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
         with progress.listening(partial(self._results.tell_and_log, job.kind)):
-            probe.prepare(setting.robot, setting.facts)
+            (probe.prepare if isinstance(probe, Prepares) else probe.compile)(setting.robot, setting.facts)
         if job.cancelled.is_set():
             raise JobError("cancelled")
         chooser = None
         if plan.until is not None:
             self._results.tell(job.kind, "simulating what could be pushed")
-            chooser = probe.chooser(setting.robot, setting.facts, plan, baseline_runs(setting))
+            chooser = chooser_of(probe, setting.robot, setting.facts, plan, baseline_runs(setting))
         if probe.hand:
             self._results.tell(job.kind, probe.hand)
         bag = self.record(job, job.kind, sequence, setting.robot, setting.options, chooser)
@@ -187,13 +187,12 @@ class Jobs:
         answer = interval_of(estimate)
         if not answer:
             return False, f"{refusal_of(estimate)}{said}; recording: {bag}"
-        answer += probe.remark(estimate)
+        answer += probe.remark(estimate) if isinstance(probe, Shown) else ""
         return True, f"{probe.subject} {answer}, {estimate.runs} runs{said}; recording: {bag}"
 
-    def _record_baseline(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
+    def _record_baseline(self, job: Job, probe: HasBaseline[Any]) -> tuple[bool, str]:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
         baseline, used = probe.baseline, self._keeping.used
-        assert baseline is not None
         setting = self._keeping.setting(probe, parse_settings(self._value("settings")), None)
         self._inputs.live, self._results.link = None, setting.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)

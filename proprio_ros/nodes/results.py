@@ -26,7 +26,7 @@ from proprio_ros.nodes.job import WEIGH, Job
 from proprio_ros.nodes.numeric import StampedEstimates
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
-from proprio_ros.probes.base import Carried, Probe
+from proprio_ros.probes.base import Carried, Carries, Probe, Shown
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import hand_path, zero_pose
 
@@ -167,7 +167,7 @@ class Results:
         probe, robot, facts = setting.probe, setting.robot, setting.facts
         self.link = robot.payload_frame
         accepted = estimate.verdict is Verdict.ACCEPTED
-        carried = probe.carried(robot, facts, estimate) if accepted else None
+        carried = probe.carried(facts, estimate) if accepted and isinstance(probe, Carries) else None
         self.final(estimate, estimate.probe, carried)
         value = estimate.values[0]
         if (
@@ -183,7 +183,7 @@ class Results:
         if carried is not None:
             self._publish_load(now_ns, frame, carried)
             self.load = StandingLoad(robot, carried, interval_of(estimate))
-        shapes = probe.shapes(robot, facts, estimate)
+        shapes = probe.shapes(robot, facts, estimate) if isinstance(probe, Shown) else None
         if shapes is not None:
             self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())

@@ -21,6 +21,7 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, pre
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.kinds import Kind, add_kinds
 from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint, inertial_parameters
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
@@ -38,6 +39,15 @@ START_STD = {"prismatic": (0.004, 0.1), "universal": (0.1, 1.0)}
 """How far a payload may be from its place of rest when the current comes on, and how fast: m and m/s, rad and rad/s."""
 NOT_IN_A_CHAIN = ("stribeck", "stribeck_velocity", "disturbance")
 """Of the driven joint, what the chain simulator does not have."""
+
+add_kinds(
+    {
+        "payload_frequency": Kind("rad/s", "frequency of the payload on its joint"),
+        "payload_decay": Kind("1/s", "decay of the payload's own motion"),
+        **{f"payload_start_{n}": Kind("m, rad", f"start of the payload on its joint {n}", "run") for n in (1, 2)},
+        **{f"payload_speed_{n}": Kind("m/s, rad/s", f"speed of the payload on its joint {n}", "run") for n in (1, 2)},
+    }
+)
 
 
 @dataclass(frozen=True)

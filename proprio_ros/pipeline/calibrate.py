@@ -205,7 +205,7 @@ def refresh_from_bags(
 
 
 def _reference(settings: Settings) -> PayloadFacts:
-    probe: WeighsReferences = probe_that(WeighsReferences)
+    probe: WeighsReferences[Any] = probe_that(WeighsReferences)
     return probe.reference(settings)
 
 

@@ -20,7 +20,7 @@ from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings, number
 from proprio_ros.probes import all_probes, probe_named
-from proprio_ros.probes.base import Probe, Recorded
+from proprio_ros.probes.base import Probe, Recorded, TakesMotions
 from proprio_ros.recordings.bags import (
     CURRENT_PER_COUNT_A,
     OUR_DRIVER,
@@ -214,12 +214,12 @@ def read_for(prepared: Prepared, paths: Sequence[str | Path]) -> tuple[Robot, Re
             f"{runs[0].name}: one joint was driven; --calibration {robot.source.name} was made from motions of several and says "
             "nothing about such runs: calibrate with empty-hand runs, or leave it out"
         )
-    if motions and not probe.takes_motions:
+    if motions and not isinstance(probe, TakesMotions):
         raise RecordingError(
             f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "
             "a time, from rest with a constant current"
         )
-    if (swings := [run.name for run in runs if run.free]) and not probe.takes_swings:
+    if (swings := [run.name for run in runs if run.free]) and not isinstance(probe, TakesMotions):
         raise RecordingError(f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives")
     robot = aged_for(robot, runs, paths, options.state_topic)
     baseline: list[Run] = []
@@ -245,7 +245,9 @@ def identify(prepared: Prepared, robot: Robot, read: Recorded, paths: Sequence[s
         RecordingError: A recording is of no use.
     """
     options, runs, baseline = prepared.options, read.runs, read.baseline
-    estimate = prepared.probe.identify(robot, read, prepared.facts)
+    probe = prepared.probe
+    of = probe.identify_motions if read.motions and isinstance(probe, TakesMotions) else probe.identify
+    estimate = of(robot, read, prepared.facts)
     learnt = (robot.motion_calibration or robot.joint_calibration) if read.motions else robot.calibration
     origin = {
         "bags": [str(path) for path in paths],
@@ -317,8 +319,8 @@ def probe_asked_for(options: ReplayOptions) -> Probe[Any]:
         ConfigurationError: there is none, or it lacks them.
     """
     probe = probe_named(options.probe)
-    for flag, given in (("solver", options.solver), ("profile", options.profile)):
-        there = {each.name: getattr(each, f"{flag}s") for each in all_probes()}
+    for flag, given, default in (("solver", options.solver, "lm"), ("profile", options.profile, "default")):
+        there = {each.name: getattr(each, f"{flag}s", (default,)) for each in all_probes()}
         having = [name for name, choices in there.items() if given in choices]
         if not having:
             choices = dict.fromkeys(choice for each in there.values() for choice in each)

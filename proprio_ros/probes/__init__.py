@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import Online, Probe
 
 PROBES = {
     "payload": "proprio_ros.probes.payload:Payload",
@@ -65,10 +65,11 @@ def all_probes() -> list[Probe[Any]]:
 
 
 def probe_that(kind: type[Any]) -> Any:
-    """The first of the registry that has what a protocol of `base` asks for."""
+    """The first of the registry that has what a class of `base` asks for."""
     return next(probe for probe in all_probes() if isinstance(probe, kind))
 
 
-def probe_at_work() -> Probe[Any]:
+def probe_at_work() -> Online[Any]:
     """The one that says what the hand holds while the arm works: the first of the registry that can."""
-    return next(probe for probe in all_probes() if probe.at_work)
+    probe: Online[Any] = probe_that(Online)
+    return probe

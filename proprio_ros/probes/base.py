@@ -3,6 +3,9 @@
 A probe is a class in a folder of its own and a line in ``probes.PROBES``. The command line, the identifier's services, the report,
 the demo and the launch file ask the registry and name none. The class itself is light, since the command line reads it to parse its
 arguments: what is heavy (simulators, finite elements) is imported in the methods that need it.
+
+`Probe` is what every probe has. What only some have are classes that stand on it, such as `HasBaseline`: a probe inherits from
+those that it is, and callers ask ``isinstance(probe, HasBaseline)``.
 """
 
 from __future__ import annotations
@@ -12,10 +15,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings
+from proprio_ros.kinds import Kind, add_kinds
 
 if TYPE_CHECKING:
     import numpy as np
@@ -167,21 +171,15 @@ class Probe(ABC, Generic[Facts]):
     """One thing that can be identified.
 
     Attributes:
-        name: on the command line, in file and service names.
-        subject: what the answer is about, in a sentence.
-        answer: name and unit of its first value.
-        numbers: topics of the identifier that are plain numbers, and the value that is published on each.
-        keys: what the settings about its object begin with.
-        file_sections: of ``config/probes/NAME.yaml`` that it reads.
-        hand: what the user is asked for before the runs, as a sentence; empty: nothing.
-        default_sequence: the runs that are made where none is named.
-        solvers, profiles: that ``replay`` may be asked for.
-        live: whether there is an estimate while a run is under way.
-        takes_motions: whether recordings in which several joints were driven at once determine it.
-        takes_swings: whether free swings determine it.
-        at_work: whether it says what the hand holds while the arm works, without runs of its own: then there is ``running``.
-        prepares: what takes long to prepare, in words; empty: nothing.
-        baseline, limits, example: see there; ``example`` None: no demo.
+        name: On the command line, in file and service names.
+        subject: What the answer is about, in a sentence.
+        answer: Name and unit of its first value.
+        numbers: Topics of the identifier that are plain numbers, and the value that is published on each.
+        keys: What the settings about its object begin with.
+        unknowns: Kinds of unknowns that it brings, by name.
+        hand: What the user is asked for before the runs, as a sentence; empty: nothing.
+        default_sequence: The runs that are made where none is named.
+        example: What the demo shows; None: no demo.
     """
 
     name: ClassVar[str]
@@ -189,35 +187,120 @@ class Probe(ABC, Generic[Facts]):
     answer: ClassVar[tuple[str, str]]
     numbers: ClassVar[Mapping[str, str]] = MappingProxyType({})
     keys: ClassVar[tuple[str, ...]]
-    file_sections: ClassVar[tuple[str, ...]] = ()
+    unknowns: ClassVar[Mapping[str, Kind]] = MappingProxyType({})
     hand: ClassVar[str] = ""
     default_sequence: ClassVar[str]
-    solvers: ClassVar[tuple[str, ...]] = ("lm",)
-    profiles: ClassVar[tuple[str, ...]] = ("default",)
-    live: ClassVar[bool] = False
-    takes_motions: ClassVar[bool] = False
-    takes_swings: ClassVar[bool] = False
-    at_work: ClassVar[bool] = False
-    prepares: ClassVar[str] = ""
-    baseline: ClassVar[Baseline | None] = None
-    limits: ClassVar[tuple[Limit, ...]] = ()
     example: ClassVar[Example | None] = None
 
-    # --- before anything is recorded ---------------------------------------------------------------------------------
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Whoever imports anything of a probe can name its unknowns."""
+        super().__init_subclass__(**kwargs)
+        add_kinds(cls.unknowns)
 
     @abstractmethod
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> Facts:
         """What the user says about the object and the search, over the defaults of the probe's file; read once per job.
 
         Raises:
-            ConfigurationError: a value of the wrong form or unit.
+            ConfigurationError: A value of the wrong form or unit.
         """
+
+    def compile(self, robot: Robot, facts: Facts) -> None:
+        """Compile the kernels that an identification needs on this computer; again it costs nothing.
+
+        Raises:
+            ConfigurationError: Compiled kernels cannot be kept.
+        """
+        from proprio_ros.sim.joint import compile_kernels
+
+        compile_kernels(rises=robot.friction_rises)
+
+    @abstractmethod
+    def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
+        """Identify the object from runs.
+
+        Raises:
+            ConfigurationError, RecordingError: The runs cannot be related to the robot or the object at all.
+        """
+
+    def sections(self, estimate: Estimate) -> list[str]:
+        """Its own parts of the report, as HTML."""
+        return []
+
+
+# --- what some probes have beside that --------------------------------------------------------------------------------
+
+
+class TakesMotions(Probe[Facts]):
+    """Motions of several joints at once, or under a controller, determine it, too, and so do free swings."""
+
+    @abstractmethod
+    def identify_motions(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
+        """As `identify`, from motions; a run that swings freely goes to `identify`."""
+
+
+class HasSolvers(Probe[Facts]):
+    """More than one way to its answer.
+
+    Attributes:
+        solvers, profiles: That ``replay`` may be asked for.
+    """
+
+    solvers: ClassVar[tuple[str, ...]] = ("lm",)
+    profiles: ClassVar[tuple[str, ...]] = ("default",)
+
+
+class HasBaseline(Probe[Facts]):
+    """Runs without the object are made first.
+
+    Attributes:
+        baseline: What they are.
+    """
+
+    baseline: ClassVar[Baseline]
+
+    @abstractmethod
+    def needs_baseline(self, facts: Facts) -> bool:
+        """Whether nothing can be identified without one."""
+
+    @abstractmethod
+    def baseline_settings(self, facts: Facts) -> dict[str, object]:
+        """What is stated about the hand without the object, as settings of the probe ``baseline.probe``."""
+
+
+class Prepares(Probe[Facts]):
+    """What takes long is computed before the arm moves.
+
+    Attributes:
+        prepares: Whose simulation, in words.
+    """
+
+    prepares: ClassVar[str]
+
+    def prepare(self, robot: Robot, facts: Facts) -> None:
+        """Compile and tabulate what an identification needs, so that none of it is done in a probe.
+
+        Raises:
+            ConfigurationError: Compiled kernels cannot be kept.
+            SimulationError: The object cannot be simulated.
+        """
+        self.compile(robot, facts)
+
+
+class Guards(Probe[Facts]):
+    """Something is refused before the arm moves.
+
+    Attributes:
+        limits: Numbers that guard the object.
+    """
+
+    limits: ClassVar[tuple[Limit, ...]] = ()
 
     def check_live(self, facts: Facts) -> None:
         """Whether the nodes can do what the facts ask for.
 
         Raises:
-            ConfigurationError: they cannot; with what to do instead.
+            ConfigurationError: They cannot; with what to do instead.
         """
         return
 
@@ -225,128 +308,119 @@ class Probe(ABC, Generic[Facts]):
         """Whether a sequence may be made with this object.
 
         Args:
-            robot: that would make it.
-            facts: what is stated about the object.
-            sequence: of runs.
-            limits: of ``limits``, by name.
+            robot: That would make it.
+            facts: What is stated about the object.
+            sequence: Of runs.
+            limits: Of `limits`, by name.
 
         Raises:
-            ConfigurationError: its runs say nothing about the object, or could break it.
+            ConfigurationError: Its runs say nothing about the object, or could break it.
         """
         return
 
-    def needs_baseline(self, facts: Facts) -> bool:
-        """Whether nothing can be identified without one."""
-        return False
 
-    def baseline_settings(self, facts: Facts) -> dict[str, object]:
-        """What is stated about the hand without the object, as settings of the probe ``baseline.probe``."""
-        return {}
+class ChoosesNext(Probe[Facts]):
+    """Somebody chooses its pushes, one by one."""
 
-    def compile(self, robot: Robot, facts: Facts) -> None:
-        """Compile the kernels that an identification needs on this computer; again it costs nothing.
-
-        Raises:
-            ConfigurationError: compiled kernels cannot be kept.
-        """
-        from proprio_ros.sim.joint import compile_kernels
-
-        compile_kernels(rises=robot.friction_rises)
-
-    def prepare(self, robot: Robot, facts: Facts) -> None:
-        """Compile and tabulate what an identification needs, so that none of it is done in a probe.
-
-        Raises:
-            ConfigurationError: compiled kernels cannot be kept.
-            SimulationError: the object cannot be simulated.
-        """
-        self.compile(robot, facts)
-
+    @abstractmethod
     def chooser(self, robot: Robot, facts: Facts, sequence: ProbeSequence, baseline: Sequence[Run] = ()) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand.
 
         Args:
-            robot: with its calibration where there is one.
-            facts: what is stated about the object.
-            sequence: with `until`.
-            baseline: runs made without the object.
+            robot: With its calibration where there is one.
+            facts: What is stated about the object.
+            sequence: With `until`.
+            baseline: Runs made without the object.
 
         Raises:
-            ConfigurationError: nobody can, for this probe.
+            ConfigurationError: Nobody can, for this sequence.
         """
-        raise ConfigurationError(
-            f"{sequence.name}: its pushes are to be chosen one by one (until), which the probe {self.name} cannot; take "
-            f"{self.default_sequence}, or another sequence without `until`"
-        )
 
-    # --- identification from recordings ------------------------------------------------------------------------------
+
+class EstimatesLive(Probe[Facts]):
+    """There is an estimate while a run is under way."""
 
     @abstractmethod
-    def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
-        """Identify the object from the runs.
-
-        Raises:
-            ConfigurationError, RecordingError: the runs cannot be related to the robot or the object at all.
-        """
-
     def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: Facts) -> Estimate:
-        """An early answer from runs of which the last is still under way; only where the probe is ``live``."""
-        raise NotImplementedError
+        """An early answer from runs of which the last is still under way."""
 
-    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> RunningWeight:
-        """An estimate that goes along with the arm's work; only where the probe is ``at_work``.
 
-        Args:
-            robot: with a calibration of motions.
-            facts: what is stated about the object.
-            held: positions of the joints that are not in that calibration [rad or m].
+class Carries(Probe[Facts]):
+    """The answer is a rigid load."""
+
+    @abstractmethod
+    def load(self, facts: Facts, mass_kg: float) -> Carried:
+        """The load of that mass as far as the facts say it."""
+
+    @abstractmethod
+    def carried(self, facts: Facts, estimate: Estimate) -> Carried | None:
+        """The load that an accepted answer stands for; None: no mass is determined."""
+
+
+class WeighsReferences(Probe[Facts]):
+    """It knows what may be stated of a weighed reference, with which a robot is calibrated."""
+
+    @abstractmethod
+    def reference(self, settings: Settings) -> PayloadFacts:
+        """Shape and place of the reference.
 
         Raises:
-            RobotError: the calibration is of another arm.
+            ConfigurationError: A value of the wrong form or unit.
         """
-        raise NotImplementedError
-
-    def load(self, facts: Facts, mass_kg: float) -> Carried:
-        """The rigid load of that mass as far as the facts say it; only where the probe is ``at_work``."""
-        raise NotImplementedError
-
-    # --- what is shown of it -----------------------------------------------------------------------------------------
-
-    def sections(self, estimate: Estimate) -> list[str]:
-        """Its own parts of the report, as HTML."""
-        return []
-
-    def remark(self, estimate: Estimate) -> str:
-        """What is said after the interval of an accepted answer; begins with a comma."""
-        return ""
-
-    def carried(self, robot: Robot, facts: Facts, estimate: Estimate) -> Carried | None:
-        """The rigid load that an accepted answer stands for; None: it is none."""
-        return None
-
-    def shapes(self, robot: Robot, facts: Facts, estimate: Estimate) -> Shapes | None:
-        """How an accepted answer looks."""
-        return None
 
 
-@runtime_checkable
-class WeighsReferences(Protocol):
-    """A probe that knows what may be stated of a weighed reference, with which a robot is calibrated."""
+class HasTable(Probe[Facts]):
+    """It reads a simulation from a table, which ``proprio table`` makes anew."""
 
-    def reference(self, settings: Settings) -> PayloadFacts:
-        """Shape and place of the reference; Raises as `Probe.facts` does."""
-
-
-@runtime_checkable
-class HasTable(Protocol):
-    """A probe that reads a simulation from a table, which ``proprio table`` makes anew."""
-
-    def facts(self, settings: Settings) -> Any:
-        """As `Probe.facts`."""
-
-    def rebuild_table(self, facts: Any) -> tuple[dict[str, Any], str]:
+    @abstractmethod
+    def rebuild_table(self, facts: Facts) -> tuple[dict[str, Any], str]:
         """Compute the table of an object anew, whatever the cache has: what it is as JSON, and for the terminal.
 
         Raises:
-            ConfigurationError, SimulationError: in one line, what is wrong with the object.
+            ConfigurationError, SimulationError: In one line, what is wrong with the object.
         """
+
+
+class Online(Carries[Facts]):
+    """It says what the hand holds while the arm works, without runs of its own."""
+
+    @abstractmethod
+    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> RunningWeight:
+        """An estimate that goes along with the arm's work.
+
+        Args:
+            robot: With a calibration of motions.
+            facts: What is stated about the object.
+            held: Positions of the joints that are not in that calibration [rad or m].
+
+        Raises:
+            RobotError: The calibration is of another arm.
+        """
+
+
+class Shown(Probe[Facts]):
+    """An accepted answer has a shape in RViz, and perhaps something to say beside its interval."""
+
+    @abstractmethod
+    def shapes(self, robot: Robot, facts: Facts, estimate: Estimate) -> Shapes | None:
+        """How it looks; None: nothing is determined that could be shown."""
+
+    def remark(self, estimate: Estimate) -> str:
+        """What is said after the interval; begins with a comma."""
+        return ""
+
+
+def chooser_of(
+    probe: Probe[Any], robot: Robot, facts: Any, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+) -> Chooser:
+    """As `ChoosesNext.chooser`, for any probe.
+
+    Raises:
+        ConfigurationError: Nobody can choose, for this probe or this sequence.
+    """
+    if not isinstance(probe, ChoosesNext):
+        raise ConfigurationError(
+            f"{sequence.name}: its pushes are to be chosen one by one (until), which the probe {probe.name} cannot; take "
+            f"{probe.default_sequence}, or another sequence without `until`"
+        )
+    return probe.chooser(robot, facts, sequence, baseline)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from support.pushed_arm import Hand
+from support.spring_probe import Spring
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import JointSample
@@ -23,8 +24,7 @@ from proprio_ros.excitation.plans import Until, as_text, check_sequence, load_se
 from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
 from proprio_ros.paper import hand as paper_hand
-from proprio_ros.probes import probe_named
-from proprio_ros.probes.base import Probe
+from proprio_ros.probes.base import chooser_of
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import load_robot
 
@@ -93,8 +93,8 @@ def test_the_machine_cannot_choose() -> None:
 
 def test_only_what_is_weighed_is_chosen_for() -> None:
     sequence = load_sequence("payload_until", ROBOT)
-    with pytest.raises(ConfigurationError, match="which the probe softness cannot"):
-        Probe.chooser(probe_named("softness"), ROBOT, None, sequence)  # of a probe that has none of its own
+    with pytest.raises(ConfigurationError, match="which the probe spring cannot"):
+        chooser_of(Spring(), ROBOT, None, sequence)
     with pytest.raises(ConfigurationError, match="has no `until`"):
         UntilSure(ROBOT, paper_hand_facts(), load_sequence("payload", ROBOT))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.inputs.settings import Settings, number
-from proprio_ros.kinds import KINDS, Kind
+from proprio_ros.kinds import Kind
 from proprio_ros.probes.base import Example, Probe, Recorded
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
@@ -41,7 +42,6 @@ from proprio_ros.sim.rollout import Law, rollout
 from proprio_ros.sim.runtime import FLOAT
 
 STIFFNESS = wp.constant(len(PARAMETERS))
-KINDS["spring_stiffness"] = Kind("N m/rad", "stiffness of the spring")
 
 
 @cache
@@ -118,6 +118,7 @@ class Spring(Probe[float]):
     subject = "spring"
     answer = ("spring_stiffness", "N m/rad")
     keys = ("spring.",)
+    unknowns = MappingProxyType({"spring_stiffness": Kind("N m/rad", "stiffness of the spring")})
     default_sequence = "payload_elbow"
     example = Example(
         flag="stiffness",

@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.probes.base import Baseline, Body, Example, Probe, Recorded, Shapes
+from proprio_ros.kinds import Kind
+from proprio_ros.probes.base import (
+    Baseline,
+    Body,
+    ChoosesNext,
+    Example,
+    Guards,
+    HasBaseline,
+    Prepares,
+    Recorded,
+    Shapes,
+    Shown,
+)
 
 if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ProbeSequence
@@ -37,7 +49,13 @@ class ContainerJob:
     camera_std: float
 
 
-class Container(Probe[ContainerJob]):
+class Container(
+    HasBaseline[ContainerJob],
+    Prepares[ContainerJob],
+    Guards[ContainerJob],
+    ChoosesNext[ContainerJob],
+    Shown[ContainerJob],
+):
     """A closed container with a sphere in it."""
 
     name = "container"
@@ -45,7 +63,15 @@ class Container(Probe[ContainerJob]):
     answer = ("sphere_mass", "kg")
     numbers = MappingProxyType({"mass": "sphere_mass", "sphere_mass": "sphere_mass"})
     keys = ("container.", "sphere.", "contact.")
-    file_sections = ("container", "sphere", "contact", "solver")
+    unknowns = MappingProxyType(
+        {
+            "container_mass": Kind("kg", "container mass"),
+            "sphere_mass": Kind("kg", "sphere mass"),
+            **{f"sphere_{axis}": Kind("m", f"start of the sphere, {axis}", "run") for axis in "xyz"},
+            "contact_damping": Kind("1", "damping ratio of a touch"),
+            "contact_friction": Kind("1", "friction between sphere and walls"),
+        }
+    )
     hand = "the container has to be in the hand with its sphere"
     default_sequence = "container"
     prepares = "a sphere: once on a computer it is compiled, half a minute"
@@ -77,7 +103,7 @@ class Container(Probe[ContainerJob]):
         from proprio_ros.probes.container.facts import FORMS, container_facts
         from proprio_ros.probes.container.identify import ContainerOptions
 
-        defaults = probe_file(self.name, self.file_sections)
+        defaults = probe_file(self.name, ("container", "sphere", "contact", "solver"))
         container = container_facts(settings, defaults)
         solving = settings.options(ContainerOptions, "solver.", defaults["solver"])
         camera, std = (

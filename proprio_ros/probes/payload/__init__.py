@@ -9,7 +9,21 @@ from typing import TYPE_CHECKING
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.probes.base import Body, Carried, Example, Probe, Recorded, Shapes
+from proprio_ros.kinds import Kind
+from proprio_ros.probes.base import (
+    Body,
+    Carried,
+    ChoosesNext,
+    EstimatesLive,
+    Example,
+    HasSolvers,
+    Online,
+    Recorded,
+    Shapes,
+    Shown,
+    TakesMotions,
+    WeighsReferences,
+)
 
 if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ProbeSequence
@@ -43,7 +57,15 @@ class PayloadJob:
     stated: frozenset[str]
 
 
-class Payload(Probe[PayloadJob]):
+class Payload(
+    TakesMotions[PayloadJob],
+    HasSolvers[PayloadJob],
+    WeighsReferences[PayloadJob],
+    Online[PayloadJob],
+    EstimatesLive[PayloadJob],
+    ChoosesNext[PayloadJob],
+    Shown[PayloadJob],
+):
     """A rigid payload."""
 
     name = "payload"
@@ -51,14 +73,10 @@ class Payload(Probe[PayloadJob]):
     answer = ("payload_mass", "kg")
     numbers = MappingProxyType({"mass": "payload_mass"})
     keys = ("payload.", "paper.")
-    file_sections = ("payload", "solver", "paper")
+    unknowns = MappingProxyType({"equivalent_pendulum_length": Kind("m", "length of the equivalent pendulum")})
     default_sequence = "payload"
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
-    live = True
-    takes_motions = True
-    takes_swings = True
-    at_work = True
     example = Example(
         flag="mass",
         metavar="KG",
@@ -81,7 +99,7 @@ class Payload(Probe[PayloadJob]):
         from proprio_ros.probes.payload.identify import WeighingOptions
         from proprio_ros.probes.payload.paper import PaperOptions
 
-        defaults = probe_file(self.name, self.file_sections)
+        defaults = probe_file(self.name, ("payload", "solver", "paper"))
         payload = payload_facts(settings, defaults["payload"])
         weighing = replace(settings.options(WeighingOptions, "solver.", defaults["solver"]), solver=solver)
         paper = settings.options(PaperOptions, "paper.", defaults["paper"])
@@ -96,26 +114,6 @@ class Payload(Probe[PayloadJob]):
         from proprio_ros.probes.payload.identify import weigh
         from proprio_ros.probes.payload.paper import as_published, weigh_as_paper
 
-        if recorded.motions:
-            from proprio_ros.probes.payload.moving import weigh_in_motion
-            from proprio_ros.probes.payload.one_joint import weigh_one_joint
-
-            if facts.paper is not None:
-                raise RecordingError(
-                    f"{recorded.motions[0].name}: is a motion under a controller; the paper's method wants a joint driven from rest"
-                )
-            if robot.joint_calibration is not None:
-                from proprio_ros.probes.payload.known_joint import weigh_known_joint
-
-                if recorded.baseline_motions:
-                    raise RecordingError(
-                        f"{recorded.baseline_motions[0].name}: a joint that was calibrated with known loads takes no --baseline"
-                    )
-                return weigh_known_joint(robot, recorded.motions, robot.joint_calibration, facts.payload)
-            if len(recorded.motions[0].joints) == 1:
-                return weigh_one_joint(robot, recorded.motions, recorded.baseline_motions, facts.payload)
-            stated_centre = "payload.com" in facts.stated
-            return weigh_in_motion(robot, recorded.motions, recorded.baseline_motions, facts.payload, stated_centre)
         if facts.paper is None:
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
         if swings := [run.name for run in recorded.runs if run.free]:
@@ -124,6 +122,26 @@ class Payload(Probe[PayloadJob]):
         if recorded.text is not None:
             stated = as_published(stated, recorded.text.setting, facts.stated)
         return weigh_as_paper(robot, recorded.runs, facts.payload, stated)
+
+    def identify_motions(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
+        from proprio_ros.probes.payload.known_joint import weigh_known_joint
+        from proprio_ros.probes.payload.moving import weigh_in_motion
+        from proprio_ros.probes.payload.one_joint import weigh_one_joint
+
+        motions, baseline = recorded.motions, recorded.baseline_motions
+        if facts.paper is not None:
+            raise RecordingError(
+                f"{motions[0].name}: is a motion under a controller; the paper's method wants a joint driven from rest"
+            )
+        if robot.joint_calibration is not None:
+            if baseline:
+                raise RecordingError(
+                    f"{baseline[0].name}: a joint that was calibrated with known loads takes no --baseline"
+                )
+            return weigh_known_joint(robot, motions, robot.joint_calibration, facts.payload)
+        if len(motions[0].joints) == 1:
+            return weigh_one_joint(robot, motions, baseline, facts.payload)
+        return weigh_in_motion(robot, motions, baseline, facts.payload, "payload.com" in facts.stated)
 
     def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
@@ -158,7 +176,7 @@ class Payload(Probe[PayloadJob]):
         centre_m = [float(axis) for axis in payload.com]
         return Carried(mass_kg, centre_m, inertia_tensor(payload, mass_kg), payload.com_guessed, source)
 
-    def carried(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Carried | None:
+    def carried(self, facts: PayloadJob, estimate: Estimate) -> Carried | None:
         import numpy as np
 
         mass = estimate.values[0].value

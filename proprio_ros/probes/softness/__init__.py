@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.probes.base import Body, Example, Limit, Probe, Recorded, Shapes
+from proprio_ros.kinds import Kind
+from proprio_ros.probes.base import (
+    Body,
+    ChoosesNext,
+    Example,
+    Guards,
+    HasTable,
+    Limit,
+    Prepares,
+    Recorded,
+    Shapes,
+    Shown,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +47,9 @@ class SoftnessJob:
     solving: SqueezeOptions
 
 
-class Softness(Probe[SoftnessJob]):
+class Softness(
+    HasTable[SoftnessJob], Prepares[SoftnessJob], Guards[SoftnessJob], ChoosesNext[SoftnessJob], Shown[SoftnessJob]
+):
     """A soft block between the fingers."""
 
     name = "softness"
@@ -43,7 +57,18 @@ class Softness(Probe[SoftnessJob]):
     answer = ("youngs_modulus", "Pa")
     numbers = MappingProxyType({name: name for name in ("youngs_modulus", "lame_mu", "lame_lambda")})
     keys = ("block.",)
-    file_sections = ("block", "solver")
+    unknowns = MappingProxyType(
+        {
+            "youngs_modulus": Kind("Pa", "Young's modulus"),
+            "poissons_ratio": Kind("1", "Poisson's ratio"),
+            "lame_mu": Kind("Pa", "Lam\u00e9's mu"),
+            "lame_lambda": Kind("Pa", "Lam\u00e9's lambda"),
+            "secant_stiffness": Kind("N/m", "secant stiffness"),
+            LIMIT: Kind("1", "largest squeeze"),
+            "block_relaxation": Kind("s", "relaxation time of the block"),
+            "gap": Kind("m", "closing before the touch", "run"),
+        }
+    )
     hand = "the block has to be between the fingers"
     default_sequence = "softness"
     prepares = "a block: a shape is tabulated once, up to half a minute"
@@ -76,7 +101,7 @@ class Softness(Probe[SoftnessJob]):
         from proprio_ros.probes.softness.facts import block_facts
         from proprio_ros.probes.softness.identify import SqueezeOptions
 
-        defaults = probe_file(self.name, self.file_sections)
+        defaults = probe_file(self.name, ("block", "solver"))
         block = block_facts(settings, defaults["block"])
         return SoftnessJob(block, settings.options(SqueezeOptions, "solver.", defaults["solver"]))
 
