@@ -12,7 +12,6 @@ With one effect alone, the robot file knows that the others are absent, so that 
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Collection, Sequence
@@ -41,6 +40,7 @@ from random_arm import (
     draw_robot,
     record,
 )
+from results import Results, parser_of
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
@@ -214,12 +214,14 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
     return answers, refused, len(MASSES_KG)
 
 
-def survey(name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread) -> list[Answer]:
-    """Weigh with many robots and print one line on all of them."""
+def survey(
+    results: Results, name: str, seeds: range, effects: Collection[str], jobs: int, spread: Spread
+) -> list[Answer]:
+    """Weigh with many robots; one row on all of them."""
     with Pool(jobs) as pool:
-        results = pool.imap_unordered(one_robot, [(seed, tuple(effects), spread) for seed in seeds], chunksize=2)
+        found_of = pool.imap_unordered(one_robot, [(seed, tuple(effects), spread) for seed in seeds], chunksize=2)
         answers, refused, asked = [], 0, 0
-        for done, (found, no, of) in enumerate(results, start=1):
+        for done, (found, no, of) in enumerate(found_of, start=1):
             answers += found
             refused += no
             asked += of
@@ -227,51 +229,62 @@ def survey(name: str, seeds: range, effects: Collection[str], jobs: int, spread:
                 print(f"\r{name}: {done} of {len(seeds)} robots", end="", file=sys.stderr)
     if sys.stderr.isatty():
         print("\r", end="", file=sys.stderr)
-    line(name, answers, refused, asked)
+    row(results, name, answers, asked)
     return answers
 
 
-def line(name: str, answers: Sequence[Answer], refused: int | None = None, asked: int | None = None) -> None:
-    """One row of the table."""
+def row(results: Results, name: str, answers: Sequence[Answer], asked: int | None = None) -> None:
+    """One row of the table; none without answers."""
+    if not answers:
+        return
     error = np.array([a.error for a in answers])
     std = np.array([a.std for a in answers])
     bound = np.array([a.bound for a in answers])
     hits = float(np.mean([a.holds for a in answers]))
     margin = Z95 * np.sqrt(max(hits * (1.0 - hits), 1e-4) / len(answers))
-    print(
-        f"| {name} | {len(answers)}{'' if refused is None else f' of {asked}'} | {100 * hits:.1f} ± {100 * margin:.1f} % | "
-        f"{1e3 * np.sqrt(np.mean(error**2)):.2f} | {1e3 * np.median(np.abs(error)):.2f} | "
-        f"{1e3 * Z95 * np.median(std):.2f} | {np.median(std / bound):.2f} |",
-        flush=True,
-    )
+    results.row(
+        "coverage", robots=name, answered=len(answers), asked=asked, of="" if asked is None else f" of {asked}",
+        hold=100.0 * hits, margin=100.0 * margin, rms=1e3 * np.sqrt(np.mean(error**2)), median=1e3 * np.median(np.abs(error)),
+        half=1e3 * Z95 * np.median(std), over=np.median(std / bound),
+    )  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=500, help="with all effects; 0 leaves them out")
     parser.add_argument("--per-effect", type=int, default=60, help="with each effect alone; 0 leaves them out")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--gentle", action="store_true", help="robots that differ less than the robot file allows")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     spread = SPREAD if options.gentle else MATCHED
-    print(
-        "| robots | answers | interval holds | rms error, g | median error, g | median half interval, g | over bound |"
+    results.table(
+        "coverage",
+        {
+            "robots": "{robots}",
+            "answers": "{answered}{of}",
+            "interval holds": "{hold:.1f} ± {margin:.1f} %",
+            "rms error, g": "{rms:.2f}",
+            "median error, g": "{median:.2f}",
+            "median half interval, g": "{half:.2f}",
+            "over bound": "{over:.2f}",
+        },
     )
-    print("|---|---|---|---|---|---|---|")
     if options.robots:
         seeds = range(options.first, options.first + options.robots)
-        answers = survey("all effects", seeds, EFFECTS, options.jobs, spread)
+        answers = survey(results, f"{options.robots}, all effects", seeds, EFFECTS, options.jobs, spread)
         for reference in (False, True):
-            said = f"with a {1e3 * REFERENCE_KG:.0f} g reference" if reference else "without a reference"
-            line(said, [a for a in answers if a.reference == reference])
+            words = f"with a {1e3 * REFERENCE_KG:.0f} g reference" if reference else "without a reference"
+            row(results, words, [a for a in answers if a.reference == reference])
         for mass in MASSES_KG:
-            line(f"{1e3 * mass:.0f} g", [a for a in answers if a.mass == mass])
+            row(results, f"{1e3 * mass:.0f} g", [a for a in answers if a.mass == mass])
         for joint in sorted({a.joint for a in answers}):
-            line(joint, [a for a in answers if a.joint == joint])
+            row(results, joint, [a for a in answers if a.joint == joint])
     for effect in EFFECTS if options.per_effect else ():
         if effect not in ALWAYS:
-            survey(effect, range(options.per_effect), (*ALWAYS, effect), options.jobs, spread)
+            survey(results, effect, range(options.per_effect), (*ALWAYS, effect), options.jobs, spread)
+    results.keep()
 
 
 if __name__ == "__main__":

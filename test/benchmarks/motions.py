@@ -15,13 +15,14 @@ of the American Statistical Association 22).
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from motion_bound import bound
+from results import Results, parser_of
 from scipy.stats import binomtest
 from support.arm_in_motion import FOUR, SIX, Twin, write_robot
 
@@ -31,21 +32,21 @@ from proprio_ros.quantity import Z95
 from proprio_ros.robot import load_robot
 
 
-def line(name: str, answers: np.ndarray) -> None:
+def row(results: Results, name: str, answers: np.ndarray) -> None:
     """One row of the table, of answers (mass, error, half width, bound in kg) in rows."""
     _, error, half, least = answers.T
     hits = int(np.sum(np.abs(error) < half))
     low, high = binomtest(hits, len(error)).proportion_ci(method="wilson")
-    print(
-        f"| {name} | {len(error)} | {100.0 * hits / len(error):.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f}) | "
-        f"{1e3 * np.sqrt(np.mean(error**2)):.1f} | {1e3 * np.sqrt(np.mean(least**2)):.1f} | {1e3 * np.median(half):.1f} | "
-        f"{np.median(half / (Z95 * least)):.2f} |"
-    )
+    results.row(
+        "motions", arms=name, answers=len(error), hold=100.0 * hits / len(error), low=100.0 * low, high=100.0 * high,
+        rms=1e3 * np.sqrt(np.mean(error**2)), bound=1e3 * np.sqrt(np.mean(least**2)), half=1e3 * np.median(half),
+        over=np.median(half / (Z95 * least)), farthest=Z95 * np.max(np.abs(error) / half),
+    )  # fmt: skip
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print one line per arm, and the figures of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--arms", type=int, default=60)
     parser.add_argument("--first", type=int, default=100, help="seed of the first arm")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each motion")
@@ -61,7 +62,8 @@ def main() -> None:
         "--baseline", action="store_true", help="with --calibrated: one more empty motion counts in the weighing"
     )
     parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     build = SIX if options.joints == 6 else FOUR
     with tempfile.TemporaryDirectory() as folder:
         robot = load_robot(write_robot(Path(folder), build=build))
@@ -91,9 +93,20 @@ def main() -> None:
         )
     answers = np.array(rows)
     mass = answers[:, 0]
-    print("\n| arms | answers | interval holds | rms error, g | rms bound, g | median half interval, g | over bound |")
-    print("|---|---|---|---|---|---|---|")
-    line("all", answers)
+    results.table(
+        "motions",
+        {
+            "arms": "{arms}",
+            "answers": "{answers}",
+            "interval holds": "{hold:.0f} % ({low:.0f} to {high:.0f})",
+            "rms error, g": "{rms:.1f}",
+            "rms bound, g": "{bound:.1f}",
+            "median half interval, g": "{half:.1f}",
+            "over bound": "{over:.2f}",
+            "farthest, in sd": "{farthest:.1f}",
+        },
+    )
+    row(results, "all", answers)
     middle_kg = float(np.sqrt(np.prod(build.payload_kg)))
     for name, those in (
         ("nothing held", mass == 0.0),
@@ -101,8 +114,9 @@ def main() -> None:
         (f"up to {1e3 * build.payload_kg[1]:.0f} g", mass > middle_kg),
     ):
         if those.any():
-            line(name, answers[those])
+            row(results, name, answers[those])
     print(f"{np.median(seconds):.2f} s of CPU each")
+    results.keep()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What is said of the real recordings, in one table: how many are answered, how far off, and how many intervals hold.
 
-    python test/benchmarks/real.py [--recordings ../shared/recordings_real] [--bags]
+    python test/benchmarks/real.py [--recordings ../shared/recordings_real] [--machines ur10e ...] [--bags]
 
 Every answer is one of the command line, asked as a user would: `proprio calibrate`, then `proprio replay`. The recordings are of
 other people's machines and not part of this repository; what each holds was weighed by who recorded it. ``--bags`` lists
@@ -9,7 +9,6 @@ every answer.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import itertools
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from results import Results, parser_of
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -244,16 +244,34 @@ def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
                 yield asked(row, f"{bag.name} by {len(known)}", what[2], words)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    machines = {each.__name__: each for each in (ur10e, open_manipulator, swings, controllers, by_voltage)}
+    parser = parser_of((__doc__ or "").splitlines()[0])
     parser.add_argument("--recordings", type=Path, default=REAL)
+    parser.add_argument("--machines", nargs="+", default=list(machines), choices=list(machines), help="default: all")
     parser.add_argument("--bags", action="store_true", help="list every answer")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    results.table(
+        "real",
+        {
+            "asked": "{asked}",
+            "questions": "{questions}",
+            "accepted": "{accepted}",
+            "too wide": "{too_wide}",
+            "refused": "{refused}",
+            "intervals that hold": "{hold} of {given}",
+            "largest error": "{worst}",
+            "half intervals": "{halves}",
+            "farthest, in sd": "{farthest:.1f}",
+        },
+    )
     answers: list[Answer] = []
     with tempfile.TemporaryDirectory() as folder:
-        for machine in (ur10e, open_manipulator, swings, controllers, by_voltage):
-            for answer in machine(options.recordings, Path(folder)):
-                answers.append(answer)
+        for name in options.machines:
+            of_machine = []
+            for answer in machines[name](options.recordings, Path(folder)):
+                of_machine.append(answer)
                 if options.bags:
                     shown = (
                         "-" if answer.value is None else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
@@ -262,27 +280,40 @@ def main() -> None:
                         f"{answer.row}: {answer.asked}: {shown} for {answer.truth:.4f}, {answer.verdict}",
                         file=sys.stderr,
                     )
-    print(
-        "| asked | questions | accepted | too wide | refused | intervals that hold | largest error | farthest, in sd |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    for row in dict.fromkeys(answer.row for answer in answers):
-        print(_row(row, [answer for answer in answers if answer.row == row]))
-    print(_row("all", answers, errors=False))
+            for row in dict.fromkeys(answer.row for answer in of_machine):
+                results.row("real", **_figures(row, [answer for answer in of_machine if answer.row == row]))
+            answers += of_machine
+    results.row("real", **_figures("all", answers))
+    results.keep()
 
 
-def _row(name: str, answers: Sequence[Answer], errors: bool = True) -> str:
+def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
+    """Numbers of a row: errors and half intervals in % of the truth, or in g where it is nothing."""
     given = [answer for answer in answers if answer.given]
     wide = sum(answer.verdict == "too_wide" for answer in given)
-    cells = [name, len(answers), len(given) - wide, wide, len(answers) - len(given)]
-    if not given:
-        return "| " + " | ".join(map(str, [*cells, "-", "-", "-"])) + " |"
-    worst = max(given, key=lambda answer: abs(answer.value - answer.truth))  # type: ignore[operator]
-    error = abs(worst.value - worst.truth)  # type: ignore[operator]
-    off = f"{100.0 * error / worst.truth:.1f} %" if worst.truth else f"{1e3 * error:.0f} g"
-    holds = f"{sum(answer.holds for answer in given)} of {len(given)}"
-    cells += [holds, off if errors else "", f"{max(answer.sigmas for answer in given):.1f}"]
-    return "| " + " | ".join(map(str, cells)) + " |"
+    relative = all(answer.truth for answer in answers)
+    same = relative or not any(answer.truth for answer in answers)
+    errors, halves = [], []
+    for answer in given if same else ():
+        assert answer.value is not None and answer.low is not None and answer.high is not None
+        scale = 100.0 / answer.truth if relative else 1e3
+        errors.append(scale * (answer.value - answer.truth))
+        halves.append(scale * max(answer.high - answer.value, answer.value - answer.low))
+    words = "{:.1f} %" if relative else "{:.0f} g"
+    return {
+        "asked": name,
+        "questions": len(answers),
+        "accepted": len(given) - wide,
+        "too_wide": wide,
+        "refused": len(answers) - len(given),
+        "given": len(given),
+        "hold": sum(answer.holds for answer in given),
+        "worst": words.format(max(map(abs, errors))) if errors else None,
+        "halves": f"{words.format(min(halves)).split()[0]} to {words.format(max(halves))}" if halves else None,
+        "farthest": max((answer.sigmas for answer in given), default=None),
+        "errors": errors,
+        "half_intervals": halves,
+    }
 
 
 if __name__ == "__main__":

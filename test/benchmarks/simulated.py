@@ -2,26 +2,24 @@
 
     python test/benchmarks/simulated.py                     # all three, with the recordings beside the clone
     python test/benchmarks/simulated.py weighing            # or some of weighing, container, blocks
+    python test/benchmarks/simulated.py --robots ideal_s00  # some of the robots alone
 
 The tests of the same recordings hold limits; this prints the figures, in g and %. Each recording is asked what its test asks.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
-import test_container as boxes
-import test_replay as replays
-import test_robot_calibration as calibrations
-import test_squeeze as squeezes
+from results import REPOSITORY, Results, parser_of
+from support import simulated
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
@@ -29,14 +27,21 @@ from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95, Quantity
 from proprio_ros.robot import Robot, load_robot
 
-RECORDINGS = Path(__file__).resolve().parents[3] / "shared" / "recordings"
+RECORDINGS = REPOSITORY.parent / "shared" / "recordings"
 ROBOT = load_robot("open_manipulator_x")
 REALISTIC = ("realistic_s00", "realistic_s01")
-LEVELS = ("ideal_s00", "quantised_s00", "friction_s00", *REALISTIC, "hard_s00")
+LEVELS = {
+    "ideal_s00": "no noise, no friction",
+    "quantised_s00": "12-bit encoder, 2.69 mA current steps",
+    "friction_s00": "and Coulomb and viscous friction",
+    "realistic_s00": "unknown friction, torque constant, delay, noise, compliance; first robot",
+    "realistic_s01": "the same, second robot",
+    "hard_s00": "and backlash, Stribeck, 10 % load friction, 1 ms stamps, lost messages",
+}
 
 
-class Row:
-    """Errors and intervals of one row of a table: of masses in g, of moduli in % of the truth."""
+class Answers:
+    """Errors and half intervals of several answers: of masses in g, of moduli in % of the truth."""
 
     def __init__(self) -> None:
         self.asked = self.hold = 0
@@ -52,122 +57,165 @@ class Row:
             self.halves.append(scale * Z95 * value.std)
             self.hold += value.ci95[0] <= truth <= value.ci95[1]
 
-    def __add__(self, other: Row) -> Row:
-        both = Row()
-        both.asked, both.hold = self.asked + other.asked, self.hold + other.hold
-        both.errors, both.halves = self.errors + other.errors, self.halves + other.halves
-        return both
-
-    def show(self, name: str, each: bool = False) -> None:
-        """Print the row; ``each``: with every error."""
+    def figures(self, prefix: str = "") -> dict[str, Any]:
+        """Numbers of a row."""
         off = np.abs(self.errors or [np.nan])
-        print(
-            f"{name}: {len(self.errors)} of {self.asked} answered, {self.hold} hold; rms {np.sqrt(np.mean(off**2)):.2f}, "
-            f"median {np.median(off):.2f}, worst {off.max():.5f}; half intervals {min(self.halves, default=np.nan):.1f} to "
-            f"{max(self.halves, default=np.nan):.1f}" + (f"; {', '.join(f'{e:+.2f}' for e in self.errors)}" if each else ""),
-            flush=True,
-        )  # fmt: skip
+        found = {
+            "asked": self.asked, "answered": len(self.errors), "hold": int(self.hold),
+            "rms": float(np.sqrt(np.mean(off**2))), "median": float(np.median(off)), "worst": float(off.max()),
+            "half_from": min(self.halves, default=None), "half_to": max(self.halves, default=None), "errors": self.errors,
+        }  # fmt: skip
+        return {prefix + key: value for key, value in found.items()}
 
 
 def calibrated_on(runs: list[LoadedRun]) -> Robot:
-    """The robot as it learns itself from these runs."""
+    """The robot, calibrated on these runs."""
     learnt = calibrate(ROBOT, runs)
     assert learnt.calibration is not None
     return ROBOT.with_calibration(learnt.calibration)
 
 
-def objects(level: str) -> list[Path]:
-    """The recordings with 10 to 50 g."""
-    folders = replays.fixed(RECORDINGS, level)
-    return [folder for folder in folders if 0.0099 <= replays.truth_of(folder)["payload"]["mass"] <= 0.0501]
-
-
-def without_suffix(folders: Iterable[Path]) -> list[Path]:
-    """Those that are called ``joint2`` and ``joint3``, and nothing more."""
-    return [folder for folder in folders if folder.name.endswith(("_joint2", "_joint3"))]
-
-
-def replayed(folders: Iterable[Path], known: bool = False) -> Row:
-    """Weigh by the robot file, or by the simulator's own drive train."""
-    row = Row()
+def weighed(folders: Iterable[Any], robot: Robot | None = None, known: bool = False) -> Answers:
+    """Masses by a calibrated robot; without one by the robot file, or by the simulator's own drive train."""
+    answers = Answers()
     for folder in folders:
-        truth = replays.truth_of(folder)
-        estimate = replays.weighed(folder, replays.known_drive_train(truth) if known else None)
-        row.add(estimate, "payload_mass", truth["payload"]["mass"])
-    return row
+        truth = simulated.truth_of(folder)
+        if robot is not None:
+            estimate = weigh(robot, simulated.runs_of(folder, robot), simulated.facts_of(folder))
+        else:
+            estimate = simulated.weighed(folder, simulated.known_drive_train(truth) if known else None)
+        answers.add(estimate, "payload_mass", truth["payload"]["mass"])
+    return answers
 
 
-def weighing() -> None:
-    """Masses of fixed objects."""
-    for level in ("ideal_s00", "quantised_s00"):
-        replayed(replays.fixed(RECORDINGS, level)).show(level)
-    replayed(replays.fixed(RECORDINGS, "friction_s00"), known=True).show("friction_s00, stated")
-    for level in (*REALISTIC, "hard_s00"):
-        empty = calibrations.empty_runs(RECORDINGS / level, ROBOT)
-        for reference in ([], calibrations.reference_runs(RECORDINGS / level, ROBOT)):
-            robot = calibrated_on(empty + reference)
-            name = f"{level}, calibrated{' with a reference' if reference else ''}"
-            for which, folders in (("", objects(level)), (", no suffix", without_suffix(objects(level)))):
-                row = Row()
-                for folder in folders:
-                    estimate = weigh(robot, calibrations.runs_of(folder, robot), calibrations.facts_of(folder))
-                    row.add(estimate, "payload_mass", calibrations.truth_of(folder)["payload"]["mass"])
-                row.show(name + which)
-    for level in ("friction_s00", *REALISTIC, "hard_s00"):
-        replayed(replays.fixed(RECORDINGS, level)).show(f"{level}, not calibrated")
+def weighing(results: Results, levels: Sequence[str]) -> None:
+    """Masses of fixed objects; of those that want a calibration, of 10 to 50 g."""
+    results.table(
+        "weighing",
+        {
+            "recordings": "{recordings}",
+            "known of the robot": "{known}",
+            "answers": "{answered} of {asked}",
+            "interval holds": "{hold}",
+            "rms error, g": "{rms:.2f}",
+            "median error, g": "{median:.2f}",
+            "worst error, g": "{worst:.2f}",
+            "half intervals, g": "{half_from:.2f} to {half_to:.2f}",
+        },
+    )
+
+    def row(level: str, known: str, answers: Answers) -> None:
+        results.row("weighing", level=level, recordings=LEVELS[level], known=known, **answers.figures())
+
+    for level in levels:
+        folders = simulated.fixed(RECORDINGS, level)
+        if level in ("ideal_s00", "quantised_s00"):
+            row(level, "robot file", weighed(folders))
+            continue
+        if level == "friction_s00":
+            row(level, "its drive train", weighed(folders, known=True))
+        else:
+            folders = [f for f in folders if 0.0099 <= simulated.truth_of(f)["payload"]["mass"] <= 0.0501]
+            empty = simulated.empty_runs(RECORDINGS / level, ROBOT)
+            row(level, "calibrated on its empty runs", weighed(folders, calibrated_on(empty)))
+            reference = simulated.reference_runs(RECORDINGS / level, ROBOT)
+            row(level, "and on three with 100 g", weighed(folders, calibrated_on(empty + reference)))
+        row(level, "robot file", weighed(simulated.fixed(RECORDINGS, level)))
 
 
-def container() -> None:
+def container(results: Results, levels: Sequence[str]) -> None:
     """Masses of spheres in a box, by the empty box's recordings as the baseline."""
-    for level in LEVELS:
-        robot = calibrated_on(calibrations.empty_runs(RECORDINGS / level, ROBOT))
-        made = boxes.Level(RECORDINGS / level, "", robot)
-        empty, rolling, together = Row(), Row(), Row()
-        for folder in made.folders("container_*"):
-            mass = boxes.truth_of(folder)["sphere_mass"]
-            (rolling if mass else empty).add(made.find([folder]), "sphere_mass", mass)
-        for sphere in ("12g", "random"):
-            folders = made.folders(f"container_sphere_{sphere}_*")
-            together.add(made.find(folders), "sphere_mass", boxes.truth_of(folders[0])["sphere_mass"])
-        (empty + rolling).show(level)
-        empty.show("    empty", each=True)
-        rolling.show("    with a sphere", each=True)
-        together.show("    three together", each=True)
-    for level in LEVELS:
-        made, row = boxes.Level(RECORDINGS / level, "", ROBOT), Row()
-        for folder in made.folders("container_sphere_*"):
-            row.add(made.find([folder]), "sphere_mass", boxes.truth_of(folder)["sphere_mass"])
-        row.show(f"{level}, not calibrated", each=True)
+    results.table(
+        "container",
+        {
+            "recordings": "{recordings}",
+            "answers": "{answered} of {asked}",
+            "interval holds": "{hold}",
+            "rms error, g": "{rms:.2f}",
+            "worst error, g": "{worst:.2f}",
+            "half intervals, g": "{half_from:.1f} to {half_to:.1f}",
+            "an empty box, worst, g": "{empty_worst:.2f}",
+            "three together: error, g": "{together_words}",
+            "holds": "{together_hold} of {together_asked}",
+        },
+    )
+    results.table(
+        "container, not calibrated",
+        {
+            "recordings": "{recordings}",
+            "answers": "{answered} of {asked}",
+            "interval holds": "{hold}",
+            "rms error, g": "{rms:.2f}",
+            "worst error, g": "{worst:.2f}",
+        },
+    )
+    for level in levels:
+        for robot in (calibrated_on(simulated.empty_runs(RECORDINGS / level, ROBOT)), ROBOT):
+            boxes = simulated.Boxes(RECORDINGS / level, "", robot)
+            single, empty, together = Answers(), Answers(), Answers()
+            here = {"level": level, "recordings": LEVELS[level]}
+            if robot is ROBOT:
+                for folder in boxes.folders("container_sphere_*"):
+                    mass = simulated.truth_of(folder)["container"]["sphere_mass"]
+                    single.add(boxes.find([folder]), "sphere_mass", mass)
+                results.row("container, not calibrated", **here, **single.figures())
+                continue
+            for folder in boxes.folders("container_*"):
+                mass = simulated.truth_of(folder)["container"]["sphere_mass"]
+                estimate = boxes.find([folder])
+                for answers in (single,) if mass else (single, empty):
+                    answers.add(estimate, "sphere_mass", mass)
+            for sphere in ("12g", "random"):
+                folders = boxes.folders(f"container_sphere_{sphere}_*")
+                mass = simulated.truth_of(folders[0])["container"]["sphere_mass"]
+                together.add(boxes.find(folders), "sphere_mass", mass)
+            results.row(
+                "container", **here, **single.figures(), **empty.figures("empty_"), **together.figures("together_"),
+                together_words=", ".join(f"{error:+.2f}" for error in together.errors),
+            )  # fmt: skip
 
 
-def blocks() -> None:
+def blocks(results: Results, levels: Sequence[str]) -> None:
     """Young's moduli of soft blocks: light, heavy and random."""
-    for level in LEVELS:
-        closings = calibrations.empty_runs(RECORDINGS / level, ROBOT, "squeeze_empty_*")
-        robot = calibrated_on([*calibrations.empty_runs(RECORDINGS / level, ROBOT), *closings])
-        row, ratios, stated = Row(), Row(), Row()
-        for block in squeezes.BLOCKS:
-            folder = RECORDINGS / level / f"squeeze_{block}"
-            _, modulus, ratio = squeezes.cube_of(folder)
-            estimate = squeezes.squeezed(robot, folder)
-            row.add(estimate, "youngs_modulus", modulus, 100.0 / modulus)
-            ratios.add(estimate, "poissons_ratio", ratio, 1.0)
-            if level == "quantised_s00":
+    results.table(
+        "blocks",
+        {
+            "recordings": "{recordings}",
+            "error of the light, the heavy, the random block": "{words} %",
+            "interval holds": "{hold} of {asked}",
+            "half intervals": "{half_from:.0f} to {half_to:.0f} %",
+            "Poisson's ratio identified, holds": "{ratio_answered}, {ratio_hold}",
+        },
+    )
+    for level in levels:
+        closings = simulated.empty_runs(RECORDINGS / level, ROBOT, "squeeze_empty_*")
+        robot = calibrated_on([*simulated.empty_runs(RECORDINGS / level, ROBOT), *closings])
+        for stated in (False, True) if level == "quantised_s00" else (False,):
+            answers, ratios = Answers(), Answers()
+            for block in simulated.BLOCKS:
+                folder = RECORDINGS / level / f"squeeze_{block}"
+                _, modulus, ratio = simulated.cube_of(folder)
                 # the truth is each finger's; both together close by twice as much
-                gap = Quantity(2.0 * replays.truth_of(folder)["cube"]["gap"], 1e-5)
-                stated.add(squeezes.squeezed(robot, folder, gap=gap), "youngs_modulus", modulus, 100.0 / modulus)
-        row.show(level, each=True)
-        ratios.show("    Poisson's ratio", each=True)
-        if stated.asked:
-            stated.show("    with the gap before the touch stated to 0.01 mm", each=True)
+                gap = Quantity(2.0 * simulated.truth_of(folder)["cube"]["gap"], 1e-5)
+                estimate = simulated.squeezed(robot, folder, **({"gap": gap} if stated else {}))
+                answers.add(estimate, "youngs_modulus", modulus, 100.0 / modulus)
+                ratios.add(estimate, "poissons_ratio", ratio, 1.0)
+            results.row(
+                "blocks", level=level, recordings=LEVELS[level] + ("; the gap before the touch stated to 0.01 mm" * stated),
+                words=", ".join(f"{error:+.1f}" for error in answers.errors), **answers.figures(), **ratios.figures("ratio_"),
+            )  # fmt: skip
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     tables = {"weighing": weighing, "container": container, "blocks": blocks}
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("tables", nargs="*", default=list(tables), help=", ".join(tables))
-    for name in parser.parse_args().tables:
-        tables[name]()
+    parser.add_argument("--robots", nargs="+", default=list(LEVELS), choices=list(LEVELS), help="default: all")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    for name in options.tables:
+        tables[name](results, options.robots)
+    results.keep()
 
 
 if __name__ == "__main__":

@@ -11,14 +11,13 @@ it: what real gears add, it does not say.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from results import Results, parser_of
 
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -148,33 +147,51 @@ def weighed(
         return [(kg, replay(bag(f"asked{number}", kg), options)) for number, kg in enumerate(asked_kg)]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--arms", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--rate", type=float, default=30.0, help="of goals and recordings [Hz]")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each recording")
-    options = parser.parse_args()
-    held, pulls = [], []
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    answers: dict[float, list[tuple[float, float, bool, float]]] = {kg: [] for kg in ASKED_KG}
     for seed in range(options.first, options.first + options.arms):
         try:
-            answers = weighed(seed, options.rate, options.seconds)
+            found = weighed(seed, options.rate, options.seconds)
         except ProprioError as error:
             print(f"arm {seed}: {error}")
             continue
-        for kg, estimate in answers:
+        for kg, estimate in found:
             mass = estimate.values[0]
-            said = "; ".join(map(str, estimate.reasons))
+            words = "; ".join(map(str, estimate.reasons))
             if estimate.verdict is Verdict.ACCEPTED:
                 low, high = mass.ci95
-                said = f"{mass.value * 1e3:.1f} g ({low * 1e3:.1f} to {high * 1e3:.1f})"
-                held.append(low <= kg <= high)
-                pulls.append(abs(mass.value - kg) / mass.std)
-            print(f"arm {seed}, {kg * 1e3:.0f} g: {estimate.verdict.value}, {said}"[:200])
-    if held:
-        print(f"{sum(held)} of {len(held)} answers hold, farthest {max(pulls):.1f} sd")
-    return 0
+                words = f"{mass.value * 1e3:.1f} g ({low * 1e3:.1f} to {high * 1e3:.1f})"
+                off = mass.value - kg
+                answers[kg].append((off, max(high - mass.value, mass.value - low), low <= kg <= high, off / mass.std))
+            print(f"arm {seed}, {kg * 1e3:.0f} g: {estimate.verdict.value}, {words}"[:200])
+    results.table(
+        "so101",
+        {
+            "held": "{held}",
+            "answered": "{answered} of {asked}",
+            "error rms, worst": "{rms:.1f}, {worst:.1f} g",
+            "median half interval": "{half:.1f} g",
+            "intervals that hold": "{hold}",
+            "farthest, in sd": "{farthest:.1f}",
+        },
+    )
+    for name, kgs in (*((f"{1e3 * kg:.0f} g" if kg else "nothing", (kg,)) for kg in ASKED_KG), ("all", ASKED_KG)):
+        of = np.array([answer for kg in kgs for answer in answers[kg]], dtype=float)
+        if len(of):
+            off, half, holds, pull = of.T
+            results.row(
+                "so101", held=name, answered=len(of), asked=options.arms * len(kgs), rms=1e3 * np.sqrt(np.mean(off**2)),
+                worst=1e3 * np.abs(off).max(), half=1e3 * np.median(half), hold=int(holds.sum()), farthest=np.abs(pull).max(),
+            )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

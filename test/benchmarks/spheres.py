@@ -12,7 +12,6 @@ which source has which share of the variance, as a mean over the answers.
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -27,6 +26,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 from coverage import MATCHED, run_of, true_values
 from random_arm import EFFECTS, EMPTY_PROBES, GRIPPER, HiddenRobot, Load, Probe, draw_robot
+from results import Results, parser_of
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.gates import LITTLE_TRAVEL
@@ -276,26 +276,28 @@ def one_robot(job: tuple[int, tuple[str, ...]]) -> tuple[list[Answer], list[str]
     return answers, refused
 
 
-def line(name: str, answers: Sequence[Answer], asked: int) -> None:
-    """One row of the table."""
+def row(results: Results, name: str, answers: Sequence[Answer], asked: int) -> None:
+    """One row of the table; none without answers."""
+    if not answers:
+        return
     error, std, bound = (np.array([getattr(a, key) for a in answers]) for key in ("error", "std", "bound"))
     hits = float(np.mean([a.holds for a in answers]))
     margin = Z95 * np.sqrt(max(hits * (1.0 - hits), 1e-4) / len(answers))
-    print(
-        f"| {name} | {len(answers)} of {asked} | {100 * hits:.1f} ± {100 * margin:.1f} % | "
-        f"{1e3 * np.sqrt(np.mean(error**2)):.2f} | {1e3 * Z95 * np.median(std):.2f} | {1e3 * Z95 * np.median(bound):.2f} | "
-        f"{np.median(std / bound):.2f} |",
-        flush=True,
-    )
+    results.row(
+        "spheres", runs=name, answered=len(answers), asked=asked, hold=100.0 * hits, margin=100.0 * margin,
+        rms=1e3 * np.sqrt(np.mean(error**2)), half=1e3 * Z95 * np.median(std), bound=1e3 * Z95 * np.median(bound),
+        over=np.median(std / bound),
+    )  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=60)
     parser.add_argument("--first", type=int, default=2000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--without", nargs="*", default=[], choices=EFFECTS, help="effects that are absent")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     effects = tuple(effect for effect in EFFECTS if effect not in options.without)
     answers: list[Answer] = []
     refused: Counter[str] = Counter()
@@ -304,15 +306,28 @@ def main() -> None:
         for found, why in pool.imap_unordered(one_robot, [(seed, effects) for seed in seeds]):
             answers += found
             refused.update(why)
-    print("| runs | answers | interval holds | rms error, g | median half interval, g | the bound's, g | over bound |")
-    print("|---|---|---|---|---|---|---|")
-    line("one run", [a for a in answers if a.runs == 1], 3 * options.robots)
-    line("three runs", [a for a in answers if a.runs > 1], options.robots)
+    results.table(
+        "spheres",
+        {
+            "runs": "{runs}",
+            "answers": "{answered} of {asked}",
+            "interval holds": "{hold:.1f} ± {margin:.1f} %",
+            "rms error, g": "{rms:.2f}",
+            "median half interval, g": "{half:.2f}",
+            "the bound's, g": "{bound:.2f}",
+            "over bound": "{over:.2f}",
+        },
+    )
+    row(results, "one", [a for a in answers if a.runs == 1], 3 * options.robots)
+    row(results, "three together", [a for a in answers if a.runs > 1], options.robots)
     shares: Counter[str] = Counter()
     for answer in answers:
         shares.update(answer.shares)
-    print(", ".join(f"{source} {100.0 * share / len(answers):.1f} %" for source, share in shares.most_common(6)))
-    print(f"widening {100.0 * shares['widening'] / len(answers):.1f} %; refused: {dict(refused)}")
+    results.table("shares of the variance", {"source": "{source}", "share": "{share:.1f} %"})
+    for source, share in shares.most_common(7):
+        results.row("shares of the variance", source=source, share=100.0 * share / len(answers))
+    print(f"refused: {dict(refused)}")
+    results.keep()
 
 
 if __name__ == "__main__":

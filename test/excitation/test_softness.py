@@ -11,68 +11,21 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from support.hand import COUNT_A, JOINTS, ROBOT, Hand
+from support.hand import ROBOT, Hand
+from support.squeezing import EDGE_M, GAP_M, GRIPPER, calibrated, made, played, squeezed
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.excitation.machine import ExcitationMachine, Phase
-from proprio_ros.excitation.plans import ProbeSequence, Until, check_sequence, load_sequence
+from proprio_ros.excitation.machine import Phase
+from proprio_ros.excitation.plans import Until, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
-from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.estimate import Verdict
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.softness import SoftnessJob
 from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
-from proprio_ros.recordings.runs import cut_runs
-from proprio_ros.records import InputRecord, JointRecord, Recording, Run
+from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.virtual.objects import SoftBlock
-
-GRIPPER = "gripper_left_joint"
-EDGE_M, GAP_M = 0.03, 0.0005
-
-
-def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
-    """A shipped sequence, made."""
-    return made(load_sequence(name, ROBOT), hand)
-
-
-def made(sequence: ProbeSequence, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
-    """The machine at its end, the runs of the recording, and how far the fingers closed from where they began [m]."""
-    machine, sample = ExcitationMachine(ROBOT), hand.sample()
-    machine.start(sequence, sample)
-    began = closed = hand.arm.position()[GRIPPER]
-    times, places, currents = [], [], []
-    while machine.busy:
-        command = machine.tick(hand.time_s, sample)
-        times.append(round(1e9 * sample.time_s))
-        places.append([sample.position[joint] for joint in JOINTS])
-        # the driver's echo at every sample, in steps of the servo
-        currents.append([COUNT_A * round(command.current_A.get(joint, 0.0) / COUNT_A) for joint in JOINTS])
-        sample = hand.step(command)
-        closed = min(closed, hand.arm.position()[GRIPPER])
-    stamps = np.array(times)
-    inputs = InputRecord(stamps, JOINTS, np.array(currents), "/applied_effort")
-    runs = cut_runs(
-        Recording(sequence.name, JointRecord(stamps, JOINTS, np.array(places)), inputs), joints=list(JOINTS)
-    )
-    return machine, runs, began - closed
-
-
-def calibrated(seed: int) -> Robot:
-    """The robot after its gripper was closed and opened with nothing between the fingers."""
-    machine, runs, _ = played("empty_hand_gripper", Hand(seed, None))
-    assert machine.phase is Phase.DONE and "all 4 runs are good" in machine.message, machine.message
-    estimate = calibrate(ROBOT, [LoadedRun(run) for run in runs])
-    assert estimate.calibration is not None, estimate.reasons
-    return ROBOT.with_calibration(estimate.calibration)
-
-
-def squeezed(robot: Robot, seed: int, block: SoftBlock) -> tuple[ExcitationMachine, Estimate, float]:
-    hand = Hand(seed, block)
-    machine, runs, closed = played("softness", hand)
-    assert machine.phase is Phase.DONE, machine.message
-    return machine, find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))), closed
 
 
 @pytest.mark.parametrize(

@@ -2,58 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from support.simulated import empty_runs, facts_of, reference_runs, runs_of, truth_of
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
-from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.robot import Robot, load_robot
-from proprio_ros.sim.payload import PayloadFacts
 
-REFERENCES = ("fixed_reference_100g_joint3_x1", "fixed_reference_100g_joint2_x2", "fixed_reference_100g_joint2_x3")
 LEVELS = ("realistic_s00", "realistic_s01", "hard_s00")
-
-
-def truth_of(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "truth.json").read_text())
-
-
-def facts_of(folder: Path) -> PayloadFacts:
-    """What is stated about the object: its place and shape."""
-    payload = truth_of(folder)["payload"]
-    told = {
-        "payload.com": payload["offset"],
-        "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]],
-    }
-    return payload_facts(Settings(told), probe_file("payload")["payload"])
-
-
-def runs_of(folder: Path, robot: Robot) -> tuple:
-    return bag_runs(sorted(folder.glob("bag_*"))[0], robot, ReplayOptions(), {})
-
-
-def empty_runs(level: Path, robot: Robot, pattern: str = "empty_*") -> list[LoadedRun]:
-    return [LoadedRun(run) for folder in sorted(level.glob(pattern)) for run in runs_of(folder, robot)]
-
-
-def reference_runs(level: Path, robot: Robot) -> list[LoadedRun]:
-    return [
-        LoadedRun(run, KnownLoad(0.1, facts_of(level / name)))
-        for name in REFERENCES
-        for run in runs_of(level / name, robot)
-    ]
 
 
 @pytest.fixture(scope="module")

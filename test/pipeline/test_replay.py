@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support.simulated import bag_in, fixed, known_drive_train, stated, truth_of, weighed
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -24,57 +24,6 @@ JOINTS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")
 LOADED = "quantised_s00_fixed_heavy_ball_50g_joint3"
 
 
-def truth_of(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "truth.json").read_text())
-
-
-def told(truth: Mapping[str, Any]) -> dict[str, Any]:
-    """What is stated to a fit: where the object sits and its shape, not its mass."""
-    payload = truth["payload"]
-    if not payload or payload["mass"] == 0.0:
-        return {"payload.shape": "point"}
-    return {
-        "payload.com": payload["offset"],
-        "payload.inertia_per_mass": [value / payload["mass"] for value in payload["inertia"]],
-    }
-
-
-def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
-    """The simulator's drive train, put into the robot file as exactly known."""
-    exact = (
-        "delay_s",
-        "onset_jitter_s",
-        "torque_disturbance_N_m",
-        "link_mass_std",
-        "link_com_std_m",
-        "link_inertia_std",
-    )
-    settings: dict[str, Any] = {f"robot.{key}": 0.0 for key in exact} | {"robot.arm_scale": 1.0}
-    for joint, values in truth["joints"].items():
-        if joint == "gripper_left_joint":
-            continue
-        prefix = f"robot.joints.{joint}.drive_train."
-        settings |= {
-            prefix + "torque_constant_N_m_per_A": values["kt"],
-            prefix + "coulomb_N_m": values["coulomb"],
-            prefix + "viscous_N_m_s_per_rad": values["viscous"],
-            prefix + "load_friction": values["load_friction"],
-            prefix + "armature_kg_m2": values["armature"],
-            prefix + "zero_rad": 0.0,
-            f"robot.joints.{joint}.motor.encoder_once_per_turn_rad": 0.0,
-        }
-    return settings
-
-
-def bag_in(folder: Path) -> Path:
-    return next(iter(sorted(folder.glob("bag_*"))))
-
-
-def weighed(folder: Path, extra: Mapping[str, Any] | None = None, **options: Any) -> Estimate:
-    truth = truth_of(folder)
-    return replay([bag_in(folder)], ReplayOptions(settings={**told(truth), **(extra or {})}, **options))
-
-
 def error_and_hit(estimate: Estimate, truth: Mapping[str, Any]) -> tuple[float, bool]:
     value = estimate.value("payload_mass")
     mass = truth["payload"]["mass"] if truth["payload"] else 0.0
@@ -83,10 +32,6 @@ def error_and_hit(estimate: Estimate, truth: Mapping[str, Any]) -> tuple[float, 
 
 
 # --- the recordings beside the repository ------------------------------------------------------------------------------
-
-
-def fixed(recordings: Path, level: str) -> list[Path]:
-    return sorted((recordings / level).glob("fixed_*"))
 
 
 @pytest.mark.parametrize("settings", [None, pytest.param("known", marks=pytest.mark.long)])
@@ -169,7 +114,7 @@ def test_an_empty_hand_reads_zero(recordings: Path) -> None:
 def test_both_storages_give_the_same_numbers(recordings: Path) -> None:
     folder = recordings / "friction_s00" / "fixed_heavy_cube_23g_joint3"
     one, other = (
-        replay([folder / storage], ReplayOptions(settings=told(truth_of(folder))))
+        replay([folder / storage], ReplayOptions(settings=stated(truth_of(folder))))
         for storage in ("bag_mcap", "bag_sqlite3")
     )
     assert one.values == other.values and one.fit == other.fit
@@ -255,7 +200,7 @@ def test_several_bags_of_one_object_are_pooled(recordings: Path) -> None:
         recordings / "quantised_s00" / f"fixed_heavy_ball_50g_{probe}" for probe in ("joint3", "joint3_x1", "joint2")
     ]
     truth = truth_of(folders[0])
-    settings = {**told(truth), **known_drive_train(truth)}
+    settings = {**stated(truth), **known_drive_train(truth)}
     alone = [replay([bag_in(folder)], ReplayOptions(settings=settings)).value("payload_mass").std for folder in folders]
     pooled = replay([bag_in(folder) for folder in folders], ReplayOptions(settings=settings))
     assert pooled.runs == 3 and len(pooled.run_fits) == 3 and pooled.verdict is Verdict.ACCEPTED
@@ -331,7 +276,7 @@ def test_no_command_topic(bags: Path, tmp_path: Path) -> None:
         replay([tmp_path / "bag"])
     truth = truth_of(folder)
     options = ReplayOptions(
-        settings={**told(truth), **known_drive_train(truth), "robot.delay_s": {"value": 0.0, "std": 0.0}}
+        settings={**stated(truth), **known_drive_train(truth), "robot.delay_s": {"value": 0.0, "std": 0.0}}
     )
     estimate = replay([tmp_path / "bag"], replace(options, effort_unit="N.m"))
     error, hit = error_and_hit(estimate, truth)
@@ -355,7 +300,7 @@ def test_joints_in_another_order_and_more_of_them(bags: Path, tmp_path: Path) ->
         reported_effort=None,
     )
     write_recording(tmp_path / "bag", replace(original, joints=shuffled))
-    settings = ReplayOptions(settings=told(truth_of(folder)))
+    settings = ReplayOptions(settings=stated(truth_of(folder)))
     assert replay([tmp_path / "bag"], settings).values == replay([bag_in(folder)], settings).values
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.simulated import Boxes, bag_in, runs_of, stated_of_box, truth_of
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -18,7 +18,7 @@ from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
 from proprio_ros.probes.container.problem import (
@@ -29,8 +29,7 @@ from proprio_ros.probes.container.problem import (
     sphere_run,
     start_prior,
 )
-from proprio_ros.records import Run
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import load_robot
 from proprio_ros.schema import reason_codes
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.sphere import Enclosure, SphereRun
@@ -40,63 +39,11 @@ pytestmark = pytest.mark.long
 LEVELS = ("ideal_s00", "quantised_s00", "friction_s00", "realistic_s00", "realistic_s01")
 
 
-def truth_of(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "truth.json").read_text())["container"]
-
-
-def told(folder: Path) -> dict[str, Any]:
-    """What is stated to a fit: geometry, no mass."""
-    truth = truth_of(folder)
-    return {
-        "container.inner_size": [2.0 * half for half in truth["inner_half"]],
-        "container.centre": truth["centre"],
-        "sphere.radius": truth["sphere_radius"],
-    }
-
-
-def bag_in(folder: Path) -> Path:
-    return next(iter(sorted(folder.glob("bag_*"))))
-
-
-def runs_of(folder: Path, robot: Robot) -> tuple[Run, ...]:
-    return bag_runs(bag_in(folder), robot, ReplayOptions(), {})
-
-
-@dataclass
-class Level:
-    """One robot, calibrated on its empty runs."""
-
-    folder: Path
-    prefix: str
-    robot: Robot
-    known: dict[Path, tuple[Run, ...]] = field(default_factory=dict)
-
-    def runs(self, folder: Path) -> tuple[Run, ...]:
-        """Of one recording, which is read once."""
-        if folder not in self.known:
-            self.known[folder] = runs_of(folder, self.robot)
-        return self.known[folder]
-
-    def folders(self, pattern: str) -> list[Path]:
-        return sorted(self.folder.glob(f"{self.prefix}{pattern}"))
-
-    def baseline(self, but: str = "") -> list[Run]:
-        return [
-            run for folder in self.folders("container_no_sphere_*") if folder.name != but for run in self.runs(folder)
-        ]
-
-    def find(self, folders: list[Path], **settings: Any) -> Estimate:
-        given = {**told(folders[0]), **settings}
-        facts = container_facts(Settings(given), probe_file("container"))
-        runs = [run for folder in folders for run in self.runs(folder)]
-        return find_sphere(self.robot, runs, facts, None, self.baseline(folders[0].name))
-
-
 @pytest.fixture(scope="module")
-def level_of() -> Callable[[Path, str], Level]:
-    known: dict[tuple[Path, str], Level] = {}
+def level_of() -> Callable[[Path, str], Boxes]:
+    known: dict[tuple[Path, str], Boxes] = {}
 
-    def level(folder: Path, prefix: str = "") -> Level:
+    def level(folder: Path, prefix: str = "") -> Boxes:
         if (folder, prefix) not in known:
             robot = load_robot("open_manipulator_x")
             empty = [
@@ -107,14 +54,14 @@ def level_of() -> Callable[[Path, str], Level]:
             ]
             estimate = calibrate(robot, empty)
             assert estimate.calibration is not None
-            known[folder, prefix] = Level(folder, prefix, robot.with_calibration(estimate.calibration))
+            known[folder, prefix] = Boxes(folder, prefix, robot.with_calibration(estimate.calibration))
         return known[folder, prefix]
 
     return level
 
 
 @pytest.fixture(scope="module")
-def realistic(bags: Path, level_of: Callable[[Path, str], Level]) -> Level:
+def realistic(bags: Path, level_of: Callable[[Path, str], Boxes]) -> Boxes:
     """The robot whose recordings come with the repository."""
     return level_of(bags, "realistic_s00_")
 
@@ -127,9 +74,9 @@ def error_and_hit(estimate: Estimate, mass: float) -> tuple[float, bool]:
     return value.value - mass, low <= mass <= high
 
 
-def test_the_repositorys_own_recordings(realistic: Level) -> None:
+def test_the_repositorys_own_recordings(realistic: Boxes) -> None:
     for folder in realistic.folders("container_sphere_*"):
-        off, hit = error_and_hit(realistic.find([folder]), truth_of(folder)["sphere_mass"])
+        off, hit = error_and_hit(realistic.find([folder]), truth_of(folder)["container"]["sphere_mass"])
         assert abs(off) < 1.3e-3 and hit, folder.name
 
 
@@ -145,12 +92,12 @@ def test_the_repositorys_own_recordings(realistic: Level) -> None:
     ],
 )
 def test_every_recording(
-    recordings: Path, level_of: Callable[[Path, str], Level], name: str, worst_g: float, rms_g: float
+    recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, rms_g: float
 ) -> None:
     level = level_of(recordings / name, "")
     results = []
     for folder in level.folders("container_*"):
-        results.append(error_and_hit(level.find([folder]), truth_of(folder)["sphere_mass"]))
+        results.append(error_and_hit(level.find([folder]), truth_of(folder)["container"]["sphere_mass"]))
     off = 1e3 * np.array([error for error, _ in results])
     assert len(off) == 9
     assert np.abs(off).max() < worst_g and np.sqrt(np.mean(off**2)) < rms_g, off
@@ -159,25 +106,25 @@ def test_every_recording(
 
 def test_friction_that_nobody_stated_is_found(recordings: Path) -> None:
     """Without a calibration; from the file's zero the fit ended where 12 g read 7.2 +- 1.3 g, accepted."""
-    level = Level(recordings / "friction_s00", "", load_robot("open_manipulator_x"))
+    level = Boxes(recordings / "friction_s00", "", load_robot("open_manipulator_x"))
     for name in ("container_sphere_12g_joint3_100mA", "container_sphere_random_joint4_030mA"):
         folder = level.folder / name
-        off, hit = error_and_hit(level.find([folder]), truth_of(folder)["sphere_mass"])
+        off, hit = error_and_hit(level.find([folder]), truth_of(folder)["container"]["sphere_mass"])
         assert hit and abs(off) < 1.5e-3
 
 
 @pytest.mark.parametrize(("name", "worst_g"), [("ideal_s00", 0.3), ("quantised_s00", 0.3), ("friction_s00", 0.3)])
 @pytest.mark.parametrize("sphere", ["12g", "random"])
 def test_three_runs_together(
-    recordings: Path, level_of: Callable[[Path, str], Level], name: str, worst_g: float, sphere: str
+    recordings: Path, level_of: Callable[[Path, str], Boxes], name: str, worst_g: float, sphere: str
 ) -> None:
     level = level_of(recordings / name, "")
     folders = level.folders(f"container_sphere_{sphere}_*")
-    off, hit = error_and_hit(level.find(folders), truth_of(folders[0])["sphere_mass"])
+    off, hit = error_and_hit(level.find(folders), truth_of(folders[0])["container"]["sphere_mass"])
     assert 1e3 * abs(off) < worst_g and hit
 
 
-def test_an_empty_container_reads_nothing(realistic: Level) -> None:
+def test_an_empty_container_reads_nothing(realistic: Boxes) -> None:
     for folder in realistic.folders("container_no_sphere_*"):
         estimate = realistic.find([folder])
         assert estimate.verdict is Verdict.ACCEPTED
@@ -186,11 +133,13 @@ def test_an_empty_container_reads_nothing(realistic: Level) -> None:
         assert any("may as well be empty" in reason for reason in estimate.reasons)
 
 
-def test_replay_and_what_it_prints(bags: Path, realistic: Level, tmp_path: Path) -> None:
+def test_replay_and_what_it_prints(bags: Path, realistic: Boxes, tmp_path: Path) -> None:
     """The same through `replay`, with bags and settings as a user gives them; three bags of one sphere are one estimate."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     empty = [bag_in(path) for path in realistic.folders("container_no_sphere_*")]
-    options = ReplayOptions(probe="container", settings={**told(folder), "container.mass": 0.03}, baseline=empty)
+    options = ReplayOptions(
+        probe="container", settings={**stated_of_box(folder), "container.mass": 0.03}, baseline=empty
+    )
     estimate = replay([bag_in(folder)], options)
     record = estimate.as_json()
     assert record["probe"] == "container" and [e["name"] for e in record["estimates"]] == [
@@ -206,16 +155,16 @@ def test_replay_and_what_it_prints(bags: Path, realistic: Level, tmp_path: Path)
 # --- verdicts --------------------------------------------------------------------------------------------------------
 
 
-def test_neither_baseline_nor_mass(realistic: Level) -> None:
+def test_neither_baseline_nor_mass(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
-    facts = container_facts(Settings(told(folder)), probe_file("container"))
+    facts = container_facts(Settings(stated_of_box(folder)), probe_file("container"))
     with pytest.raises(ConfigurationError, match=r"--baseline, or its mass with --set container\.mass"):
         find_sphere(realistic.robot, realistic.runs(folder), facts)
 
 
-def test_the_shells_mass_instead_of_a_baseline(realistic: Level) -> None:
+def test_the_shells_mass_instead_of_a_baseline(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
-    facts = container_facts(Settings({**told(folder), "container.mass": 0.03}), probe_file("container"))
+    facts = container_facts(Settings({**stated_of_box(folder), "container.mass": 0.03}), probe_file("container"))
     estimate = find_sphere(realistic.robot, realistic.runs(folder), facts)
     off, hit = error_and_hit(estimate, 0.012)
     assert hit and abs(off) < 3e-3
@@ -224,20 +173,20 @@ def test_the_shells_mass_instead_of_a_baseline(realistic: Level) -> None:
     assert estimate.value("sphere_mass").std > with_baseline.value("sphere_mass").std
 
 
-def test_a_baseline_that_was_not_empty(realistic: Level) -> None:
+def test_a_baseline_that_was_not_empty(realistic: Boxes) -> None:
     """A sphere in the baseline is found by the container's stated mass, or because it rolls."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     runs = realistic.runs(folder)
-    facts = container_facts(Settings({**told(folder), "container.mass": 0.03}), probe_file("container"))
+    facts = container_facts(Settings({**stated_of_box(folder), "container.mass": 0.03}), probe_file("container"))
     estimate = find_sphere(realistic.robot, runs, facts, None, runs)
     assert estimate.verdict is Verdict.REJECTED and estimate.value("sphere_mass").value is None
     assert "baseline was not empty" in estimate.reasons[0]
 
 
-def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callable[[Path, str], Level]) -> None:
+def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callable[[Path, str], Boxes]) -> None:
     level = level_of(recordings / "ideal_s00", "")
     folder = level.folders("container_sphere_random_joint4_030mA")[0]
-    facts = container_facts(Settings(told(folder)), probe_file("container"))
+    facts = container_facts(Settings(stated_of_box(folder)), probe_file("container"))
     runs = level.runs(folder)
     estimate = find_sphere(level.robot, runs, facts, None, runs)
     assert estimate.verdict is Verdict.REJECTED
@@ -245,7 +194,7 @@ def test_a_sphere_that_rolls_in_the_baseline(recordings: Path, level_of: Callabl
     assert "rolling in the container" in estimate.reasons[0] or estimate.reasons[0].code == "far_from_prior"
 
 
-def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
+def test_a_sphere_that_stays_where_it_is(realistic: Boxes) -> None:
     estimate = realistic.find(realistic.folders("container_sphere_12g_joint4_100mA"))
     assert estimate.verdict is Verdict.ACCEPTED
     assert any("weighed like a fixed load" in reason for reason in estimate.reasons)
@@ -254,7 +203,7 @@ def test_a_sphere_that_stays_where_it_is(realistic: Level) -> None:
     assert max(path.moved for path in moving.detail.paths) > 3e-3
 
 
-def test_runs_of_two_spheres_contradict(realistic: Level) -> None:
+def test_runs_of_two_spheres_contradict(realistic: Boxes) -> None:
     folders = [
         *realistic.folders("container_sphere_12g_joint3_100mA"),
         *realistic.folders("container_sphere_random_joint4_030mA"),
@@ -264,9 +213,9 @@ def test_runs_of_two_spheres_contradict(realistic: Level) -> None:
     assert estimate.value("sphere_mass").reason
 
 
-def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Level) -> None:
+def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
-    facts = container_facts(Settings(told(folder)), probe_file("container"))
+    facts = container_facts(Settings(stated_of_box(folder)), probe_file("container"))
     options = ContainerOptions(wide_share=1e-3, wide_floor_kg=0.0)
     estimate = find_sphere(realistic.robot, realistic.runs(folder), facts, options, realistic.baseline())
     assert estimate.verdict is Verdict.TOO_WIDE and reason_codes(estimate.reasons)[0] == "too_wide"
@@ -301,7 +250,7 @@ def test_too_wide_an_interval_is_given_and_not_accepted(realistic: Level) -> Non
         ({"sphere.weight": 1.0}, "unknown; valid keys"),
     ],
 )
-def test_bad_facts_get_one_line(realistic: Level, settings: dict[str, Any], words: str) -> None:
+def test_bad_facts_get_one_line(realistic: Boxes, settings: dict[str, Any], words: str) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     empty = [bag_in(path) for path in realistic.folders("container_no_sphere_*")]
     with pytest.raises(ProprioError) as caught:
@@ -309,7 +258,7 @@ def test_bad_facts_get_one_line(realistic: Level, settings: dict[str, Any], word
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_other_solvers_are_refused(realistic: Level) -> None:
+def test_other_solvers_are_refused(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     for given in ({"solver": "adam"}, {"profile": "paper"}):
         with pytest.raises(ConfigurationError, match="only there for --probe payload"):
@@ -347,9 +296,9 @@ def test_where_a_sphere_settles() -> None:
 
 
 def problem_of(
-    level: Level, folders: list[Path], tracks: list[SphereTrack | None] | None = None, law: str = "ramped"
+    level: Boxes, folders: list[Path], tracks: list[SphereTrack | None] | None = None, law: str = "ramped"
 ) -> ContainerProblem:
-    facts = container_facts(Settings({**told(folders[0]), "contact.law": law}), probe_file("container"))
+    facts = container_facts(Settings({**stated_of_box(folders[0]), "contact.law": law}), probe_file("container"))
     runs = [prepare_run(level.robot, run, None, facts.shell) for f in folders for run in level.runs(f)]
     empty = [prepare_run(level.robot, run, None, facts.shell) for run in level.baseline()]
     rolling = [True] * len(runs) + [False] * len(empty)
@@ -373,7 +322,7 @@ def problem_of(
         ("paper", 0.05),
     ],
 )
-def test_gradient_of_the_cost(realistic: Level, law: str, mass: float) -> None:
+def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     """Every unknown, through the simulator, the baseline, the encoder's error and the camera, against finite differences."""
     folders = realistic.folders("container_sphere_12g_joint3_100mA")
     times = np.linspace(0.03, 0.5, 20)
@@ -411,7 +360,7 @@ def test_gradient_of_the_cost(realistic: Level, law: str, mass: float) -> None:
         assert abs(slope - gradient[row]) < 2e-4 * scale, names[row]
 
 
-def test_a_camera_makes_it_surer(realistic: Level) -> None:
+def test_a_camera_makes_it_surer(realistic: Boxes) -> None:
     """Its information adds to the encoder's, and a track that lies where the sphere was moves nothing."""
     folders = realistic.folders("container_sphere_12g_joint3_100mA")
     alone = problem_of(realistic, folders)
@@ -426,7 +375,7 @@ def test_a_camera_makes_it_surer(realistic: Level) -> None:
     assert Posterior(both, values).whole_covariance()[row, row] < Posterior(alone, values).whole_covariance()[row, row]
 
 
-def test_tracks_are_read(tmp_path: Path, realistic: Level) -> None:
+def test_tracks_are_read(tmp_path: Path, realistic: Boxes) -> None:
     """A CSV file's points are laid beside the run by their stamps; one of another time is refused."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     run = realistic.runs(folder)[0]
@@ -439,7 +388,7 @@ def test_tracks_are_read(tmp_path: Path, realistic: Level) -> None:
         file.write_text("\n".join(["stamp_ns,x,y,z", *rows]))
         return file
 
-    settings = {**told(folder), "sphere.camera": str(written(0)), "container.mass": 0.03}
+    settings = {**stated_of_box(folder), "sphere.camera": str(written(0)), "container.mass": 0.03}
     options = ReplayOptions(probe="container", settings=settings, baseline=empty)
     noted = replay([bag_in(folder)], options).notes
     assert any("from where the camera saw it" in note for note in noted)

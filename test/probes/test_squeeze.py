@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support.simulated import BLOCKS, bag_in, cube_of, runs_of, squeezed
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ProprioError, RecordingError
@@ -19,31 +20,14 @@ from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay, write_report
+from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
 from proprio_ros.probes.softness.facts import block_facts
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.quantity import Quantity
-from proprio_ros.records import Run
 from proprio_ros.robot import FingerTravel, Robot, load_robot
 from proprio_ros.sim.energies import lame, young
 from proprio_ros.sim.mesh import box
-
-BLOCKS = ("light", "heavy", "random")
-
-
-def bag_in(folder: Path) -> Path:
-    return next(iter(sorted(folder.glob("bag_*"))))
-
-
-def runs_of(folder: Path, robot: Robot) -> tuple[Run, ...]:
-    return bag_runs(bag_in(folder), robot, ReplayOptions(), {})
-
-
-def cube_of(folder: Path) -> tuple[float, float, float]:
-    """Edge [m], Young's modulus [Pa], Poisson's ratio."""
-    cube = json.loads((folder / "truth.json").read_text())["cube"]
-    return cube["side"], *young(cube["k_mu"], cube["k_lambda"])
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +47,6 @@ def calibrated(recordings: Path) -> Callable[[str], Robot]:
         return known[level]
 
     return robot_of
-
-
-def squeezed(robot: Robot, folder: Path, **facts: Any) -> Estimate:
-    return find_softness(robot, runs_of(folder, robot), BlockFacts(np.full(3, cube_of(folder)[0]), **facts))
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.machines import REAL, pendulum_urdf
+from support.servo_bag import write
 
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -18,7 +18,6 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs_or_motion, replay
 from proprio_ros.quantity import Quantity
-from proprio_ros.recordings.bags import BATTERY, JOINT_STATE, RawMessage, _types, write_messages
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drives import DutyCycle, Goal, PositionServo
 
@@ -73,37 +72,6 @@ def driven(load_kg: float, seed: int, *, seconds: float = 8.0) -> dict[str, np.n
         speed += step_s * (motor - carried - friction) / (inertia + armature)
         angle += step_s * speed
     return {name: np.array(values) for name, values in rows.items()}
-
-
-def write(
-    folder: Path,
-    rows: dict[str, np.ndarray],
-    effort: np.ndarray | None = None,
-    topics: Sequence[str] = ("goal", "voltage"),
-) -> Path:
-    types: Any = _types()
-    time, header, state, battery = (
-        types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BATTERY)
-    )
-    messages, nothing = [], np.zeros(0)
-    for row, t in enumerate(rows["t"]):
-        time_ns = 10**9 + round(1e9 * t)
-        stamp = header(stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9), frame_id="")
-        given = nothing if effort is None else effort[row : row + 1]
-        said = [("/joint_states", state(stamp, ["pendulum"], rows["position"][row : row + 1], nothing, given))]
-        if "goal" in topics:
-            said.append(("/joint_command", state(stamp, ["pendulum"], rows["goal"][row : row + 1], nothing, nothing)))
-        if "voltage" in topics:
-            volts = float(rows["voltage"][row])
-            numbers = np.zeros(0, dtype=np.float32)
-            said.append(
-                ("/battery_state", battery(stamp, volts, 30.0, *[0.0] * 5, 0, 0, 0, True, numbers, numbers, "", ""))
-            )
-        for topic, message in said:
-            kind = BATTERY if topic == "/battery_state" else JOINT_STATE
-            messages.append(RawMessage(topic, kind, time_ns, bytes(types.serialize_cdr(message, kind))))
-    write_messages(folder, messages)
-    return folder
 
 
 # --- laws --------------------------------------------------------------------------------------------------------------

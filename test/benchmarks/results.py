@@ -1,0 +1,130 @@
+"""What a benchmark found: printed as tables while it runs, and kept as JSON (``--json FILE``) for the pages of the documentation.
+
+A file of ``docs/results/`` says what was run (command line, commit, date, machine, seconds) and holds one table or more: of each
+row the numbers, unrounded, and of the table the columns by which a page shows them. ``docs/generate.py`` writes README's and the
+validation page's tables from these files and nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def parser_of(doc: str | None) -> argparse.ArgumentParser:
+    """A benchmark's options, `--json` among them."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="keep what is found in this file")
+    return parser
+
+
+def cells(columns: Mapping[str, str], row: Mapping[str, Any]) -> list[str]:
+    """A row as a page shows it: each column's words with the row's numbers; `-` where a number is missing."""
+    missing = {key for key, value in row.items() if value is None or value != value}
+    return ["-" if any(f"{{{key}" in words for key in missing) else words.format(**row) for words in columns.values()]
+
+
+def line(words: Sequence[str]) -> str:
+    """A row of a table in Markdown."""
+    return f"| {' | '.join(words)} |"
+
+
+def markdown(table: Mapping[str, Any]) -> str:
+    """A table in Markdown."""
+    columns = table["columns"]
+    rows = [line(cells(columns, row)) for row in table["rows"]]
+    return "\n".join([line(list(columns)), "|" + "---|" * len(columns), *rows])
+
+
+class Results:
+    """Tables of one run of one benchmark.
+
+    Args:
+        script: The benchmark's file.
+        file: Where `keep` writes them; None: nowhere.
+        arguments: Of the benchmark; None: those of the command line.
+    """
+
+    def __init__(self, script: str, file: Path | None, arguments: Sequence[str] | None = None) -> None:
+        self.file = file
+        self.tables: dict[str, dict[str, Any]] = {}
+        self._printed = ""
+        self._began = time.monotonic()
+        self._run = _run(script, sys.argv[1:] if arguments is None else arguments)
+
+    def table(self, name: str, columns: Mapping[str, str]) -> None:
+        """Begin a table.
+
+        Args:
+            columns: Of each title the words of its cells, a format of the row's numbers such as `{rms_g:.2f} g`.
+        """
+        self.tables[name] = {"columns": dict(columns), "rows": []}
+
+    def row(self, table: str, **numbers: Any) -> None:
+        """Add a row, and print it."""
+        kept = {key: value.item() if hasattr(value, "item") else value for key, value in numbers.items()}
+        columns = self.tables[table]["columns"]
+        self.tables[table]["rows"].append(kept)
+        if self._printed != table:
+            print(f"\n{line(list(columns))}\n|{'---|' * len(columns)}")
+            self._printed = table
+        print(line(cells(columns, kept)), flush=True)
+
+    def keep(self) -> None:
+        """Write the file, where one was asked for; a run that ended early keeps none."""
+        if self.file is None:
+            return
+        seconds = round(time.monotonic() - self._began)
+        kept = {**self._run, "seconds": seconds, "tables": self.tables}
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        self.file.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+
+
+def _run(script: str, arguments: Sequence[str]) -> dict[str, Any]:
+    """Command line (without where it keeps its results), commit, date, and machine."""
+    words = ["python", Path(script).resolve().relative_to(REPOSITORY).as_posix()]
+    given = iter(arguments)
+    for word in given:
+        if word == "--json":
+            next(given, None)
+        elif not word.startswith("--json="):
+            words.append(word)
+    return {
+        "command": shlex.join(words),
+        "commit": _commit(),
+        "date": datetime.date.today().isoformat(),
+        "machine": {
+            "platform": platform.platform(),
+            "python": platform.python_version(),
+            "cores": os.cpu_count(),
+            "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+        },
+    }
+
+
+def _commit() -> str:
+    """Short name of the commit; with a `+` where the package or the tests differ from it; empty without git."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(
+            ["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    try:
+        return git("rev-parse", "--short", "HEAD") + (
+            "+" if git("status", "--porcelain", "--", "proprio_ros", "config") else ""
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return ""
