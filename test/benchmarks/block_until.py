@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from support.hand import ROBOT, Hand
-from test_softness import EDGE_M, GAP_M, calibrated, made
+from support.squeezing import EDGE_M, GAP_M, calibrated, made
 
 from proprio_ros.excitation.plans import ProbeSequence, Until, load_sequence
 from proprio_ros.experiment_design.choosing import Decision

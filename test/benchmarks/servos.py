@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 from support.machines import pendulum_urdf
-from test_voltage import write
+from support.servo_bag import write
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Verdict
