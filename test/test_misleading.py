@@ -13,11 +13,12 @@ import pytest
 
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.calibration_fit import fit
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.fit import solve_load
 from proprio_ros.identification.judge import FAR, Assessment, Useful
 from proprio_ros.identification.prepared_runs import prepare_run
-from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs, replay, write_report

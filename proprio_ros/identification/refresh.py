@@ -16,14 +16,22 @@ from proprio_ros.calibration_files.pushes import RANGES, Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_estimate import NOT_EMPTY, CalibrationEstimate
-from proprio_ros.identification.estimate import Fit, UnknownRow, Verdict
+from proprio_ros.identification.estimate import Fit, Verdict
 from proprio_ros.identification.fit import FitResult
-from proprio_ros.identification.gates import MISFIT_LIMIT, Findings, screen_run, unusable
+from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
 from proprio_ros.identification.posterior import Posterior, run_fits
-from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_calibration import LoadedRun, empty_hand, entry_of
+from proprio_ros.identification.robot_calibration import (
+    LoadedRun,
+    empty_hand,
+    entry_of,
+    not_empty,
+    nothing_usable,
+    shared_rows,
+    usable_runs,
+)
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.robot import Robot
@@ -58,28 +66,20 @@ def refresh(
         )
     started = time.perf_counter()
     found = Findings()
-    usable = []
-    for loaded in runs:
-        prepared = prepare_run(robot, loaded.run, loaded.load)
-        why = unusable(prepared)
-        if not why and (loaded.run.free or loaded.run.joint not in old.driven):
-            why = f"{loaded.run.joint} was not driven when the robot was calibrated"
-        if why:
-            found.notes.append(f"{loaded.run.name} was left out: {why}")
-            continue
-        if entry_of(prepared) in old.runs:
+
+    def refused(run: PreparedRun) -> str:
+        if not run.run.free and run.run.joint in old.driven:
+            return ""
+        return f"{run.run.joint} was not driven when the robot was calibrated"
+
+    usable = usable_runs(robot, runs, found, refused)
+    for run in usable:
+        if entry_of(run) in old.runs:
             raise ConfigurationError(
-                f"{loaded.run.name} is one of the runs that the calibration was made of: it would count twice"
+                f"{run.run.name} is one of the runs that the calibration was made of: it would count twice"
             )
-        usable.append(prepared)
-        alone = Findings()
-        screen_run(robot, prepared, alone)
-        found.notes.extend([*alone.reasons, *alone.notes])
     if not usable:
-        reasons = ("no run can be used: a calibrated joint must move by at least 0.1 rad inside its limits",)
-        return CalibrationEstimate(
-            robot.name, Verdict.NOT_IDENTIFIABLE, reasons, len(runs), None, notes=tuple(found.notes)
-        )
+        return nothing_usable(robot, "a calibrated", len(runs), found)
     progress(f"fitting {len(usable)} runs")
     problem = Problem(robot, usable, PayloadFacts(), robot_unknowns(robot, usable, Role.FREE))
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
@@ -88,42 +88,32 @@ def refresh(
     values, chi2 = ended.values, ended.reduced_chi2
     # as in a weighing: runs that are not quite explained count for less
     posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
-    stds = np.sqrt(np.diag(posterior.covariance))
-    rows = tuple(
-        UnknownRow(u.kind, u.role.value, u.value, u.std, float(values[row]), float(stds[f]), scope=u.scope)
-        for f, row in enumerate(problem.free)
-        if (u := problem.unknowns[row]).shared
-    )
-    verdict = Verdict.ACCEPTED
+    rows = shared_rows(problem, values, posterior.covariance)
     moved = [
-        f"{u.label} ({abs(float(values[row]) - u.value) / u.std:.1f})"
-        for row in problem.free
-        if (u := problem.unknowns[row]).shared and abs(float(values[row]) - u.value) > TOO_FAR * u.std
+        f"{row.label} ({abs(row.value - row.prior) / row.prior_std:.1f})"
+        for row in rows
+        if abs(row.value - row.prior) > TOO_FAR * row.prior_std
     ]
+    hand = empty_hand(problem, values, posterior)
+    reasons = not_empty(hand, NOT_EMPTY)
     if chi2 > MISFIT_LIMIT or moved:
-        verdict = Verdict.REJECTED
         what = f"{', '.join(moved[:3])} standard deviations off" if moved else f"reduced chi-square {chi2:.1f}"
-        found.reasons.append(
+        reasons.append(
             Reason(
                 "drift",
                 f"the calibration no longer fits, not even with the drift that the robot file states ({what}): was the hand empty, "
                 "and did anything touch the arm? If not, calibrate anew",
             )
         )
-    hand = empty_hand(problem, values, posterior)
-    if hand is not None and abs(hand.pull) > NOT_EMPTY:
-        verdict = Verdict.REJECTED
-        found.reasons.insert(0, Reason("hand_not_empty", hand.contradiction()))
-    calibration = _updated(old, problem, values, posterior)
     fits, rms, expected = run_fits(problem, values, usable)
     return CalibrationEstimate(
-        robot=robot.name,
-        verdict=verdict,
-        reasons=tuple(found.reasons),
-        runs=len(runs),
-        calibration=calibration,
-        fit=Fit(rms, expected, chi2, condition=posterior.condition),
-        run_fits=fits,
+        robot.name,
+        Verdict.REJECTED if reasons else Verdict.ACCEPTED,
+        tuple(reasons),
+        len(runs),
+        _updated(old, problem, values, posterior),
+        Fit(rms, expected, chi2, condition=posterior.condition),
+        fits,
         unknowns=rows,
         notes=tuple(found.notes),
         empty_hand=hand,

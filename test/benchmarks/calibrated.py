@@ -9,9 +9,10 @@ from case import Case, Row, measure
 from scipy.optimize import least_squares
 
 from proprio_ros.experiment_design.planning import with_advice
+from proprio_ros.identification.calibration_fit import fit
 from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_calibration import LoadedRun, calibrate, fit
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs

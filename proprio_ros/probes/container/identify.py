@@ -18,6 +18,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
+from proprio_ros.identification.calibration_fit import FRICTION_STARTS
 from proprio_ros.identification.coefficients import reduced_model
 from proprio_ros.identification.estimate import Estimate, Verdict, no_answer
 from proprio_ros.identification.fit import (
@@ -55,7 +56,6 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.reasons import Reason, of_run
-from proprio_ros.identification.robot_calibration import FRICTION_STARTS
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.problem import (

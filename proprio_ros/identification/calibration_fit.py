@@ -1,0 +1,242 @@
+"""The fit of a calibration: all unknowns by their posterior's maximum, the noise by its evidence.
+
+Shared unknowns (torque constant, friction and armature of every probed joint, the encoder's zero and once-per-turn error, how
+the links differ from the URDF, the delay) and unknowns of each run (start, onset, a torque that differs from run to run) move
+together under the priors of the robot file. Two things that no data sheet gives are learnt from the same runs by empirical
+Bayes (MacKay 1992): how coarse the residuals are, and how much torque differs from run to run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+
+from proprio_ros.identification import solvers
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.prepared_runs import FIRST_SWING_ERROR, PreparedRun
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import RISE, robot_unknowns
+from proprio_ros.identification.swings import MISSED_SHARE, missed_share, stamp_jitter, swing_error
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.robot import Robot
+from proprio_ros.sim.joint import INDEX
+from proprio_ros.sim.payload import PayloadFacts
+
+FRICTION_STARTS = (0.005, 0.02, 0.06)
+"""Coulomb friction [N m] from which the fit starts: low, for a model that sticks has no gradient."""
+SWING_FRICTION_STARTS = (0.03, 0.1, 0.25)
+"""The same for free swings, as shares of the largest gravity moment: the gears are driven from behind."""
+EVIDENCE_ROUNDS = 15
+SWING_ITERATIONS = 60
+"""Of the solver on free swings at most. Where a joint comes to a stop the cost has kinks, at which a step overshoots: the search
+must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
+PSEUDO_RUNS = 2.0
+"""Weight of the robot file's word on run-to-run torque, in runs."""
+PSEUDO_SAMPLES = 10.0
+"""Weight of the robot file's word on encoder noise and stamp jitter, in samples."""
+RISE_STEPS = (0.1, 0.3, 1.0)
+"""Of the standard deviation of a term of the rise of friction, one after the other: a joint that sticks has no gradient."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations that the evidence decides.
+
+    Attributes:
+        residual_scale: Of readings, over the file's; stamp_jitter_s: of stamps.
+        torque_disturbance: Of torque from run to run [N m]; start_velocity: with which runs begin [rad/s].
+        friction_spread, swing_error: Of free swings, see `Robot`.
+    """
+
+    residual_scale: float
+    stamp_jitter_s: float
+    torque_disturbance: float
+    start_velocity: float
+    friction_spread: float = 0.0
+    swing_error: float = 0.0
+
+    def near(self, other: Noise) -> bool:
+        """Whether nothing differs by more than 2 %."""
+        return np.allclose(astuple(self), astuple(other), rtol=0.02)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Where the fit of runs with known loads ended.
+
+    Attributes:
+        values: Of all unknowns, shape (N,).
+        covariance: Of the posterior, or counting also what was taken as known, shape (F, F).
+        cost: Of the end of each start, shape (S,).
+        noise: As the evidence has it.
+    """
+
+    problem: Problem
+    values: np.ndarray
+    posterior: Posterior
+    covariance: np.ndarray
+    cost: np.ndarray
+    noise: Noise
+
+
+def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
+    """Maximum a posteriori of all unknowns, the noise by its evidence."""
+    noise = Noise(1.0, robot.stamp_jitter_s, robot.torque_disturbance, robot.start_velocity, robot.friction_spread)
+    swings = runs[0].run.free
+    if swings:
+        noise = replace(noise, swing_error=FIRST_SWING_ERROR)
+    problem = _problem(robot, runs, noise)
+    most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
+    solution = solvers.levenberg_marquardt(
+        problem, _starts(problem), problem.simulator.windows, iterations=most, persistent=swings
+    )
+    values = problem.all_values(problem.coordinates.physical(solution.internal[solution.best][None]))[0]
+    for _ in range(EVIDENCE_ROUNDS):
+        posterior = Posterior(problem, values)
+        better = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
+        settled = better.near(noise)
+        noise = better
+        problem = _problem(robot, runs, noise)
+        start = problem.coordinates.internal(values[problem.free][None])
+        again = solvers.levenberg_marquardt(problem, start, None, iterations=again_most, persistent=swings)
+        values = problem.all_values(problem.coordinates.physical(again.internal))[0]
+        if settled:
+            break
+    posterior = Posterior(problem, values)
+    return Fitted(problem, values, posterior, posterior.covariance, solution.cost, noise)
+
+
+def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem:
+    robot = replace(
+        robot,
+        torque_disturbance=noise.torque_disturbance,
+        start_velocity=noise.start_velocity,
+        friction_spread=noise.friction_spread,
+    )
+    unknowns = robot_unknowns(robot, runs, Role.FREE)
+    return Problem(robot, [_with_noise(run, noise) for run in runs], PayloadFacts(), unknowns)
+
+
+def _with_noise(run: PreparedRun, noise: Noise) -> PreparedRun:
+    reading, jitter = _noise_parts(run, noise)
+    sigma = np.hypot(reading, jitter)
+    return replace(run, sigma=np.hypot(sigma, noise.swing_error) if run.run.free else sigma)
+
+
+def _noise_parts(run: PreparedRun, noise: Noise) -> tuple[float, np.ndarray]:
+    velocity = np.gradient(run.run.position, run.run.times_s)[: run.used]
+    return noise.residual_scale * run.drive.reading_std, np.abs(velocity) * noise.stamp_jitter_s
+
+
+def _starts(problem: Problem) -> np.ndarray:
+    """Solver coordinates to start from: the file's values at a few levels of friction, shape (S, F)."""
+    coordinates = problem.coordinates
+    levels: Sequence[float] = FRICTION_STARTS
+    if problem.runs[0].run.free:
+        p, _ = problem.parameters(problem.base[None], problem.free[:1])
+        largest = float(np.hypot(p[..., INDEX["gravity_cos"]], p[..., INDEX["gravity_sin"]]).max())
+        levels = [share * largest for share in SWING_FRICTION_STARTS]
+    starts = np.tile(coordinates.prior_mean, (len(levels), 1))
+    for column, row in enumerate(problem.free):
+        unknown = problem.unknowns[row]
+        if unknown.kind == "coulomb" and unknown.value < min(levels):
+            starts[:, column] = np.minimum(levels, unknown.value + 2.0 * unknown.std)
+    return coordinates.internal(starts)
+
+
+def with_another_rise(fitted: Fitted) -> Fitted:
+    """Count what the swings would say if friction rose towards standstill in another way than the robot file has it.
+
+    The rise is kept in the fit (see ``KEPT_IN_A_SWING``), and known no better after it: the fit is made again with each of its
+    terms up to one standard deviation higher, and by what the others change they are uncertain, together with that term.
+    """
+    covariance = fitted.covariance.copy()
+    for column, row in enumerate(fitted.problem.free):
+        if fitted.problem.unknowns[row].kind in RISE:
+            follows = _follows(fitted, column)
+            covariance += np.outer(follows, follows)
+            covariance[column, column] -= follows[column] ** 2  # its own was there before
+    return replace(fitted, covariance=covariance)
+
+
+def _follows(fitted: Fitted, column: int) -> np.ndarray:
+    """By how much each free unknown changes with one standard deviation of a term of the rise, shape (F,)."""
+    problem = fitted.problem
+    row = problem.free[column]
+    kept, first = problem.unknowns[row], fitted.values[problem.free]
+    follows = np.zeros_like(first)
+    follows[column] = kept.std
+    now = first
+    for share in RISE_STEPS:
+        unknowns = list(problem.unknowns)
+        unknowns[row] = replace(kept, value=kept.value + share * kept.std)
+        other = Problem(problem.robot, problem.runs, problem.facts, unknowns)
+        start = now.copy()
+        start[column] = unknowns[row].value
+        found = solvers.levenberg_marquardt(
+            other, other.coordinates.internal(start[None]), None, iterations=SWING_ITERATIONS, persistent=True
+        )
+        now = other.coordinates.physical(found.internal)[0]
+        if missed_share(Posterior(other, other.all_values(now[None])[0])) > MISSED_SHARE:
+            break  # with so much of it the joint would not have swung like that
+        follows = (now - first) / share
+    return follows
+
+
+def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
+    """One step towards the noise under which the runs are most probable, the robot file's word counting as pseudo-data."""
+    # residual squared plus what the fit has swallowed, in rad^2, is what noise of the assumed kind leaves on average
+    parts = [_noise_parts(run, noise) for run in problem.runs]
+    reading = np.concatenate([np.full(len(jitter), base) for base, jitter in parts])
+    jitter = np.concatenate([part for _, part in parts])
+    variance = reading**2 + jitter**2
+    left = (posterior.residual**2 + posterior.leverage()) * variance
+    velocity = np.concatenate([np.abs(part) for _, part in parts]) / max(noise.stamp_jitter_s, 1e-12)
+    scale2, jitter2 = noise.residual_scale**2, noise.stamp_jitter_s**2
+    unit = (reading / noise.residual_scale) ** 2
+    for _ in range(30):
+        a, b = scale2 * unit, jitter2 * velocity**2
+        total = a + b
+        # expected square of each part, given their sum's
+        scale_each = ((a / total) ** 2 * left + a * b / total) / unit
+        scale2 = float((scale_each.sum() + PSEUDO_SAMPLES) / (len(left) + PSEUDO_SAMPLES))
+        if jitter2 > 0.0:
+            moving = velocity**2 > 1e-6
+            jitter_each = ((b / total) ** 2 * left + a * b / total)[moving] / velocity[moving] ** 2
+            prior = PSEUDO_SAMPLES * robot.stamp_jitter_s**2
+            jitter2 = float((jitter_each.sum() + prior) / (moving.sum() + PSEUDO_SAMPLES))
+    disturbance = noise.torque_disturbance
+    if disturbance > 0.0:
+        found, learnt = of_runs("disturbance", problem, posterior, disturbance)
+        disturbance = spread_of_runs(robot.torque_disturbance, found, learnt)
+    found, learnt = of_runs("v0", problem, posterior, noise.start_velocity)
+    start_velocity = spread_of_runs(robot.start_velocity, found, learnt)
+    return Noise(float(np.sqrt(scale2)), float(np.sqrt(jitter2)), disturbance, start_velocity)
+
+
+def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise) -> Noise:
+    """The same of free swings, whose residuals are not independent."""
+    found, learnt = of_runs("friction_change", problem, posterior, noise.friction_spread)
+    spread = spread_of_runs(robot.friction_spread, found, learnt)
+    return replace(
+        noise,
+        stamp_jitter_s=max(stamp_jitter(posterior), robot.stamp_jitter_s),
+        friction_spread=spread,
+        swing_error=swing_error(posterior),
+    )
+
+
+def of_runs(kind: str, problem: Problem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:
+    """An unknown of every run, and how much of it the recording determines rather than its prior (0 to 1); shapes (R,)."""
+    place = problem.free.tolist()
+    columns = [place.index(problem.index[kind, r]) for r in range(len(problem.runs))]
+    spread = np.diag(posterior.covariance)[columns]
+    return posterior.values[problem.free[columns]], 1.0 - spread / std**2
+
+
+def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:
+    """Standard deviation of what differs from run to run, the robot file's word counting as ``PSEUDO_RUNS``."""
+    prior = PSEUDO_RUNS * file_std**2
+    return float(np.sqrt((np.sum(found**2) + prior) / (max(float(learnt.sum()), 0.0) + PSEUDO_RUNS)))
