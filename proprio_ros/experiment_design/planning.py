@@ -27,7 +27,7 @@ from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
-from proprio_ros.sim.payload import PayloadFacts, payload_parameters
+from proprio_ros.sim.payload import PayloadFacts
 
 RATE_HZ = 40.0
 CLEARANCE_M = 0.03
@@ -333,8 +333,8 @@ def _currents(robot: Robot, run: PreparedRun, masses: np.ndarray, facts: Payload
     """Currents that move the joint one way or the other, by a little and by more, whatever of the masses it carries."""
     drive = run.drive
     c = run.coefficients
-    per_mass = per_mass_of(facts)
-    loads = [c.arm + mass * (c.payload @ per_mass) for mass in masses]
+    per_kg = c.per_kg(facts)
+    loads = [c.arm + mass * per_kg for mass in masses]
     q = run.rest.value
     balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
     # a robot that was not calibrated may rub by as much as its file leaves open
@@ -350,11 +350,6 @@ def _currents(robot: Robot, run: PreparedRun, masses: np.ndarray, facts: Payload
             if abs(current) <= limit and current != 0.0:
                 chosen.append(current)
     return list(dict.fromkeys(chosen))
-
-
-def per_mass_of(facts: PayloadFacts) -> np.ndarray:
-    """Inertial parameters of 1 kg of the payload, shape (10,)."""
-    return payload_parameters(np.array(1.0), facts.com, facts.shape.second_moment_per_mass)
 
 
 def _candidates(

@@ -23,7 +23,6 @@ from proprio_ros.experiment_design.planning import (
     LIMIT_MARGIN,
     PUSHES,
     candidate_joints,
-    per_mass_of,
     still_run,
     travel_range,
 )
@@ -339,11 +338,12 @@ class Catalogue:
 
     def _pushes(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places, mean currents and amplitudes of all pushes that suit masses from low to high [kg]."""
-        per_mass = per_mass_of(self.facts)
+        of_1_kg = self.facts.per_kg
         place_of, currents, shakes = [], [], []
         for number, place in enumerate(self._places):
             c, drive, q = place.prepared.coefficients, place.prepared.drive, place.prepared.rest.value
-            loads = [c.arm + mass * (c.payload @ per_mass) for mass in (low, high)]
+            per_kg = c.payload @ of_1_kg
+            loads = [c.arm + mass * per_kg for mass in (low, high)]
             balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
             largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
             dry = drive.coulomb.value + 0.5 * drive.coulomb.std

@@ -203,13 +203,13 @@ def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Seque
 
         current = float(driving.mean())
         motor = fitted("torque_constant") * current
-        arm_weight = robot.arm_scale.value * problem.weight_at_rest(run, run.coefficients.arm)
-        per_kg = problem.per_kg(run)
+        arm_weight = robot.arm_scale.value * run.weight_at_rest(run.coefficients.arm)
+        per_kg = run.coefficients.per_kg(problem.facts)
         held = mass if run.load is None else run.load.mass
-        net = motor - arm_weight - held * problem.weight_at_rest(run, per_kg)
+        net = motor - arm_weight - held * run.weight_at_rest(per_kg)
         dry = max(fitted("coulomb"), drive.coulomb.value) + max(fitted("load_friction"), 0.0) * abs(motor)
         at_rest = 1.0 + max(fitted("stribeck"), drive.stribeck.value)
-        open_stds = (*problem.torque_stds(run), drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
+        open_stds = (*run.torque_stds, drive.stribeck.std * dry, robot.link_mass_std * arm_weight)
         over = abs(net) - at_rest * dry - STILL_SIGMAS * float(np.hypot.reduce(open_stds))
         inertia = run.coefficients.arm[0] + held * per_kg[0] + drive.armature.value + 2.0 * drive.armature.std
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])

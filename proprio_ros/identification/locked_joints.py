@@ -14,7 +14,7 @@ import numpy as np
 
 from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot
-from proprio_ros.sim.payload import PayloadFacts, payload_parameters, pseudo_inertia_basis
+from proprio_ros.sim.payload import PayloadFacts, pseudo_inertia_basis
 
 KNOT_S = 0.025
 """Spacing of the accelerations that describe a motion; the joint states come no faster."""
@@ -115,8 +115,7 @@ def held_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, M
         readings = run.held_position.get(name)
         if drive is None or readings is None or np.ptp(readings) == 0.0 or robot.model.joint(name).kind == "prismatic":
             continue
-        sigma = float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), drive.encoder_noise))
-        motion = smooth(times_s, readings, sigma, HELD_SCALES)
+        motion = smooth(times_s, readings, drive.reading_std, HELD_SCALES)
         if motion.evidence > MOVED_EVIDENCE:
             found[name] = motion
     return found
@@ -157,8 +156,7 @@ def loads_of_yielding(
     body, body_from_payload = model.frames[robot.payload_frame]
     payload = np.zeros_like(model.pseudo_inertia)
     if body >= 0:
-        per_mass = payload_parameters(np.array(1.0), facts.com, facts.shape.second_moment_per_mass)
-        unit = np.tensordot(per_mass, pseudo_inertia_basis(), axes=1)
+        unit = np.tensordot(facts.per_kg, pseudo_inertia_basis(), axes=1)
         payload[body] = body_from_payload @ unit @ body_from_payload.T
     inertias = np.array([model.pseudo_inertia, payload])
     row = model.joint_names.index(run.joint)

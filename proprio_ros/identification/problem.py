@@ -341,29 +341,6 @@ class Problem:
         q += a * cos + b * sin
         return q, dq
 
-    def load_per_mass(self, run: PreparedRun) -> float:
-        """Gravity load of 1 kg in the hand on the driven joint at the run's start [N m/kg]."""
-        return self.weight_at_rest(run, self.per_kg(run))
-
-    def per_kg(self, run: PreparedRun) -> np.ndarray:
-        """Inertia and gravity load of 1 kg in the hand, shape (4,); see ``Coefficients``."""
-        per_mass = payload_parameters(np.ones(1), self.facts.com[None], self.facts.shape.second_moment_per_mass)[0]
-        per_kg: np.ndarray = run.coefficients.payload @ per_mass
-        return per_kg
-
-    @staticmethod
-    def weight_at_rest(run: PreparedRun, coefficients: np.ndarray) -> float:
-        """What gravity puts on the driven joint at the run's start [N m], of ``coefficients`` of shape (4,)."""
-        _, cos, sin, constant = coefficients
-        return float(cos * np.cos(run.rest.value) + sin * np.sin(run.rest.value) + constant)
-
-    def torque_stds(self, run: PreparedRun) -> np.ndarray:
-        """What the robot file leaves open of the torque that holds the joint: Coulomb, motor, load friction [N m]."""
-        drive = run.drive
-        current = float(np.abs(run.run.input_current_A).max())
-        motor = drive.torque_constant.value * current
-        return np.array([drive.coulomb.std, drive.torque_constant.std * current, drive.load_friction.std * motor])
-
     def all_values(self, free_values: np.ndarray) -> np.ndarray:
         """Every unknown of each guess, shape (S, N), from the free ones, shape (S, F)."""
         values = np.tile(self.base, (len(free_values), 1))

@@ -162,7 +162,7 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
 
 
 def _sigma(run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float) -> np.ndarray:
-    reading = float(np.hypot(run.drive.encoder_resolution / np.sqrt(12.0), run.drive.encoder_noise))
+    reading = run.drive.reading_std
     return np.hypot(max(reading, 1e-9), np.gradient(position, times_s) * jitter_s)
 
 

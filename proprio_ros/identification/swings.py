@@ -72,9 +72,8 @@ def stamp_jitter(posterior: Posterior) -> float:
         velocity = posterior.velocity[at : at + len(part)]
         at += len(part)
         rough = np.sqrt(2.0 / 3.0) * (part[1:-1] - 0.5 * (part[2:] + part[:-2]))
-        reading = float(np.hypot(run.drive.encoder_resolution / np.sqrt(12.0), run.drive.encoder_noise))
         moved.append(velocity[1:-1] ** 2)
-        squares.append(rough**2 - reading**2)
+        squares.append(rough**2 - run.drive.reading_std**2)
     speed2, square = np.concatenate(moved), np.concatenate(squares)
     return float(np.sqrt(max(float(square @ speed2), 0.0) / max(float(speed2 @ speed2), 1e-300)))
 

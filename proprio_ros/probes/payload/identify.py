@@ -72,7 +72,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.sim.payload import PayloadFacts, payload_parameters
+from proprio_ros.sim.payload import PayloadFacts
 
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
@@ -190,9 +190,8 @@ def _weigh_swings(
 
 def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
     """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass."""
-    per_mass = payload_parameters(np.ones(1), facts.com[None], facts.shape.second_moment_per_mass)[0]
     own = float(run.coefficients.arm[0]) + robot.drive_trains[run.run.joint].armature.value
-    doubling = own / max(float((run.coefficients.payload @ per_mass)[0]), 1e-9)
+    doubling = own / max(float(run.coefficients.per_kg(facts)[0]), 1e-9)
     return tuple(doubling * share for share in SWING_STARTS)
 
 
@@ -421,9 +420,8 @@ def _static_std(problem: Problem, runs: Sequence[PreparedRun]) -> float:
     """What the open friction and torque constant are worth as a weight at rest [kg]; 0 if any run moved far enough."""
     if any(abs(run.travel) >= LITTLE_TRAVEL for run in runs):
         return 0.0
-    return min(
-        float(np.hypot.reduce(problem.torque_stds(run))) / max(abs(problem.load_per_mass(run)), 1e-9) for run in runs
-    )
+    per_kg = [abs(run.weight_at_rest(run.coefficients.per_kg(problem.facts))) for run in runs]
+    return min(float(np.hypot.reduce(run.torque_stds)) / max(w, 1e-9) for run, w in zip(runs, per_kg, strict=True))
 
 
 def _moving_starts(
