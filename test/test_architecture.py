@@ -30,7 +30,7 @@ ROOMS: dict[str, set[str]] = {
     "report": {"inputs", "calibration_files", "identification"},
     # what can be identified: each probe in a folder of its own, and none of them known to any room above
     "probes": {
-        *("inputs", "calibration_files", "robot", "recordings", "excitation", "sim", "identification"),
+        *("inputs", "calibration_files", "robot", "recordings", "virtual", "excitation", "sim", "identification"),
         *("experiment_design", "report"),
     },
     "pipeline": {

@@ -15,7 +15,8 @@ from ruamel.yaml import YAML
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.nodes.arguments import check_arguments
-from proprio_ros.virtual.objects import Container, parse_object
+from proprio_ros.probes import virtual_object
+from proprio_ros.probes.container.virtual_object import Container
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LAUNCH = sorted((REPOSITORY / "proprio_ros" / "launch").glob("*.launch.py"))
@@ -158,7 +159,7 @@ def test_the_manifest_names_what_launch_files_need() -> None:
 
 def test_the_container_that_is_typed_is_the_one_that_is_expected() -> None:
     """`object:=container:0.03,sphere=0.012` needs no further settings."""
-    held = parse_object("container:0.03,sphere=0.012")
+    held = virtual_object("container:0.03,sphere=0.012")
     assert isinstance(held, Container) and (held.mass_kg, held.sphere_mass_kg) == (0.03, 0.012)
     expected = YAML(typ="safe", pure=True).load(resource("probes", "container").read_text())
     assert expected["container"]["shape"] == "box" and expected["container"]["rpy"] == [0.0, 0.0, 0.0]

@@ -177,9 +177,9 @@ def _ended(node: str, event: Any, context: LaunchContext) -> list[Any]:
 
 def _services_for(held: str) -> list[str]:
     """What to call for what the virtual hand holds; without one, for a payload."""
-    kind = held.strip().partition(":")[0] if ":" in held else ""
-    probes = [probe for probe in all_probes() if probe.example is not None and probe.example.kind == kind]
-    probe = probes[0] if probes else all_probes()[0]
+    kind = held.partition(":")[0].strip()
+    theirs = (probe for probe in all_probes() if probe.virtual_object is not None and probe.virtual_object.kind == kind)
+    probe = next(theirs, all_probes()[0])
     baseline = [f"record_{probe.name}_baseline"] if isinstance(probe, HasBaseline) else []
     return [*baseline, f"calibrate_{probe.name}"]
 

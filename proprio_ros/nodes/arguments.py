@@ -9,8 +9,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.probes import virtual_object
 from proprio_ros.recordings.description import robot_named
-from proprio_ros.virtual.objects import parse_object
 
 
 def check_arguments(robot: str = "", params_file: str = "", held: str = "") -> None:
@@ -29,7 +29,7 @@ def check_arguments(robot: str = "", params_file: str = "", held: str = "") -> N
     if robot:
         robot_named(robot)
     if held:
-        parse_object(held)
+        virtual_object(held)
 
 
 def _check_parameters(path: Path) -> None:

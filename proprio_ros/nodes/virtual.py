@@ -21,10 +21,11 @@ from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
+from proprio_ros.probes import virtual_object, virtual_objects
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.virtual.arm import import_mujoco
 from proprio_ros.virtual.effort_driver import UNITS, EffortDriver, PositionDriver
-from proprio_ros.virtual.objects import Payload, parse_object
+from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
@@ -63,8 +64,9 @@ class VirtualNode(ManagedNode):
         Parameter("controller_joints", [], "Of the controller, in its order; empty: the robot file's."),
         Parameter("state_rate", 500.0, "Of the joint states that come with a controller [Hz].", 20.0, 1000.0),
         Parameter("effort_unit", "N.m", "What an effort is: N.m (current x nominal torque constant), or A."),
-        Parameter("object", "none", "What the hand holds in a probe: 0.05 (kg), payload:.., container:.., block:..", dynamic=True,
-                  loose=True),
+        Parameter("object", "none",
+                  ", ".join(["What the hand holds in a probe: 0.05 (kg)", *(f"{each.kind}:.." for each in virtual_objects())]),
+                  dynamic=True, loose=True),
         Parameter("reference", 0.1, "Mass of the reference object [kg].", 0.001, 2.0, dynamic=True),
         Parameter("seed", 1, "Draws the arm's hidden numbers from what its file leaves open; -1: the file's.", -1, 2**31 - 1),
         Parameter("links", False, "Whether the links, too, differ from the URDF."),
@@ -87,7 +89,7 @@ class VirtualNode(ManagedNode):
             if self.values[name] not in choices:
                 raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
         robot = robot_named(self.values["robot"])
-        self._object = parse_object(self.values["object"])
+        self._object = virtual_object(self.values["object"])
         self._reference = Payload(self.values["reference"])
         if self.values["truth"]:
             try:
@@ -203,7 +205,7 @@ class VirtualNode(ManagedNode):
         try:
             for parameter in parameters:
                 if parameter.name == "object":
-                    self._object = parse_object(str(parameter.value))
+                    self._object = virtual_object(str(parameter.value))
                 elif parameter.name == "reference":
                     self._reference = Payload(float(parameter.value))
                 elif parameter.name == "fault" and self._robot is not None:

@@ -24,7 +24,7 @@ from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.paper.hand import CAMERA_STD_M, known_robot, learnt_robot, play, stated_robot
+from proprio_ros.paper.hand import CAMERA_STD_M, HungPayload, known_robot, learnt_robot, play, stated_robot
 from proprio_ros.paper.hung import Hung, weigh_hung
 from proprio_ros.paper.speed import speed
 from proprio_ros.paper.ways import (
@@ -40,16 +40,18 @@ from proprio_ros.paper.ways import (
 from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
 from proprio_ros.probes.container.problem import ContainerFacts, SphereTrack
+from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.probes.payload.identify import WeighingOptions, weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
+from proprio_ros.probes.softness.virtual_object import SoftBlock
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.sim.sphere import Enclosure
-from proprio_ros.virtual.objects import Container, HungPayload, Payload, SoftBlock
+from proprio_ros.virtual.objects import Payload
 
 Rows = dict[str, Any]
 """What an experiment returns: lists of rows by name, all of it JSON."""

@@ -18,11 +18,12 @@ from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, PointTrack, Recording, Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.virtual.arm import VirtualArm
-from proprio_ros.virtual.objects import Container, HandObject
+from proprio_ros.virtual.objects import HandObject, Payload, Vector
 from proprio_ros.virtual.robot import PARKED
 from proprio_ros.virtual.truth import Truth
 
@@ -40,6 +41,31 @@ CAMERA_STD_M, CAMERA_HZ = 0.002, 30.0
 def stated_robot() -> Robot:
     """The robot as its file states it, not calibrated."""
     return load_robot("open_manipulator_x")
+
+
+@dataclass(frozen=True)
+class HungPayload(Payload):
+    """A payload that moves in the hand: on one slide, or on hinges that all pass through the origin of the payload frame.
+
+    Attributes:
+        axes: Of its joints in the payload frame, the later carried by the earlier; shape (1 or 2, 3).
+        slides: Whether its one joint is a slide instead of a hinge.
+        stiffness: Of a spring about each joint's zero [N m/rad, or N/m].
+        damping: Of each joint [N m s/rad, or N s/m].
+    """
+
+    axes: tuple[Vector, ...] = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    slides: bool = False
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+    def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
+        body = super().build(mujoco, spec, hand)
+        for along in self.axes:
+            kind = mujoco.mjtJoint.mjJNT_SLIDE if self.slides else mujoco.mjtJoint.mjJNT_HINGE
+            made = body.add_joint(type=kind, axis=along)
+            made.stiffness[0], made.damping[0] = self.stiffness, self.damping
+        return body
 
 
 @dataclass(frozen=True)
@@ -102,19 +128,18 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
         before = machine.phase
         command = machine.tick(time_s, now)
         if anywhere and machine.phase is Phase.PROBE and before is not Phase.PROBE and isinstance(held, Container):
-            arm.put_sphere(_on_the_floor(robot, arm.position(), held, places_of_sphere))
+            held.put_sphere(arm, _on_the_floor(robot, arm.position(), held, places_of_sphere))
         stamps.append(round(1e9 * now.time_s))
         places.append([now.position[joint] for joint in joints])
         currents.append([_counted(command.current_A.get(joint, 0.0)) for joint in joints])
         for tick in range(ticks):
             waiting.append(command)
             _drive(arm, waiting.popleft(), joints, scale)
-            inside = arm.sphere_m()
-            if inside is not None:
+            if isinstance(held, Container):
                 at = time_s + (tick + 1) * PERIOD_S
                 if not seen_ns or 1e9 * at - seen_ns[-1] > 1e9 / CAMERA_HZ - 1.0:
                     seen_ns.append(round(1e9 * at))
-                    seen.append(inside)
+                    seen.append(held.sphere_m(arm))
         time_s += 1.0 / RATE_HZ
         now = sample()
     if machine.phase is not Phase.DONE:

@@ -9,6 +9,7 @@ from typing import Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.base import Online, Probe
+from proprio_ros.virtual.objects import HandObject, parse_object
 
 PROBES = {
     "payload": "proprio_ros.probes.payload:Payload",
@@ -73,3 +74,17 @@ def probe_at_work() -> Online[Any]:
     """The one that says what the hand holds while the arm works: the first of the registry that can."""
     probe: Online[Any] = probe_that(Online)
     return probe
+
+
+def virtual_objects() -> list[type[HandObject]]:
+    """What a virtual hand can hold, each once."""
+    return list(dict.fromkeys(probe.virtual_object for probe in all_probes() if probe.virtual_object is not None))
+
+
+def virtual_object(text: str) -> HandObject | None:
+    """What a user types for an object in a virtual hand; None is an empty hand.
+
+    Raises:
+        ConfigurationError: No probe's object has that form.
+    """
+    return parse_object(text, virtual_objects())

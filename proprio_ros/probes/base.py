@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts
+    from proprio_ros.virtual.objects import HandObject
 
 Facts = TypeVar("Facts")
 
@@ -95,7 +96,7 @@ class Example:
         help: of that option.
         truth: where it is not given, in the unit of the probe's answer; lowest, highest: its range.
         units: what to say about a number outside it.
-        held: what the virtual hand holds, with ``{truth}`` in it; see ``virtual/objects.py``.
+        held: what the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed.
         now: the sentence when it is in the hand; was: what the truth is called at the end; takes: how long it takes.
         sequences: the identifier's parameters for a short demo.
         reference: whether a weight helps the short calibration.
@@ -116,11 +117,6 @@ class Example:
     sequences: Mapping[str, str] = field(default_factory=dict)
     reference: bool = False
     stated: tuple[str, ...] = ()
-
-    @property
-    def kind(self) -> str:
-        """Of virtual object: ``payload``, ``container``, ``block``; empty for a bare mass."""
-        return self.held.partition(":")[0] if ":" in self.held else ""
 
 
 @dataclass(frozen=True)
@@ -177,6 +173,7 @@ class Probe(ABC, Generic[Facts]):
         numbers: Topics of the identifier that are plain numbers, and the value that is published on each.
         keys: What the settings about its object begin with.
         unknowns: Kinds of unknowns that it brings, by name.
+        virtual_object: What a virtual hand holds for it; None: nothing.
         hand: What the user is asked for before the runs, as a sentence; empty: nothing.
         default_sequence: The runs that are made where none is named.
         example: What the demo shows; None: no demo.
@@ -188,6 +185,7 @@ class Probe(ABC, Generic[Facts]):
     numbers: ClassVar[Mapping[str, str]] = MappingProxyType({})
     keys: ClassVar[tuple[str, ...]]
     unknowns: ClassVar[Mapping[str, Kind]] = MappingProxyType({})
+    virtual_object: ClassVar[type[HandObject] | None] = None
     hand: ClassVar[str] = ""
     default_sequence: ClassVar[str]
     example: ClassVar[Example | None] = None

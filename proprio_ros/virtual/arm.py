@@ -5,7 +5,7 @@ simulator that the identification uses. Each shaft obeys the law of `proprio_ros
 MuJoCo's constraint, so that a joint sticks. A slide and its motor are one: position = transmission x shaft angle, force =
 torque / transmission.
 
-Not modelled: the table and any contact but that of a sphere with its container, backlash, bending, and the limit that the supply
+Not modelled: the table and any contact but inside what the hand holds, backlash, bending, and the limit that the supply
 sets to the current at speed (the servos apply that one).
 """
 
@@ -21,7 +21,7 @@ from proprio_ros.errors import ConfigurationError, SimulationError
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Joint, Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.virtual.objects import Container, HandObject, HungPayload, Payload, SoftBlock
+from proprio_ros.virtual.objects import HandObject, set_inertia
 from proprio_ros.virtual.truth import LinkTruth, Truth
 
 LONGEST_SUBSTEP_S = 0.0005
@@ -30,11 +30,6 @@ STICKING_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """MuJoCo's constraints are soft: with these a stuck joint creeps at 1e-4 of its acceleration times half a millisecond."""
 SOLVER_TOLERANCE = 1e-14
 LIMIT_SOLREF = (0.004, 1.0)
-CONTACT_SOLREF = (0.002, 1.0)
-WALL_M = 0.05
-"""Walls are this thick to the outside, so that a fast sphere cannot pass them in one step."""
-LEVEL = 0.02
-"""A floor that is tilted less than this holds the sphere in its middle [rad]."""
 
 
 class VirtualArm:
@@ -44,6 +39,11 @@ class VirtualArm:
         joints: The driven joints, in the order of the robot file; the columns of all arrays.
         object: What the hand holds; None is nothing.
         truth: The hidden numbers.
+        robot: As its file states it.
+        mujoco, model, data: MuJoCo's module, and the arm with its object in it.
+        finger: Degree of freedom of the driven joint that slides; None: there is none.
+        fingers: How many slide with it, itself among them.
+        grip_m: Where it was when the object was put into the hand.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class VirtualArm:
         self.joints = tuple(robot.drive_trains)
         self.object: HandObject | None = None
         self.truth = truth
-        self._robot = robot
+        self.robot = robot
         self._rng = np.random.default_rng(seed)
         self._substeps = math.ceil(control_period_s / LONGEST_SUBSTEP_S - 1e-9)
         self._substep_s = control_period_s / self._substeps
@@ -94,9 +94,9 @@ class VirtualArm:
         self._encoder_noise = column("encoder_noise_rad")
         self._rises = bool(self._stribeck.any())
         self._velocity_before = np.zeros(len(self.joints))  # of the shafts, one substep ago
-        self._touch_m = 0.0  # where the driven finger touches the block
+        self.grip_m = 0.0
 
-        self._mujoco = import_mujoco()
+        self.mujoco = import_mujoco()
         self._build(None)
         start = zero_pose(robot)
         self.set_position(start | dict(position or {}))
@@ -104,7 +104,7 @@ class VirtualArm:
     @property
     def time_s(self) -> float:
         """Time since the arm was built."""
-        return float(self._data.time)
+        return float(self.data.time)
 
     def step(self, current_A: FloatArray) -> None:
         """Advance by one control period.
@@ -122,37 +122,39 @@ class VirtualArm:
         if not math.isfinite(current.sum()):
             raise SimulationError("the virtual arm was given a current that is not finite; check the servos' law")
         torque = self._torque_constant * current
-        force = self._data.qfrc_applied
+        force = self.data.qfrc_applied
         force[self._dofs] = torque / self._transmission
         friction = (self._coulomb + self._load_friction * np.abs(torque)) / self._transmission
-        if isinstance(self.object, SoftBlock) or self._rises:
-            push = force[self._finger] if isinstance(self.object, SoftBlock) else 0.0
+        acting = self.object if self.object is not None and self.object.acts else None
+        if acting is not None or self._rises:
+            driven = force.copy()
             for _ in range(self._substeps):
-                if isinstance(self.object, SoftBlock):
-                    force[self._finger] = push + self._reaction(self.object)
+                if acting is not None:
+                    force[:] = driven
+                    acting.act(self, force)
                 # the speed amid the step, or a constant over it would make the method first order
-                velocity = self._data.qvel[self._dofs] / self._transmission
+                velocity = self.data.qvel[self._dofs] / self._transmission
                 amid = 1.5 * velocity - 0.5 * self._velocity_before
                 self._velocity_before = velocity
                 excess = self._stribeck * np.exp(-((amid / self._stribeck_velocity) ** 2))
-                self._model.dof_frictionloss[self._dofs] = friction * (1.0 + excess)
-                self._mujoco.mj_step(self._model, self._data)
+                self.model.dof_frictionloss[self._dofs] = friction * (1.0 + excess)
+                self.mujoco.mj_step(self.model, self.data)
         else:
-            self._model.dof_frictionloss[self._dofs] = friction
-            self._mujoco.mj_step(self._model, self._data, self._substeps)
-        if not math.isfinite(self._data.qvel.sum()):
+            self.model.dof_frictionloss[self._dofs] = friction
+            self.mujoco.mj_step(self.model, self.data, self._substeps)
+        if not math.isfinite(self.data.qvel.sum()):
             raise SimulationError(
                 f"the virtual arm diverged at {self.time_s:.3f} s: check that currents are in A, and build the arm anew"
             )
 
     def shaft_rad(self) -> FloatArray:
         """True angles of the output shafts [rad], shape (J,)."""
-        angle: FloatArray = self._data.qpos[self._places] / self._transmission
+        angle: FloatArray = self.data.qpos[self._places] / self._transmission
         return angle
 
     def velocity_rad_s(self) -> FloatArray:
         """True velocities of the output shafts [rad/s], shape (J,)."""
-        velocity: FloatArray = self._data.qvel[self._dofs] / self._transmission
+        velocity: FloatArray = self.data.qvel[self._dofs] / self._transmission
         return velocity
 
     def encoder_rad(self) -> FloatArray:
@@ -164,7 +166,7 @@ class VirtualArm:
 
     def position(self) -> dict[str, float]:
         """True positions of all joints that have one of their own [rad or m]."""
-        return {name: float(self._data.qpos[place]) for name, place in self._place_of.items()}
+        return {name: float(self.data.qpos[place]) for name, place in self._place_of.items()}
 
     def set_position(self, position: Mapping[str, float]) -> None:
         """Put joints elsewhere [rad or m], and everything at rest; joints that are not named stay where they are.
@@ -175,67 +177,45 @@ class VirtualArm:
         for name, value in position.items():
             if name not in self._place_of:
                 raise ConfigurationError(f"no joint {name!r} can be placed; choose from: {', '.join(self._place_of)}")
-            joint = self._robot.model.joint(name)
+            joint = self.robot.model.joint(name)
             if not joint.lower <= value <= joint.upper or not math.isfinite(value):
                 raise ConfigurationError(
                     f"{name} at {value:g}: give a position within {joint.lower:g} .. {joint.upper:g}"
                 )
         for name, value in position.items():
-            self._data.qpos[self._place_of[name]] = value
+            self.data.qpos[self._place_of[name]] = value
         self._follow()
-        self._data.qvel[:] = 0.0
+        self.data.qvel[:] = 0.0
         self._velocity_before[:] = 0.0
-        self._place_sphere()
+        if self.object is not None:
+            self.object.begin(self)
 
     def hold(self, held: HandObject | None) -> None:
         """Put an object into the hand, or take it out; the arm goes on as it moves.
 
-        A sphere begins at rest where its container is lowest; a block lies between the fingers where they are now.
-
         Raises:
-            ConfigurationError: The robot has no gripper for a block, or no body has the object's inertia. The arm is as before.
+            ConfigurationError: The robot cannot hold it, or no body has the object's inertia. The arm is as before.
         """
-        if isinstance(held, SoftBlock) and self._finger is None:
-            raise ConfigurationError(
-                f"{self._robot.name} drives no sliding finger that could press a block; hold a payload instead"
-            )
-        before, places, dofs = self._data, self._arm_places, self._arm_dofs
+        if held is not None:
+            held.check(self)
+        before, places, dofs = self.data, self._arm_places, self._arm_dofs
         self._build(held)
-        self._data.time = before.time
+        self.data.time = before.time
         # what hangs in the hand has joints of its own among the arm's; a sphere's come behind them
-        self._data.qpos[self._arm_places] = before.qpos[places]
-        self._data.qvel[self._arm_dofs] = before.qvel[dofs]
-        if isinstance(held, SoftBlock):
-            self._touch_m = float(self._data.qpos[self._place_of[self._finger_joint]]) - held.gap_m
-        self._place_sphere()
+        self.data.qpos[self._arm_places] = before.qpos[places]
+        self.data.qvel[self._arm_dofs] = before.qvel[dofs]
+        if self.finger is not None:
+            self.grip_m = self.finger_m()
+        if held is not None:
+            held.begin(self)
 
-    def put_sphere(self, inside_m: FloatArray) -> None:
-        """Put the sphere elsewhere in its container, moving with it.
-
-        Args:
-            inside_m: Its centre from the container's [m], shape (3,).
-        """
-        if isinstance(self.object, Container):
-            self._put_sphere(np.asarray(inside_m, dtype=np.float64))
-
-    def sphere_m(self) -> FloatArray | None:
-        """Where the sphere's centre is in the container, from the container's centre [m], shape (3,); None without one."""
-        if not isinstance(self.object, Container):
-            return None
-        self._mujoco.mj_kinematics(self._model, self._data)
-        box, ball = self._data.body(_CONTAINER), self._data.body(_SPHERE)
-        inside: FloatArray = box.xmat.reshape(3, 3).T @ (ball.xpos - box.xpos)
-        return inside
-
-    def _reaction(self, block: SoftBlock) -> float:
-        """What the block does to the driven finger, with what the followers pass on [N]; positive opens."""
-        closed = self._touch_m - float(self._data.qpos[self._place_of[self._finger_joint]])
-        rate = -float(self._data.qvel[self._finger])
-        return self._fingers * block.force_N(self._fingers * closed, self._fingers * rate)
+    def finger_m(self) -> float:
+        """Position of the driven finger [m]."""
+        return float(self.data.qpos[self._place_of[self._finger_joint]])
 
     def _follow(self) -> None:
         """Put the joints that follow others where they belong."""
-        joints, places = self._robot.model.joint, self._data.qpos
+        joints, places = self.robot.model.joint, self.data.qpos
 
         def position(joint: Joint) -> float:
             if joint.mimic is None:
@@ -243,37 +223,15 @@ class VirtualArm:
             source, multiplier, offset = joint.mimic
             return multiplier * position(joints(source)) + offset
 
-        for joint in self._robot.model.joints:
+        for joint in self.robot.model.joints:
             if joint.kind != "fixed":
-                places[int(self._model.joint(joint.name).qposadr[0])] = position(joint)
-
-    def _place_sphere(self) -> None:
-        """Put the sphere to rest at the container's lowest place."""
-        if not isinstance(self.object, Container):
-            return
-        box = self._data.body(_CONTAINER)
-        self._mujoco.mj_forward(self._model, self._data)
-        axes = box.xmat.reshape(3, 3)
-        down = axes.T @ self._robot.gravity / max(float(np.linalg.norm(self._robot.gravity)), 1e-9)
-        room = 0.5 * np.array(self.object.inner_size_m) - self.object.sphere_radius_m
-        self._put_sphere(np.where(np.abs(down) > LEVEL, np.sign(down), 0.0) * room)
-
-    def _put_sphere(self, inside: FloatArray) -> None:
-        """Put the sphere to a place in the container [m], shape (3,), carried along by it."""
-        box = self._data.body(_CONTAINER)
-        self._mujoco.mj_forward(self._model, self._data)
-        offset = box.xmat.reshape(3, 3) @ inside
-        speed = np.zeros(6)  # angular, then linear, in the base frame
-        kind = self._mujoco.mjtObj.mjOBJ_XBODY
-        self._mujoco.mj_objectVelocity(self._model, self._data, kind, box.id, speed, 0)
-        self._data.qpos[self._moving :] = (*(box.xpos + offset), 1.0, 0.0, 0.0, 0.0)
-        self._data.qvel[self._moving :] = (*(speed[3:] + np.cross(speed[:3], offset)), 0.0, 0.0, 0.0)
+                places[int(self.model.joint(joint.name).qposadr[0])] = position(joint)
 
     # ---------------------------------------------------------------------------------------------------------- building
 
     def _build(self, held: HandObject | None) -> None:
         """Compile the model with what the hand holds; the arm is at zero then."""
-        mujoco, robot = self._mujoco, self._robot
+        mujoco, robot = self.mujoco, self.robot
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         spec.option.timestep = self._substep_s
@@ -293,28 +251,29 @@ class VirtualArm:
             self._add_inertia(body, links[joint.child].pseudo_inertia, self.truth.links.get(joint.child, LinkTruth()))
             if joint.kind != "fixed":
                 self._add_joint(spec, body, joint)
-        self._add_object(spec, bodies[robot.payload_frame], held)
+        if held is not None:
+            held.build(mujoco, spec, bodies[robot.payload_frame])
         try:
             model = spec.compile()
         except ValueError as error:
             raise ConfigurationError(
                 f"{robot.name}: MuJoCo refuses it ({' '.join(str(error).split())}); correct the URDF or the object"
             ) from error
-        self._model, self._data, self.object = model, mujoco.MjData(model), held
+        self.model, self.data, self.object = model, mujoco.MjData(model), held
 
         moving = [joint for joint in robot.model.joints if joint.kind != "fixed"]
         self._place_of = {
-            joint.name: int(self._model.joint(joint.name).qposadr[0]) for joint in moving if not joint.mimic
+            joint.name: int(self.model.joint(joint.name).qposadr[0]) for joint in moving if not joint.mimic
         }
         self._places = np.array([self._place_of[name] for name in self.joints])
-        self._dofs = np.array([int(self._model.joint(name).dofadr[0]) for name in self.joints])
+        self._dofs = np.array([int(self.model.joint(name).dofadr[0]) for name in self.joints])
         self._moving = len(moving)
-        self._arm_places = np.array([int(self._model.joint(joint.name).qposadr[0]) for joint in moving])
-        self._arm_dofs = np.array([int(self._model.joint(joint.name).dofadr[0]) for joint in moving])
+        self._arm_places = np.array([int(self.model.joint(joint.name).qposadr[0]) for joint in moving])
+        self._arm_dofs = np.array([int(self.model.joint(joint.name).dofadr[0]) for joint in moving])
         slides = [name for name in self.joints if robot.model.joint(name).kind == "prismatic"]
         self._finger_joint = slides[0] if slides else ""
-        self._finger = int(self._model.joint(slides[0]).dofadr[0]) if slides else None
-        self._fingers = 1 + sum(joint.mimic is not None and joint.mimic[0] == self._finger_joint for joint in moving)
+        self.finger = int(self.model.joint(slides[0]).dofadr[0]) if slides else None
+        self.fingers = 1 + sum(joint.mimic is not None and joint.mimic[0] == self._finger_joint for joint in moving)
 
     def _add_inertia(self, body: Any, pseudo: FloatArray, departure: LinkTruth) -> None:
         mass = float(pseudo[3, 3])
@@ -324,10 +283,12 @@ class VirtualArm:
         second = pseudo[:3, :3] - mass * np.outer(com, com)
         inertia = np.trace(second) * np.eye(3) - second
         scale = self.truth.arm_scale * (1.0 + departure.mass)
-        _set_inertia(body, scale * mass, com + departure.com_m, scale * (1.0 + departure.inertia) * inertia)
+        inertia *= scale * (1.0 + departure.inertia)
+        six = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])
+        set_inertia(body, scale * mass, com + departure.com_m, six)
 
     def _add_joint(self, spec: Any, body: Any, joint: Joint) -> None:
-        mujoco = self._mujoco
+        mujoco = self.mujoco
         slides = joint.kind == "prismatic"
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
         made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
@@ -344,47 +305,9 @@ class VirtualArm:
             made.range = (joint.lower, joint.upper)
         made.solref_limit = LIMIT_SOLREF
         if joint.name in self.truth.joints:
-            drive, transmission = self.truth.joints[joint.name], self._robot.drive_trains[joint.name].transmission
+            drive, transmission = self.truth.joints[joint.name], self.robot.drive_trains[joint.name].transmission
             made.armature = drive.armature / transmission**2
             made.damping[0] = drive.viscous / transmission**2
-
-    def _add_object(self, spec: Any, hand: Any, held: HandObject | None) -> None:
-        mujoco = self._mujoco
-        if isinstance(held, Payload):
-            body = hand.add_body(name=_PAYLOAD)
-            _set_inertia(body, held.mass_kg, held.com_m, _matrix(held.inertia))
-            if isinstance(held, HungPayload):
-                kind = mujoco.mjtJoint.mjJNT_SLIDE if held.slides else mujoco.mjtJoint.mjJNT_HINGE
-                for along in held.axes:
-                    made = body.add_joint(type=kind, axis=along)
-                    made.stiffness[0], made.damping[0] = held.stiffness, held.damping
-        if isinstance(held, Container):
-            box = hand.add_body(name=_CONTAINER, pos=held.centre_m)
-            _set_inertia(box, held.mass_kg, (0.0, 0.0, 0.0), _matrix(held.inertia))
-            half = 0.5 * np.array(held.inner_size_m)
-            touching = {"condim": 3, "friction": (held.friction, 0.0, 0.0), "solref": CONTACT_SOLREF, "mass": 0.0}
-            for axis in range(3):
-                for side in (-1.0, 1.0):
-                    centre, size = np.zeros(3), half + WALL_M
-                    size[axis], centre[axis] = 0.5 * WALL_M, side * (half[axis] + 0.5 * WALL_M)
-                    # walls meet the sphere, and nothing else anything
-                    box.add_geom(
-                        type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=centre, contype=1, conaffinity=0, **touching
-                    )
-            ball = spec.worldbody.add_body(name=_SPHERE)
-            ball.add_freejoint()
-            inertia = 0.4 * held.sphere_mass_kg * held.sphere_radius_m**2
-            _set_inertia(ball, held.sphere_mass_kg, (0.0, 0.0, 0.0), inertia * np.eye(3))
-            ball.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                size=(held.sphere_radius_m, 0.0, 0.0),
-                contype=0,
-                conaffinity=1,
-                **touching,
-            )
-
-
-_PAYLOAD, _CONTAINER, _SPHERE = "held/payload", "held/container", "held/sphere"
 
 
 def import_mujoco() -> Any:
@@ -398,18 +321,3 @@ def import_mujoco() -> Any:
     except ImportError as error:
         raise ConfigurationError("a virtual arm needs MuJoCo: install the extra sim, e.g. proprio_ros[sim]") from error
     return mujoco
-
-
-def _matrix(inertia: tuple[float, float, float, float, float, float]) -> FloatArray:
-    xx, yy, zz, xy, xz, yz = inertia
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _set_inertia(body: Any, mass: float, com: Any, inertia: FloatArray) -> None:
-    """Give a body its inertia about its centre of mass."""
-    body.explicitinertial = True
-    body.mass, body.ipos = mass, np.asarray(com, dtype=np.float64)
-    # a flat body is the edge of what is physical, and rounding must not push it over; a point has no inertia at all
-    inertia = inertia + (1e-9 * np.trace(inertia) + 1e-12) * np.eye(3)
-    xx, yy, zz = np.diag(inertia)
-    body.fullinertia = (xx, yy, zz, inertia[0, 1], inertia[0, 2], inertia[1, 2])

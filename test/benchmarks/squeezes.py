@@ -16,8 +16,8 @@ import numpy as np
 from results import Results, parser_of
 from support.squeezing import GAP_M, calibrated, squeezed
 
+from proprio_ros.probes.softness.virtual_object import SoftBlock
 from proprio_ros.quantity import Z95
-from proprio_ros.virtual.objects import SoftBlock
 
 BLOCKS = ((8e3, 0.3), (30e3, 0.13), (150e3, 0.4))
 FIRST_SEED = 10

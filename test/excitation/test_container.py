@@ -8,7 +8,8 @@ from support.hand import ROBOT, Hand
 
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
-from proprio_ros.virtual.objects import Container, Payload
+from proprio_ros.probes.container.virtual_object import Container
+from proprio_ros.virtual.objects import Payload
 
 pytestmark = pytest.mark.long
 

@@ -23,9 +23,9 @@ from proprio_ros.probes import probe_named
 from proprio_ros.probes.softness import SoftnessJob
 from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
+from proprio_ros.probes.softness.virtual_object import SoftBlock
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.virtual.objects import SoftBlock
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,15 @@ import pytest
 
 from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.paper.hand import known_robot, play, stated_robot
+from proprio_ros.paper.hand import HungPayload, known_robot, play, stated_robot
 from proprio_ros.paper.hung import Hung, HungProblem, hung_unknowns, weigh_hung
+from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
 from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 from proprio_ros.virtual.arm import VirtualArm
-from proprio_ros.virtual.objects import Container, HungPayload, Payload
+from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.truth import Truth
 
 pytestmark = pytest.mark.long
@@ -100,10 +101,11 @@ def test_the_arm_keeps_its_pose_when_something_that_moves_is_put_into_its_hand()
 def test_a_sphere_is_put_elsewhere_in_its_box() -> None:
     robot = stated_robot()
     arm = VirtualArm(robot, Truth.nominal(robot), position={"joint2": -0.6, "joint3": -1.0, "joint4": 0.6})
-    arm.hold(Container())
+    held = Container()
+    arm.hold(held)
     place = np.array([0.01, -0.005, -0.002])
-    settled = arm.sphere_m()
-    arm.put_sphere(place)
-    moved = arm.sphere_m()
-    assert settled is not None and moved is not None and np.abs(settled - place).max() > 0.005
+    settled = held.sphere_m(arm)
+    held.put_sphere(arm, place)
+    moved = held.sphere_m(arm)
+    assert np.abs(settled - place).max() > 0.005
     np.testing.assert_allclose(moved, place, atol=1e-12)

@@ -22,8 +22,9 @@ from proprio_ros.probes import probe_named
 from proprio_ros.probes.container.choosing import SphereUntilSure
 from proprio_ros.probes.container.identify import find_sphere, half_of
 from proprio_ros.probes.container.problem import start_prior
+from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.robot import load_robot
-from proprio_ros.virtual.objects import Container, Payload
+from proprio_ros.virtual.objects import Payload
 
 ROBOT = load_robot("open_manipulator_x")
 PROBE = probe_named("container")

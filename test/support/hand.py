@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.excitation.commands import Command, JointSample
+from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.arm import VirtualArm
@@ -58,8 +59,7 @@ class Hand:
                     current[row] = 22.5 * (now.position[name] / SCALE[name] - angles[row]) - 0.84 * speeds[row]
             least, most = ((volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V))
             self.arm.step(np.clip(current, np.maximum(least, -1.0), np.minimum(most, 1.0)))
-            sphere = self.arm.sphere_m()
-            if sphere is not None:
-                self.spheres.append(sphere)
+            if isinstance(self.arm.object, Container):
+                self.spheres.append(self.arm.object.sphere_m(self.arm))
         self.time_s += 1.0 / RATE_HZ
         return self.sample()

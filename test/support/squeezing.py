@@ -10,10 +10,10 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
+from proprio_ros.probes.softness.virtual_object import SoftBlock
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
-from proprio_ros.virtual.objects import SoftBlock
 from support.hand import COUNT_A, JOINTS, ROBOT, Hand
 
 GRIPPER = "gripper_left_joint"

@@ -22,6 +22,7 @@ from proprio_ros.probes.base import (
     Shapes,
     Shown,
 )
+from proprio_ros.probes.container.virtual_object import Container as VirtualContainer
 
 if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ProbeSequence
@@ -74,6 +75,7 @@ class Container(
     )
     hand = "the container has to be in the hand with its sphere"
     default_sequence = "container"
+    virtual_object = VirtualContainer
     prepares = "a sphere: once on a computer it is compiled, half a minute"
     baseline = Baseline(
         noun="empty container",

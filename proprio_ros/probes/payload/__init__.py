@@ -24,6 +24,7 @@ from proprio_ros.probes.base import (
     TakesMotions,
     WeighsReferences,
 )
+from proprio_ros.virtual.objects import Payload as VirtualPayload
 
 if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ProbeSequence
@@ -75,6 +76,7 @@ class Payload(
     keys = ("payload.", "paper.")
     unknowns = MappingProxyType({"equivalent_pendulum_length": Kind("m", "length of the equivalent pendulum")})
     default_sequence = "payload"
+    virtual_object = VirtualPayload
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
     example = Example(

@@ -22,6 +22,7 @@ from proprio_ros.probes.base import (
     Shapes,
     Shown,
 )
+from proprio_ros.probes.softness.virtual_object import SoftBlock
 
 if TYPE_CHECKING:
     import numpy as np
@@ -71,6 +72,7 @@ class Softness(
     )
     hand = "the block has to be between the fingers"
     default_sequence = "softness"
+    virtual_object = SoftBlock
     prepares = "a block: a shape is tabulated once, up to half a minute"
     limits = (
         Limit(
