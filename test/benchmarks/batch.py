@@ -315,7 +315,7 @@ def write_long(path: Path, samples: int) -> None:
     write_bag(path, Arm(3).record(7, samples / 50.0, 0.1))
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Do one part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("make", "ray", "compare", "throughput", "cost", "memory"))
@@ -325,7 +325,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes that make episodes")
     parser.add_argument("--engine", default="ray", choices=("ray", "local"), help="of the part throughput")
     parser.add_argument("--source", default="data", help="of the part throughput: below the folder, such as data/set_0")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     folder = given.folder.resolve()
     if given.part == "make":
         make(folder, given.episodes or 10_000, given.jobs)

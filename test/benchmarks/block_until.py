@@ -10,10 +10,10 @@ one, and by the shipped sequence `softness`, again and again until its answer is
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import Pool
 
@@ -21,8 +21,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from results import Results, parser_of
 from support.hand import ROBOT, Hand
 from support.squeezing import EDGE_M, GAP_M, calibrated, made
+from until_sure import endings
 
 from proprio_ros.excitation.plans import ProbeSequence, Until, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
@@ -133,35 +135,46 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
     return cases
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=12)
     parser.add_argument("--first", type=int, default=200, help="first seed")
     parser.add_argument("--half", type=float, default=0.2, help="half interval asked for, as a share of the modulus")
     parser.add_argument("--at-most", type=float, default=30.0, help="[s]")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     until = Until(options.half, "1", options.at_most)
     seeds = range(options.first, options.first + options.robots)
     with Pool(options.jobs) as pool:
         cases = [case for found in pool.imap(one_robot, [(seed, until) for seed in seeds]) for case in found]
-    said = [case for case in cases if case.ended_by != "refused"]
-    error = np.array([case.error for case in said])
-    decided = np.concatenate([case.decided_s for case in said])
-    median_s = float(np.median(decided)) if len(decided) else 0.0
-    ratio = [case.time_s / case.fixed_s for case in said]
-    ends = {by: sum(case.ended_by == by for case in cases) for by in dict.fromkeys(case.ended_by for case in cases)}
-    print(
-        "| answers | target met | median half interval | rms error | interval holds | median time | runs | time over fixed | "
-        "decided in, median, largest | ended by |\n|---|---|---|---|---|---|---|---|---|---|"
+    answered = [case for case in cases if case.ended_by != "refused"]
+    results.table(
+        "block_until",
+        {
+            "answers": "{answered} of {asked}",
+            "target met": "{met}",
+            "median half interval": "{half:.1f} %",
+            "rms error": "{rms:.1f} %",
+            "interval holds": "{hold}",
+            "median time": "{time_s:.0f} s",
+            "runs": "{runs:.0f}",
+            "time over fixed": "{over_fixed:.2f} (fixed never there: {never})",
+            "decided in, median, largest": "{decided_s:.2f} s, {longest_s:.1f} s",
+            "ended by": "{ends}",
+        },
     )
-    print(
-        f"| {len(said)} of {len(cases)} | {sum(c.met for c in said)} | {100 * np.median([c.half for c in said]):.1f} % | "
-        f"{100 * np.sqrt(np.mean(error**2)):.1f} % | {sum(c.holds for c in said)} | {np.median([c.time_s for c in said]):.0f} s | "
-        f"{np.median([c.runs for c in said]):.0f} | {np.median(ratio):.2f} (fixed never there: "
-        f"{sum(not c.fixed_reached for c in said)}) | {median_s:.2f} s, {decided.max(initial=0.0):.1f} s | "
-        f"{', '.join(f'{by} {n}' for by, n in ends.items())} |"
-    )
+    if answered:
+        decided = np.concatenate([case.decided_s for case in answered])
+        results.row(
+            "block_until", answered=len(answered), asked=len(cases), met=sum(c.met for c in answered),
+            half=100.0 * np.median([c.half for c in answered]), hold=sum(c.holds for c in answered),
+            rms=100.0 * np.sqrt(np.mean([c.error**2 for c in answered])), time_s=np.median([c.time_s for c in answered]),
+            runs=np.median([c.runs for c in answered]), over_fixed=np.median([c.time_s / c.fixed_s for c in answered]),
+            never=sum(not c.fixed_reached for c in answered), decided_s=np.median(decided) if len(decided) else 0.0,
+            longest_s=decided.max(initial=0.0), ends=endings(case.ended_by for case in cases),
+        )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":

@@ -11,12 +11,10 @@ box once more. Pushes take the time that the excitation node takes for them.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
 import time
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import Pool
@@ -27,8 +25,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from random_arm import HiddenRobot
+from results import Results, parser_of
 from spheres import FACTS, Boxed, box, drawn
-from until_sure import Bench, calibrated
+from until_sure import Bench, calibrated, endings
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import Until, load_sequence
@@ -165,44 +164,57 @@ def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
     return cases
 
 
-def line(name: str, cases: Sequence[Case]) -> None:
-    """One row of the table."""
-    said = [case for case in cases if np.isfinite(case.error)]
-    if not said:
+COLUMNS = {
+    "calibration": "{name}",
+    "answers": "{answered} of {asked}",
+    "target met": "{met:.0f} %",
+    "median half interval, g": "{half:.2f}",
+    "rms error, g": "{rms:.2f}",
+    "interval holds": "{hold:.1f} %",
+    "error over std, rms": "{pull:.2f}",
+    "fixed: holds": "{fixed_hold:.1f} %",
+    "median time, s": "{time_s:.0f}",
+    "runs": "{runs:.0f}",
+    "time over fixed": "{over_fixed:.2f}{never_words}",
+    "decision, median and longest, s of CPU": "{decided_s:.2f}, {longest_s:.2f}",
+    "the last, s of CPU": "{last_s:.1f}",
+    "ended by": "{ends}",
+}
+
+
+def row(results: Results, name: str, cases: Sequence[Case]) -> None:
+    """One row of the table; none without answers."""
+    answered = [case for case in cases if np.isfinite(case.error)]
+    if not answered:
         return
-    fixed = [case for case in said if np.isfinite(case.fixed_error)]
+    fixed = [case for case in answered if np.isfinite(case.fixed_error)]
     never = sum(not case.fixed_reached for case in fixed)
-    fixed_holds = f"{100 * np.mean([abs(c.fixed_error) <= c.fixed_half for c in fixed]):.1f} %" if fixed else "-"
-    ratio = f"{np.median([c.time_s / c.fixed_s for c in fixed]):.2f}" if fixed else "-"
-    decided = np.concatenate([case.decided_s for case in said])
-    ends = ", ".join(f"{by} {count}" for by, count in Counter(case.ended_by for case in cases).most_common())
-    print(
-        f"| {name} | {len(said)} of {len(cases)} | {100 * np.mean([c.met for c in said]):.0f} % | "
-        f"{1e3 * np.median([c.half for c in said]):.2f} | {1e3 * np.sqrt(np.mean([c.error**2 for c in said])):.2f} | "
-        f"{100 * np.mean([c.holds for c in said]):.1f} % | "
-        f"{Z95 * np.sqrt(np.mean([(c.error / c.half) ** 2 for c in said])):.2f} | {fixed_holds} | "
-        f"{np.median([c.time_s for c in said]):.0f} | "
-        f"{np.median([c.runs for c in said]):.0f} | {ratio}{f' (fixed never there: {never})' if never else ''} | "
-        f"{np.median(decided):.2f}, {decided.max():.2f} | {np.median([c.ended_s for c in said]):.1f} | {ends} |",
-        flush=True,
-    )
+    decided = np.concatenate([case.decided_s for case in answered])
+    results.row(
+        "container_until", name=name, answered=len(answered), asked=len(cases),
+        met=100.0 * np.mean([c.met for c in answered]), half=1e3 * np.median([c.half for c in answered]),
+        rms=1e3 * np.sqrt(np.mean([c.error**2 for c in answered])), hold=100.0 * np.mean([c.holds for c in answered]),
+        pull=Z95 * np.sqrt(np.mean([(c.error / c.half) ** 2 for c in answered])),
+        fixed_hold=100.0 * np.mean([abs(c.fixed_error) <= c.fixed_half for c in fixed]) if fixed else None,
+        time_s=np.median([c.time_s for c in answered]), runs=np.median([c.runs for c in answered]),
+        over_fixed=np.median([c.time_s / c.fixed_s for c in fixed]) if fixed else None,
+        never=never, never_words=f" (fixed never there: {never})" if never else "",
+        decided_s=np.median(decided), longest_s=decided.max(initial=0.0),
+        last_s=np.median([c.ended_s for c in answered]), ends=endings(case.ended_by for case in cases),
+    )  # fmt: skip
 
 
-def table(cases: Sequence[Case], references: Sequence[str]) -> None:
-    print(
-        "| calibration | answers | target met | median half interval, g | rms error, g | interval holds | error over std, rms | "
-        "fixed: holds | "
-        "median time, s | runs | time over fixed | decision, median and longest, s of CPU | the last, s of CPU | ended by |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")
+def table(results: Results, cases: Sequence[Case], references: Sequence[str]) -> None:
+    results.table("container_until", COLUMNS)
     for reference in references:
         mine = [case for case in cases if case.reference == reference]
-        line(f"reference {reference}", [case for case in mine if case.mass > 0.0])
-        line(f"reference {reference}, empty box", [case for case in mine if case.mass == 0.0])
+        row(results, f"reference {reference}", [case for case in mine if case.mass > 0.0])
+        row(results, f"reference {reference}, empty box", [case for case in mine if case.mass == 0.0])
+    results.keep()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=9000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
@@ -214,9 +226,10 @@ def main() -> None:
     )
     parser.add_argument("--save", type=Path, help="append each case to this file, as JSON")
     parser.add_argument("--table", type=Path, help="print the table of such a file, and simulate nothing")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     if options.table:
-        table([Case(**json.loads(row)) for row in options.table.read_text().splitlines()], options.reference)
+        table(results, [Case(**json.loads(row)) for row in options.table.read_text().splitlines()], options.reference)
         return
     until = Until(options.half, "kg", options.at_most)
     cases: list[Case] = []
@@ -228,7 +241,7 @@ def main() -> None:
             if options.save:
                 with options.save.open("a") as file:
                     file.writelines(json.dumps(asdict(case)) + "\n" for case in found)
-    table(cases, options.reference)
+    table(results, cases, options.reference)
 
 
 if __name__ == "__main__":

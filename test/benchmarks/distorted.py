@@ -9,14 +9,14 @@ filters, lost samples. An answer need not come; one that comes has to hold. One 
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from real import UR10E_KG, ur10e_file
+from results import Results, parser_of
 from scipy.signal import butter, lfilter
 from support.machines import REAL
 
@@ -116,11 +116,13 @@ DISTORTIONS: dict[str, Distortion] = {
 }
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """One row for each distortion."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of((__doc__ or "").splitlines()[0])
     parser.add_argument("--recordings", type=Path, default=REAL)
-    options = parser.parse_args()
+    parser.add_argument("--only", nargs="+", default=list(DISTORTIONS), choices=list(DISTORTIONS), help="default: all")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     with tempfile.TemporaryDirectory() as folder:
         path = ur10e_file(options.recordings, Path(folder))
         robot = load_robot(path)
@@ -129,10 +131,19 @@ def main() -> None:
             for bag in ("ur10e_loaded_14", "ur10e_empty_14", "ur10e_empty_15")
         )
     calibrated = replace(robot, motion_calibration=fit_empty(robot, [empty]))
-    print("| distortion | answers | hold | farthest, in sd | refused because |")
-    print("|---|---|---|---|---|")
+    results.table(
+        "distorted",
+        {
+            "distortion": "{distortion}",
+            "answers": "{answered} of {asked}",
+            "hold": "{hold}",
+            "farthest, in sd": "{farthest:.1f}",
+            "refused because": "{codes}",
+        },
+    )
     given, kept, farthest = 0, 0, 0.0
-    for name, distortion in DISTORTIONS.items():
+    for name in options.only:
+        distortion = DISTORTIONS[name]
         rng = np.random.default_rng(1)
         wrong, wrong_empty, wrong_other = (distortion(motion, rng) for motion in (loaded, empty, other))
         questions = [
@@ -148,10 +159,21 @@ def main() -> None:
             said = answer(arm, motion, baseline, truth)
             (codes if isinstance(said, str) else sigmas).append(said)
         holding = sum(sigma <= Z95 for sigma in sigmas)
-        worst = f"{max(sigmas):.1f}" if sigmas else "-"
-        print(f"| {name} | {len(sigmas)} of 6 | {holding} | {worst} | {', '.join(sorted(set(codes)))} |", flush=True)
+        results.row(
+            "distorted", distortion=name, answered=len(sigmas), asked=len(questions), hold=holding,
+            farthest=max(sigmas, default=None), codes=", ".join(sorted(set(codes))),
+        )  # fmt: skip
         given, kept, farthest = given + len(sigmas), kept + holding, max([farthest, *sigmas])
-    print(f"| all | {given} of {6 * len(DISTORTIONS)} | {kept} | {farthest:.1f} | |")
+    results.row(
+        "distorted",
+        distortion="all",
+        answered=given,
+        asked=6 * len(options.only),
+        hold=kept,
+        farthest=farthest,
+        codes="",
+    )
+    results.keep()
 
 
 def answer(robot: Robot, motion: Motion, baseline: list[Motion], truth: float) -> float | str:

@@ -11,7 +11,6 @@ It weighs objects by the shipped payload sequence: with the calibration taken as
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from coverage import DIAMETER_M, facts_of
 from random_arm import EFFECTS_DEFAULT, JOINTS, SPREAD, HiddenRobot, ball, draw_robot
+from results import Results, parser_of
 from until_sure import Bench, calibrated
 
 from proprio_ros.calibration_files.drift import FRICTION, Drift, aged
@@ -125,8 +125,8 @@ def one_robot(job: tuple[int, str, float, float, float, Sequence[float]]) -> tup
     return cases, bench.time_s, len(pushes), said
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=3000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
@@ -139,7 +139,8 @@ def main() -> None:
     )
     parser.add_argument("--reference", choices=["none", "shipped"], default="shipped")
     parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
-    o = parser.parse_args()
+    o = parser.parse_args(arguments)
+    results = Results(__file__, o.json, arguments)
     jobs = [(s, o.reference, o.hours, o.warmer, o.times, o.masses) for s in range(o.first, o.first + o.robots)]
     cases: list[Case] = []
     times, counts = [], []
@@ -152,16 +153,29 @@ def main() -> None:
             if found:
                 times.append(time_s)
                 counts.append(count)
-    print("| calibration | answers | interval holds | median half interval, g | rms error, g |\n|---|---|---|---|---|")
+    results.table(
+        "drift",
+        {
+            "calibration": "{calibration}",
+            "answers": "{answered} of {asked}",
+            "interval holds": "{hold:.0f} %",
+            "median half interval, g": "{half:.2f}",
+            "rms error, g": "{rms:.2f}",
+        },
+    )
     for way in (FRESH, STALE, AGED, REFRESHED):
         of = [case for case in cases if case.way == way]
         answers = [case for case in of if np.isfinite(case.error)]
         if answers:
-            print(
-                f"| {way} | {len(answers)} of {len(of)} | {100 * np.mean([c.holds for c in answers]):.0f} % | "
-                f"{1e3 * np.median([c.half for c in answers]):.2f} | {1e3 * np.sqrt(np.mean([c.error**2 for c in answers])):.2f} |"
-            )
-    print(f"a refresh: median {np.median(counts):.0f} pushes, {np.median(times):.0f} s")
+            name = way
+            if way == REFRESHED:
+                name = f"{way} (median {np.median(counts):.0f} pushes, {np.median(times):.0f} s)"
+            results.row(
+                "drift", calibration=name, answered=len(answers), asked=len(of),
+                hold=100.0 * np.mean([c.holds for c in answers]), half=1e3 * np.median([c.half for c in answers]),
+                rms=1e3 * np.sqrt(np.mean([c.error**2 for c in answers])),
+            )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ later pushes, at the rate at which the whole weighing learns. Whoever decides wh
 
 from __future__ import annotations
 
-import argparse
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import Pool
 
@@ -20,6 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from coverage import DIAMETER_M, facts_of
 from random_arm import EFFECTS_DEFAULT, SPREAD, ball, draw_robot
+from results import Results, parser_of
 from until_sure import MASSES_KG, Bench, calibrated
 
 from proprio_ros.excitation.plans import Until, load_sequence
@@ -57,15 +58,15 @@ def cut(run: Run, end_s: float) -> Run:
     )
 
 
-def one_robot(job: tuple[int, Until]) -> list[Case]:
-    seed, until = job
+def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
+    seed, until, masses = job
     rng = np.random.default_rng(seed)
     hidden = draw_robot(rng, EFFECTS_DEFAULT, SPREAD)
     robot = calibrated(hidden, "shipped", rng)
     if robot is None:
         return []
     cases = []
-    for mass in MASSES_KG:
+    for mass in masses:
         load = ball(mass, DIAMETER_M)
         sequence = replace(load_sequence("payload", robot), runs=(), until=until)
         bench = Bench(hidden, sequence, np.random.default_rng([seed, round(1e6 * mass)]))
@@ -97,24 +98,38 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
     return cases
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=8)
     parser.add_argument("--first", type=int, default=4000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
     parser.add_argument("--half", type=float, default=0.5e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     until = Until(options.half, "kg", options.at_most)
     with Pool(options.jobs) as pool:
-        jobs = [(seed, until) for seed in range(options.first, options.first + options.robots)]
+        jobs = [(seed, until, options.masses) for seed in range(options.first, options.first + options.robots)]
         cases = [case for found in pool.imap(one_robot, jobs) for case in found]
     time_s, driven_s, saved_s = (np.array([getattr(c, n) for c in cases]) for n in ("time_s", "driven_s", "saved_s"))
-    print(
-        f"{len(cases)} weighings of two pushes or more, median {np.median([c.pushes for c in cases]):.0f} pushes and "
-        f"{np.median(time_s):.1f} s, of which a joint is driven for {100 * driven_s.sum() / time_s.sum():.0f} %; ending pushes "
-        f"early saves at most {np.median(saved_s):.2f} s (median) and {100 * saved_s.sum() / time_s.sum():.1f} % of all time"
+    results.table(
+        "early_end",
+        {
+            "weighings of two pushes or more": "{weighings}",
+            "median pushes": "{pushes:.0f}",
+            "median time": "{time_s:.1f} s",
+            "of which a joint is driven": "{driven:.0f} %",
+            "ending pushes early saves at most, median": "{saved_s:.2f} s",
+            "of all time": "{saved:.1f} %",
+        },
     )
+    if cases:
+        results.row(
+            "early_end", weighings=len(cases), pushes=np.median([c.pushes for c in cases]), time_s=np.median(time_s),
+            driven=100.0 * driven_s.sum() / time_s.sum(), saved_s=np.median(saved_s), saved=100.0 * saved_s.sum() / time_s.sum(),
+        )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ def asked(client: Any, service: str) -> tuple[Any, int]:
         print(f"  interrupted: {answer.message}", file=sys.stderr)
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder for recordings, calibration and logs")
     parser.add_argument("--seed", type=int, default=1, help="of the arm's hidden numbers")
@@ -49,7 +50,7 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=30.0, help="of the SO-101's joint states [Hz]")
     parser.add_argument("--unit", choices=("A", "N.m"), default="A")
     parser.add_argument("--calibration", default="none")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     masses = given.masses or ([0.0, 0.05, 0.1, 0.2] if given.so101 else [0.02, 0.05, 0.08, 0.12, 0.15])
     os.environ.setdefault("ROS_DOMAIN_ID", free_domain())
     from support.live import replayed_alike, running, wait_for, warm_up

@@ -1,20 +1,21 @@
-"""What the sequence `free_swing` tells of virtual arms: MuJoCo moves the wrist, which is let go, and a calibration is made of it.
+"""What a calibration makes of the sequence `free_swing` on virtual arms: MuJoCo moves the wrist, which is let go.
 
-python test/benchmarks/free_swings.py [arms | first seed, seed after the last]
+python test/benchmarks/free_swings.py [--arms 10] [--first 0]
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 import numpy as np
+from results import Results, parser_of
 from support import hand as virtual
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.quantity import Z95
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import JointRecord, Recording
 
@@ -39,10 +40,16 @@ def recorded(seed: int) -> tuple[virtual.Hand, Recording]:
     return arm, Recording(f"arm {seed}", JointRecord(np.array(stamps), virtual.JOINTS, np.array(rows)), None, (), off)
 
 
-def main(given: Sequence[str]) -> None:
-    """Print what each arm's calibration says, and how far that is from the truth."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print what each arm's calibration gives, and how far that is from the truth; then one row for each unknown."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--arms", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     virtual.RATE_HZ = 100.0
-    for seed in range(*(int(each) for each in given or ["10"])):
+    found: dict[str, list[tuple[float, float]]] = {kind: [] for kind in KINDS}
+    for seed in range(options.first, options.first + options.arms):
         arm, recording = recorded(seed)
         truth = arm.arm.truth.joints[WRIST]
         print(f"{seed}: at rest {truth.coulomb * (1.0 + truth.stribeck):.3f} N m", end="; ")
@@ -58,8 +65,28 @@ def main(given: Sequence[str]) -> None:
                 true = getattr(truth, row.kind)
                 off = (row.value - true) / row.std
                 print(f"; {row.kind} {row.value:.4f} +- {row.std:.4f}, true {true:.4f}, {off:+.1f} sd", end="")
+                if learnt.verdict.value == "accepted":
+                    found[row.kind].append((off, row.std))
         print(flush=True)
+    results.table(
+        "free_swings",
+        {
+            "unknown": "{unknown}",
+            "accepted calibrations": "{accepted} of {asked}",
+            "95 % intervals that hold": "{hold}",
+            "farthest, in sd": "{farthest:.1f}",
+            "standard deviation, median (of all)": "{std:.2g} ({std_from:.2g} to {std_to:.2g})",
+        },
+    )
+    for kind, rows in found.items():
+        if rows:
+            pull, std = np.abs(np.array(rows)).T
+            results.row(
+                "free_swings", unknown=kind, accepted=len(rows), asked=options.arms, hold=int(np.sum(pull < Z95)),
+                farthest=pull.max(), std=np.median(std), std_from=std.min(), std_to=std.max(),
+            )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

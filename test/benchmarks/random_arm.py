@@ -510,7 +510,7 @@ LOADED_PROBES = (
 )
 
 
-def main() -> None:
+def main(robots: int = 5) -> None:
     """Print what a run costs, how far it moves, and how exact the step is; then how far a stuck joint creeps."""
     rng = np.random.default_rng(1)
     cases = [(probe, None) for probe in EMPTY_PROBES[::3]] + [
@@ -521,7 +521,7 @@ def main() -> None:
         f"steps of {1e3 * STEP_S:g} ms against a fifth of it: rms over the driven time of the joint that differs most"
     )
     worst, costs = 0.0, []
-    for number in range(5):
+    for number in range(robots):
         effects = EFFECTS if number == 4 else EFFECTS_DEFAULT
         robot = draw_robot(rng, effects)
         for probe, load in cases:

@@ -10,6 +10,8 @@ import os
 import platform
 import sys
 import time
+from collections.abc import Sequence
+from typing import Any
 
 # as the command line does, before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -27,6 +29,7 @@ import container
 import fresh_process
 import softness
 from case import REPEATS, Case, Row, measure
+from results import Results, parser_of
 
 from proprio_ros.probes.payload.identify import weigh
 
@@ -56,12 +59,29 @@ def our_rows(case: Case) -> list[Row]:
     ]
 
 
-def printed(row: Row) -> str:
-    """One line of the table."""
+COLUMNS = {
+    "what": "{what}",
+    "median": "{median}",
+    "fastest": "{fastest}",
+    "beside it": "{ratio}",
+    "goal": "{goal}",
+    "notes": "{note}",
+}
+
+
+def figures(row: Row) -> dict[str, Any]:
+    """Numbers and words of a row; times in s."""
     timing = row.timing
-    times = f"{_time(timing.median):>9} {_time(timing.fastest):>9}" if timing else f"{'-':>9} {'-':>9}"
-    status = {True: "PASS", False: "FAIL", None: ""}[row.passed]
-    return f"{row.what:<84} {times}  {row.ratio:<26} {status:<5} {row.note}".rstrip()
+    return {
+        "what": row.what.strip(),
+        "median": None if timing is None else _time(timing.median),
+        "fastest": None if timing is None else _time(timing.fastest),
+        "median_s": None if timing is None else timing.median,
+        "fastest_s": None if timing is None else timing.fastest,
+        "ratio": row.ratio,
+        "goal": {True: "met", False: "missed", None: ""}[row.passed],
+        "note": row.note,
+    }
 
 
 def _time(seconds: float) -> str:
@@ -71,25 +91,30 @@ def _time(seconds: float) -> str:
     return f"{seconds * 1e9:.0f} ns"
 
 
-def main(wanted: list[str]) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run and print; 1 when a goal was missed."""
-    unknown = set(wanted) - set(PARTS)
+    parser = parser_of(__doc__)
+    parser.add_argument("parts", nargs="*", default=list(PARTS), help=f"default: all of {', '.join(PARTS)}")
+    options = parser.parse_args(arguments)
+    unknown = set(options.parts) - set(PARTS)
     if unknown:
         raise SystemExit(f"unknown part {', '.join(sorted(unknown))}; choose from: {', '.join(PARTS)}")
     started = time.perf_counter()
+    results = Results(__file__, options.json, arguments)
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     print(f"{platform.platform()}, Python {platform.python_version()}, {os.cpu_count()} cores, load {load:.1f}")
     case = cases.load()
-    print(f"{cases.BAG.parent.name}: {case.prepared.used} samples, {case.prepared.times_s[-1]:.2f} s\n")
-    print(f"{'what':<84} {'median':>9} {'min':>9}  {'ratio':<26}")
+    print(f"{cases.BAG.parent.name}: {case.prepared.used} samples, {case.prepared.times_s[-1]:.2f} s")
     missed = 0
-    for rows in (our_rows, *(PARTS[name] for name in wanted or PARTS)):
+    for name, rows in (("ours", our_rows), *((name, PARTS[name]) for name in options.parts)):
+        results.table(name, COLUMNS)
         for row in rows(case):
             missed += row.passed is False
-            print(printed(row), flush=True)
+            results.row(name, **figures(row))
     print(f"\n{missed} goals missed; {time.perf_counter() - started:.0f} s in total")
+    results.keep()
     return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

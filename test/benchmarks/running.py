@@ -9,10 +9,11 @@ motion. Half intervals count from 3 s after a change on.
 
 from __future__ import annotations
 
-import argparse
 import time
+from collections.abc import Sequence
 
 import numpy as np
+from results import Results, parser_of
 from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
 
@@ -59,34 +60,50 @@ def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
     return np.array(rows), late, false, (time.process_time() - begun_s) / (0.01 * samples)
 
 
-def main() -> None:
-    """Print one line per arm, and the figures of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """One row per arm, and the figures of all."""
+    parser = parser_of(__doc__)
     parser.add_argument("--arms", type=int, default=4)
     parser.add_argument("--first", type=int, default=1, help="seed of the first arm")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    results.table(
+        "running",
+        {
+            "arm": "{arm}",
+            "changes noticed, after at most": "{noticed} of {changes}, {late_s:.2f} s",
+            "false ones": "{false}",
+            "nothing held: rms error, mean half interval, g; holds": "{empty_rms:.1f}, {empty_half:.1f}; {empty_hold:.0f} %",
+            "an object: rms error, mean half interval, g; holds": "{held_rms:.1f}, {held_half:.1f}; {held_hold:.0f} %",
+            "of a core": "{cpu:.3f}",
+        },
+    )
     robot = load_robot("open_manipulator_x")
-    every, lates = [], []
+    every: list[tuple[np.ndarray, list[float], int, float]] = []
     for seed in range(options.first, options.first + options.arms):
         day = work(robot, seed)
         with threadpool_limits(1, user_api="blas"):
-            rows, late, false, cpu = watch(robot, day)
-        every.append(rows)
-        lates += late
-        print(
-            f"{seed}: {_figures(rows)}; noticed after {max(late):.2f} s at most, {false} false; {cpu:.3f} of a core",
-            flush=True,
-        )
-    print(f"{options.arms} arms: {_figures(np.concatenate(every))}; noticed after {max(lates):.2f} s at most")
+            watched = watch(robot, day)
+        every.append(watched)
+        results.row("running", arm=f"{seed}", **_figures([watched]))
+    results.row("running", arm="all", **_figures(every))
+    results.keep()
 
 
-def _figures(rows: np.ndarray) -> str:
-    words = []
-    for name, those in (("nothing held", rows[rows[:, 0] == 0.0]), ("an object", rows[rows[:, 0] > 0.0])):
-        holds = np.mean(np.abs(those[:, 1]) < those[:, 2])
-        rms, half = 1e3 * np.sqrt(np.mean(those[:, 1] ** 2)), 1e3 * np.mean(those[:, 2])
-        words.append(f"{name}: rms error {rms:.1f} g, half interval {half:.1f} g, holds {100.0 * holds:.0f} %")
-    return "; ".join(words)
+def _figures(watched: Sequence[tuple[np.ndarray, list[float], int, float]]) -> dict[str, float]:
+    rows = np.concatenate([each[0] for each in watched])
+    lates = np.concatenate([each[1] for each in watched])
+    figures = {
+        "changes": len(lates), "noticed": int(np.isfinite(lates).sum()), "late_s": float(lates[np.isfinite(lates)].max()),
+        "false": sum(each[2] for each in watched), "cpu": max(each[3] for each in watched),
+    }  # fmt: skip
+    for name, those in (("empty", rows[rows[:, 0] == 0.0]), ("held", rows[rows[:, 0] > 0.0])):
+        figures |= {
+            f"{name}_rms": float(1e3 * np.sqrt(np.mean(those[:, 1] ** 2))),
+            f"{name}_half": float(1e3 * np.mean(those[:, 2])),
+            f"{name}_hold": float(100.0 * np.mean(np.abs(those[:, 1]) < those[:, 2])),
+        }
+    return figures
 
 
 if __name__ == "__main__":

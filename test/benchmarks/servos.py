@@ -11,13 +11,14 @@ calibrate, and others with a load that nobody stated are asked: what `proprio ca
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from results import Results, parser_of
 from scipy.stats import binomtest
 from support.machines import pendulum_urdf
 from support.servo_bag import write
@@ -150,15 +151,17 @@ def asked(
     return answers
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--servos", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--questions", type=int, default=3, help="to each")
     parser.add_argument("--rate", type=float, default=100.0, help="of the recordings [Hz]")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     rows = []
     for seed in range(options.first, options.first + options.servos):
-        rows += asked(seed, options.rate)
+        rows += asked(seed, options.rate, options.questions)
         if (seed + 1 - options.first) % 10 == 0:
             print(f"{seed + 1 - options.first} servos", file=sys.stderr)
     given = [row for row in rows if row[1] is not None]
@@ -166,15 +169,26 @@ def main() -> int:
     off = np.array([(value - truth) / truth for truth, value, _, _ in given])
     pulls = np.array([(value - truth) / std for truth, value, std, _ in given])
     widths = np.array([(high - low) / 2.0 / truth for truth, _, _, (low, high) in given])
-    print(f"{len(rows)} questions to {options.servos} servos: {len(given)} answered")
+    results.table(
+        "servos",
+        {
+            "servos": "{servos}",
+            "answered": "{answered} of {asked}",
+            "intervals that hold": "{hold:.1f} % ({low:.0f} to {high:.0f})",
+            "error rms, worst": "{rms:.1f}, {worst:.1f} %",
+            "median half interval": "{half:.1f} %",
+            "farthest, in sd": "{farthest:.1f}",
+        },
+    )
     if given:
         low, high = binomtest(held, len(given)).proportion_ci(method="wilson")
-        print(f"coverage {held / len(given):.1%} ({low:.0%} to {high:.0%}), farthest {np.abs(pulls).max():.1f} sd")
-        print(
-            f"off by {np.sqrt(np.mean(off**2)):.1%} rms, {np.abs(off).max():.1%} at most; half width {np.median(widths):.1%}"
-        )
-    return 0
+        results.row(
+            "servos", servos=options.servos, answered=len(given), asked=len(rows), hold=100.0 * held / len(given),
+            low=100.0 * low, high=100.0 * high, rms=100.0 * np.sqrt(np.mean(off**2)), worst=100.0 * np.abs(off).max(),
+            half=100.0 * np.median(widths), farthest=np.abs(pulls).max(),
+        )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

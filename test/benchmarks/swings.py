@@ -1,26 +1,27 @@
 """How often the interval of a weighing from free swings holds, on pendulums that an independent simulation let go.
 
 Each pendulum has a random rotor, random friction (Coulomb, viscous, a rise towards standstill) that differs by 8 % from swing to
-swing, an encoder of 4096 counts and 100 Hz, whose readings are up to 8 ms old. With ``harsh``, friction also grows with the weight
-that the gears carry, which our model does not know. Two known loads calibrate, a third is asked.
+swing, an encoder of 4096 counts and 100 Hz, whose readings are up to 8 ms old. With ``--harsh``, friction also grows with the
+weight that the gears carry, which our model does not know. Two known loads calibrate, a third is asked.
 
-    python test/benchmarks/swings.py [pendulums] [harsh]
+    python test/benchmarks/swings.py [--pendulums 20] [--harsh]
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from results import Results, parser_of
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.quantity import Z95
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
@@ -120,10 +121,13 @@ def machine_of(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def main(given: Sequence[str]) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the error and the interval of each, and how many held."""
-    count = int(given[0]) if given else 20
-    harsh = "harsh" in given
+    parser = parser_of(__doc__)
+    parser.add_argument("--pendulums", type=int, default=20)
+    parser.add_argument("--harsh", action="store_true")
+    options = parser.parse_args(arguments)
+    results, count, harsh = Results(__file__, options.json, arguments), options.pendulums, options.harsh
     rng = np.random.default_rng(7)
     off, sigmas, refused = [], [], 0
     with tempfile.TemporaryDirectory() as folder:
@@ -155,12 +159,24 @@ def main(given: Sequence[str]) -> None:
                 f"{number}: {masses[2]:.3f} kg {off[-1]:+.2f} %, sd {100.0 * value.std / masses[2]:.2f} %, {sigmas[-1]:+.1f} sd",
                 flush=True,
             )
-    held = np.mean(np.abs(sigmas) < 1.96)
-    print(
-        f"{len(off)} answered, {refused} not; mean {np.mean(np.abs(off)):.2f} %, worst {np.max(np.abs(off)):.2f} %; "
-        f"{100.0 * held:.0f} % of the 95 % intervals hold, farthest {np.max(np.abs(sigmas)):.1f} sd"
+    results.table(
+        "swings",
+        {
+            "pendulums": "{pendulums}",
+            "answered": "{answered} of {asked}",
+            "mean error, worst": "{mean:.2f}, {worst:.2f} %",
+            "intervals that hold": "{hold:.0f} %",
+            "farthest, in sd": "{farthest:.1f}",
+        },
     )
+    if off:
+        results.row(
+            "swings", pendulums="harsh" if harsh else "as the model knows them", answered=len(off), asked=count,
+            mean=np.mean(np.abs(off)), worst=np.max(np.abs(off)), hold=100.0 * np.mean(np.abs(sigmas) < Z95),
+            farthest=np.max(np.abs(sigmas)),
+        )  # fmt: skip
+    results.keep()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

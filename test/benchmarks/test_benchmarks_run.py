@@ -82,12 +82,12 @@ def test_a_sphere_in_mujoco_is_ours() -> None:
 
 def test_void_without_agreement(case: Any) -> None:
     from case import compare
-    from run import printed
+    from run import figures
 
     good = compare("x", lambda: (np.array([case.mass]), case.mass), 0.0, case, repeats=1)
-    assert good.passed and "PASS" in printed(good)
+    assert good.passed and figures(good)["goal"] == "met"
     wrong = compare("x", lambda: (np.array([0.07]), 0.07), 0.0, case, repeats=1)
-    assert wrong.passed is False and wrong.ratio == "void" and "FAIL" in printed(wrong)
+    assert wrong.passed is False and wrong.ratio == "void" and figures(wrong)["goal"] == "missed"
 
 
 @pytest.mark.long

@@ -13,12 +13,12 @@ current where it moved too little; ways, rests and brakes take the time that the
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import Pool
 from pathlib import Path
@@ -29,6 +29,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from coverage import DIAMETER_M, MATCHED, REFERENCE_KG, facts_of
 from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, HiddenRobot, Load, ball, draw_robot, record
+from results import Results, parser_of
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, Until, load_sequence
@@ -220,36 +221,52 @@ def one_robot(job: tuple[int, str, bool, bool, Until, Sequence[float]]) -> list[
     return cases
 
 
-def line(name: str, cases: Sequence[Case]) -> None:
-    """One row of the table."""
-    said = [c for c in cases if c.ended_by != "refused"]
-    if not said:
+COLUMNS = {
+    "calibration, mass": "{name}",
+    "answers": "{answered} of {asked}",
+    "target met": "{met:.0f} %",
+    "median half interval, g": "{half:.2f}",
+    "rms error, g": "{rms:.2f}",
+    "interval holds": "{hold:.1f} %",
+    "median time, s": "{time_s:.0f}",
+    "runs": "{runs:.0f}",
+    "time over fixed": "{over_fixed:.2f}{never_words}",
+    "slowest decision, ms": "{decided_ms:.0f}",
+    "ended by": "{ends}",
+}
+
+
+def row(results: Results, name: str, cases: Sequence[Case]) -> None:
+    """One row of the table; none without answers."""
+    answered = [c for c in cases if c.ended_by != "refused"]
+    if not answered:
         return
-    error = np.array([c.error for c in said])
-    ends = {
-        by: sum(c.ended_by == by for c in cases) for by in ("target", "worth", "time", "stuck", "nothing", "refused")
-    }
-    ratio = np.array([c.time_s / c.fixed_s for c in said])
-    print(
-        f"| {name} | {len(said)} of {len(cases)} | {100 * np.mean([c.met for c in said]):.0f} % | "
-        f"{1e3 * np.median([c.half for c in said]):.2f} | {1e3 * np.sqrt(np.mean(error**2)):.2f} | "
-        f"{100 * np.mean([c.holds for c in said]):.1f} % | {np.median([c.time_s for c in said]):.0f} | "
-        f"{np.median([c.runs for c in said]):.0f} | {np.median(ratio):.2f}"
-        f"{'' if all(c.fixed_reached for c in said) else f' (fixed never there: {sum(not c.fixed_reached for c in said)})'} | "
-        f"{1e3 * max(c.decided_s for c in said):.0f} | {', '.join(f'{by} {n}' for by, n in ends.items() if n)} |",
-        flush=True,
-    )
+    error = np.array([c.error for c in answered])
+    never = sum(not c.fixed_reached for c in answered)
+    results.row(
+        "until_sure", name=name, answered=len(answered), asked=len(cases), met=100.0 * np.mean([c.met for c in answered]),
+        half=1e3 * np.median([c.half for c in answered]), rms=1e3 * np.sqrt(np.mean(error**2)),
+        hold=100.0 * np.mean([c.holds for c in answered]), time_s=np.median([c.time_s for c in answered]),
+        runs=np.median([c.runs for c in answered]), over_fixed=np.median([c.time_s / c.fixed_s for c in answered]),
+        never=never, never_words=f" (fixed never there: {never})" if never else "",
+        decided_ms=1e3 * max(c.decided_s for c in answered), ends=endings(case.ended_by for case in cases),
+    )  # fmt: skip
 
 
-def table(reference: str, cases: Sequence[Case]) -> None:
+def endings(ended_by: Iterable[str]) -> str:
+    """How often each came about, in words."""
+    return ", ".join(f"{by} {count}" for by, count in Counter(ended_by).most_common())
+
+
+def table(results: Results, reference: str, cases: Sequence[Case]) -> None:
     """The rows of one way to calibrate."""
-    line(f"reference {reference}", cases)
+    row(results, f"reference {reference}", cases)
     for mass in sorted({case.mass for case in cases}):
-        line(f"reference {reference}, {1e3 * mass:.0f} g", [case for case in cases if case.mass == mass])
+        row(results, f"reference {reference}, {1e3 * mass:.0f} g", [case for case in cases if case.mass == mass])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=1000, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
@@ -262,12 +279,9 @@ def main() -> None:
     parser.add_argument("--reference", nargs="+", default=["none", "empty", "shipped", "chosen"])
     parser.add_argument("--half", type=float, default=0.5e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
-    options = parser.parse_args()
-    print(
-        "| calibration, mass | answers | target met | median half interval, g | rms error, g | interval holds | median time, s | "
-        "runs | time over fixed | slowest decision, ms | ended by |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
+    results.table("until_sure", COLUMNS)
     until = Until(options.half, "kg", options.at_most)
 
     def masses_of(seed: int) -> Sequence[float]:
@@ -277,7 +291,8 @@ def main() -> None:
     if options.table:
         lines = [Case(**json.loads(row)) for row in options.table.read_text().splitlines()]
         for reference in options.reference:
-            table(reference, [case for case in lines if case.reference == reference])
+            table(results, reference, [case for case in lines if case.reference == reference])
+        results.keep()
         return
     with Pool(options.jobs) as pool:
         for reference in options.reference:
@@ -289,7 +304,8 @@ def main() -> None:
                 if options.save:
                     with options.save.open("a") as file:
                         file.writelines(json.dumps(asdict(case)) + "\n" for case in found)
-            table(reference, cases)
+            table(results, reference, cases)
+    results.keep()
 
 
 if __name__ == "__main__":

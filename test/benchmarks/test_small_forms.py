@@ -1,0 +1,121 @@
+"""Every benchmark runs, in as small a form as it has, and keeps what it found; what it finds is judged elsewhere."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from results import REPOSITORY, markdown
+
+SHARED = REPOSITORY.parent / "shared"
+SMALL: dict[str, tuple[str, ...]] = {
+    "block_until": ("--robots", "1", "--jobs", "1"),
+    "container_until": ("--robots", "1", "--first", "9001", "--reference", "none", "--fixed-every", "2", "--jobs", "1"),
+    "coverage": ("--robots", "2", "--per-effect", "0", "--jobs", "1"),
+    "distorted": ("--only", "nothing", "currents x 2"),
+    "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
+    "early_end": ("--robots", "1", "--masses", "0.05", "--jobs", "1"),
+    "free_swings": ("--arms", "1", "--first", "10"),
+    "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
+    "real": ("--machines", "open_manipulator"),
+    "running": ("--arms", "1"),
+    "servos": ("--servos", "1", "--questions", "1"),
+    "simulated": ("--robots", "quantised_s00"),
+    "so101": ("--arms", "1", "--first", "1", "--seconds", "25"),
+    "spheres": ("--robots", "1", "--jobs", "1"),
+    "squeezes": ("--robots", "1"),
+    "swings": ("--pendulums", "1"),
+    "until_sure": ("--robots", "1", "--masses", "0.02", "--reference", "none", "--at-most", "20", "--jobs", "1"),
+}
+ELSEWHERE = {
+    "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
+    "softness",  # parts of run.py
+    "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
+    "effort_controller",  # in real time, for minutes: test/nodes/test_effort_controller.py asks the same for one mass
+    "case", "results",  # no benchmarks
+}  # fmt: skip
+NEEDS = {"distorted": "recordings_real", "real": "recordings_real", "simulated": "recordings"}
+
+
+def test_every_benchmark_has_a_small_form() -> None:
+    names = {path.stem for path in Path(__file__).parent.glob("*.py") if not path.stem.startswith("test_")}
+    assert names == SMALL.keys() | ELSEWHERE
+
+
+def ran(name: str, words: tuple[str, ...], file: Path) -> dict[str, Any]:
+    """What a benchmark keeps."""
+    importlib.import_module(name).main([*words, "--json", str(file)])
+    kept: dict[str, Any] = json.loads(file.read_text())
+    assert (
+        kept["command"].startswith(f"python test/benchmarks/{name}.py {words[0]}") and str(file) not in kept["command"]
+    )
+    return kept
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SMALL)
+def test_a_benchmark_runs(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    if name in NEEDS and not (SHARED / NEEDS[name]).is_dir():
+        pytest.skip(f"needs {SHARED / NEEDS[name]}")
+    kept = ran(name, SMALL[name], tmp_path / f"{name}.json")
+    assert any(table["rows"] for table in kept["tables"].values())
+    for table in kept["tables"].values():
+        assert len(markdown(table).splitlines()) == 2 + len(table["rows"])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "softness"])
+def test_a_part_of_the_comparison_runs(part: str, tmp_path: Path) -> None:
+    """To its last row; goals of time may be missed on a busy computer, and are no matter here."""
+    pytest.importorskip("mujoco")
+    kept = ran("run", (part,), tmp_path / "run.json")
+    assert len(kept["tables"]["ours"]["rows"]) == 2 and kept["tables"][part]["rows"]
+    assert not [row for row in kept["tables"][part]["rows"] if row["ratio"] == "void"]
+
+
+@pytest.mark.long
+def test_the_driver_s_cycle_is_timed() -> None:
+    pytest.importorskip("mujoco")
+    from bus import rows
+
+    assert len(rows(duration_s=1.0)) == 5
+
+
+@pytest.mark.long
+def test_answers_are_compared(tmp_path: Path) -> None:
+    from answers import compare, write
+
+    folder = tmp_path / "bags"
+    folder.mkdir()
+    name = "quantised_s00_fixed_heavy_ball_50g_joint3"
+    (folder / name).symlink_to(REPOSITORY / "bags" / name)
+    for number in (1, 2):
+        write(tmp_path / f"{number}.json", [folder])
+    assert len(json.loads((tmp_path / "1.json").read_text())) == 1
+    assert compare(tmp_path / "1.json", tmp_path / "2.json", numbers=False) == 0
+
+
+@pytest.mark.long
+def test_a_simulated_arm_s_step_is_judged(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    from random_arm import main
+
+    main(robots=1)
+    assert "a stuck joint creeps" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_episodes_are_made_and_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("pyarrow")
+    import batch
+
+    folder = tmp_path / "episodes"
+    batch.main(["make", str(folder), "--episodes", "4", "--jobs", "1"])
+    assert batch.batch(folder, [str(folder / "data")], folder / "out", "--jobs", "1").wait() in (0, 3)
+    batch.compare(folder, folder / "out", replayed=1)
+    assert "1 of them by `replay` one by one: 0 differ in any bit" in capsys.readouterr().out
