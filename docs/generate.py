@@ -1,9 +1,11 @@
-"""Writes the pages that follow from the code: ``python docs/generate.py`` (after a change of an option, a parameter or a topic).
+"""Writes the pages that follow from the code: ``python docs/generate.py`` (after a change of an option, a
+parameter, a topic or a file of ``results``).
 
 ``pages/command_line.md`` comes from the parser of ``proprio_ros/cli.py``; ``pages/ros_interface.md`` from the parameter tables
 of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. ``pages/settings.md`` comes
 from the forms of settings, robot files and calibrations, and from the limits of what is read. None needs ROS: where
 rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
+Tables of figures in README and ``pages/validation.md`` come from ``results/*.json`` (`figures`).
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
+
+import figures
 
 PAGES = Path(__file__).resolve().parent / "pages"
 NOTE = "<!-- written by docs/generate.py from the code: change that instead -->"
@@ -527,9 +531,19 @@ def pages() -> dict[Path, str]:
         PAGES / "command_line.md": command_line(),
         PAGES / "ros_interface.md": ros_interface(),
         PAGES / "settings.md": settings(),
+        **measured(),
     }
 
 
+def measured() -> dict[Path, str]:
+    """Every page with figures of benchmarks, with what should be in it."""
+    found = (PAGES.parents[1] / "README.md", *sorted(PAGES.glob("*.md")))
+    texts = {path: path.read_text(encoding="utf-8") for path in found}
+    return {path: figures.filled(text) for path, text in texts.items() if figures.BLOCK.search(text)}
+
+
 if __name__ == "__main__":
-    for path, text in pages().items():
+    # only what benchmarks measured: no code is imported
+    chosen = measured() if sys.argv[1:] == ["figures"] else pages()
+    for path, text in chosen.items():
         path.write_text(text, encoding="utf-8")

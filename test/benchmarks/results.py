@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from figures import cells, line
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
@@ -28,24 +30,6 @@ def parser_of(doc: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="keep what is found in this file")
     return parser
-
-
-def cells(columns: Mapping[str, str], row: Mapping[str, Any]) -> list[str]:
-    """A row as a page shows it: each column's words with the row's numbers; `-` where a number is missing."""
-    missing = {key for key, value in row.items() if value is None or value != value}
-    return ["-" if any(f"{{{key}" in words for key in missing) else words.format(**row) for words in columns.values()]
-
-
-def line(words: Sequence[str]) -> str:
-    """A row of a table in Markdown."""
-    return f"| {' | '.join(words)} |"
-
-
-def markdown(table: Mapping[str, Any]) -> str:
-    """A table in Markdown."""
-    columns = table["columns"]
-    rows = [line(cells(columns, row)) for row in table["rows"]]
-    return "\n".join([line(list(columns)), "|" + "---|" * len(columns), *rows])
 
 
 class Results:

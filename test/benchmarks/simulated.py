@@ -1,7 +1,7 @@
-"""The tables of the validation page that are of simulated recordings: weighing, what is in the box, soft blocks.
+"""The tables of the validation page that are of simulated recordings: weighing, spheres, soft blocks.
 
-    python test/benchmarks/simulated.py                     # all three, with the recordings beside the clone
-    python test/benchmarks/simulated.py weighing            # or some of weighing, container, blocks
+    python test/benchmarks/simulated.py                     # all of them, with the recordings beside the clone
+    python test/benchmarks/simulated.py weighing            # or some of weighing, container, blocks, paper
     python test/benchmarks/simulated.py --robots ideal_s00  # some of the robots alone
 
 The tests of the same recordings hold limits; this prints the figures, in g and %. Each recording is asked what its test asks.
@@ -23,6 +23,7 @@ from support import simulated
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95, Quantity
 from proprio_ros.robot import Robot, load_robot
@@ -33,10 +34,10 @@ REALISTIC = ("realistic_s00", "realistic_s01")
 LEVELS = {
     "ideal_s00": "no noise, no friction",
     "quantised_s00": "12-bit encoder, 2.69 mA current steps",
-    "friction_s00": "and Coulomb and viscous friction",
-    "realistic_s00": "unknown friction, torque constant, delay, noise, compliance; first robot",
-    "realistic_s01": "the same, second robot",
-    "hard_s00": "and backlash, Stribeck, 10 % load friction, 1 ms stamps, lost messages",
+    "friction_s00": "the same, and Coulomb and viscous friction",
+    "realistic_s00": "realistic: friction, torque constant, delay, noise, compliance unknown",
+    "realistic_s01": "realistic, another robot",
+    "hard_s00": "hard: also backlash, Stribeck, 10 % load friction, 1 ms stamps, lost messages",
 }
 
 
@@ -206,8 +207,28 @@ def blocks(results: Results, levels: Sequence[str]) -> None:
             )  # fmt: skip
 
 
+def paper(results: Results, levels: Sequence[str]) -> None:
+    """The recording that the paper's authors published, by our settings and by theirs."""
+    columns = {
+        "settings": "{profile}",
+        "verdict": "{verdict}",
+        "least error at": "{ends} g",
+        "their schedule stops at": "{stops} g",
+        "first reason": "{reason}",
+    }
+    results.table("paper", columns)
+    for profile in ("default", "paper"):
+        estimate = replay([RECORDINGS / "paper_heavy_ball"], ReplayOptions(profile=profile))
+        paths = estimate.solver.paths if profile == "paper" else ()
+        results.row(
+            "paper", profile=profile, verdict=estimate.verdict.value, reason=str(estimate.reasons[0]),
+            ends=", ".join(f"{1e3 * path.end:.1f}" for path in paths) or None,
+            stops=", ".join(f"{1e3 * path.scheduled:.0f}" for path in paths) or None,
+        )  # fmt: skip
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    tables = {"weighing": weighing, "container": container, "blocks": blocks}
+    tables = {"weighing": weighing, "container": container, "blocks": blocks, "paper": paper}
     parser = parser_of(__doc__)
     parser.add_argument("tables", nargs="*", default=list(tables), help=", ".join(tables))
     parser.add_argument("--robots", nargs="+", default=list(LEVELS), choices=list(LEVELS), help="default: all")

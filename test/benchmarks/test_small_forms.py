@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from results import REPOSITORY, markdown
+from figures import markdown
+from results import REPOSITORY
 
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
@@ -23,7 +24,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "real": ("--machines", "open_manipulator"),
     "running": ("--arms", "1"),
     "servos": ("--servos", "1", "--questions", "1"),
-    "simulated": ("--robots", "quantised_s00"),
+    "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00"),
     "so101": ("--arms", "1", "--first", "1", "--seconds", "25"),
     "spheres": ("--robots", "1", "--jobs", "1"),
     "squeezes": ("--robots", "1"),
@@ -35,7 +36,7 @@ ELSEWHERE = {
     "softness",  # parts of run.py
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "effort_controller",  # in real time, for minutes: test/nodes/test_effort_controller.py asks the same for one mass
-    "case", "results",  # no benchmarks
+    "case", "figures", "results",  # no benchmarks
 }  # fmt: skip
 NEEDS = {"distorted": "recordings_real", "real": "recordings_real", "simulated": "recordings"}
 
