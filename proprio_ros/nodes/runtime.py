@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -18,7 +19,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -86,6 +87,9 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, **kwargs)
         self.values = declare(self, [AUTOSTART, *self.parameters])
         self.active = False
+        for service in self.services:
+            if service.srv_name.endswith("/change_state"):
+                service.callback = partial(self._change_state, service.callback)
         self._own = [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
 
     # --- for subclasses -----------------------------------------------------------------------------------------------
@@ -175,6 +179,16 @@ class ManagedNode(LifecycleNode):
         subscriptions = [self.create_subscription(kind, topic, hear, quality, event_callbacks=events, raw=raw)]
 
     # --- the lifecycle ------------------------------------------------------------------------------------------------
+
+    def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Refuse a transition that is not due: rclpy 7.1 raises then, which would end the node that holds the arm."""
+        try:
+            return change(request, response)
+        except Exception as error:
+            asked = request.transition.label or request.transition.id
+            self.say("warning", f"lifecycle transition {asked} is refused: {' '.join(str(error).split())}")
+            response.success = False
+            return response
 
     def _transition(self, what: str, action: Callable[[], None]) -> TransitionCallbackReturn:
         try:
@@ -340,7 +354,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
                 code = 2
                 ended.set()
         while not ended.is_set():
-            spinner.spin_once(timeout_sec=0.1)
+            _turn(node, spinner)
             pause_s = node.pause_s
             if pause_s > 0.0:
                 time.sleep(pause_s)
@@ -355,6 +369,17 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
             node.destroy_node()
         rclpy.try_shutdown()
     return code
+
+
+def _turn(node: ManagedNode, spinner: SingleThreadedExecutor) -> None:
+    """One callback. A defect in it costs its answer, not the node: whoever holds the arm goes on holding it."""
+    try:
+        spinner.spin_once(timeout_sec=0.1)
+    except (ExternalShutdownException, ShutdownException):
+        raise
+    except Exception as error:
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        node.get_logger().error(f"a defect in a callback ({said[:200]}); the node goes on", throttle_duration_sec=1.0)
 
 
 def _warn_about_mixed_installations() -> None:

@@ -735,6 +735,20 @@ def test_deactivated_in_mid_probe(arm: Arm) -> None:
     assert_held(client)
 
 
+@pytest.mark.parametrize("node", ["driver", "excitation", "identifier", "virtual"])
+def test_a_transition_that_is_not_due(arm: Arm, node: str) -> None:
+    """Anyone can ask for one by mistake: it is refused, and the node lives on."""
+    client = arm.client
+    for transition in (Transition(id=Transition.TRANSITION_CONFIGURE), Transition(id=99), Transition(label="fly")):
+        answer = client.answer(
+            client.begin(f"/{node}/change_state", ChangeState, ChangeState.Request(transition=transition))
+        )
+        assert not answer.success
+    assert f"lifecycle transition {Transition.TRANSITION_CONFIGURE} is refused" in arm.log(node)
+    assert arm.graph.processes[node].poll() is None
+    assert_held(client)
+
+
 def test_stop_in_mid_probe(arm: Arm) -> None:
     client = arm.client
     begin_push(client)
