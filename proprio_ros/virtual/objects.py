@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, one_line
 
 if TYPE_CHECKING:
     from proprio_ros.records import FloatArray
@@ -165,7 +165,7 @@ def parse_object(text: str, kinds: Iterable[type[HandObject]]) -> HandObject | N
         return make(**fields)
     except ConfigurationError as error:
         forms = " | ".join(["none | 0.05", *(kind.form for kind in there.values())])
-        raise ConfigurationError(f"object {text!r}: {error}; valid: {forms} (kg, m, Pa)") from error
+        raise ConfigurationError(f"object {one_line(text, 120)!r}: {error}; valid: {forms} (kg, m, Pa)") from error
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -180,11 +180,11 @@ def _numbers(key: str, text: str, count: int) -> float | tuple[float, ...]:
     try:
         parsed = json.loads(text)
         values = tuple(float(value) for value in (parsed if count > 1 else [parsed]))
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
         form = "a number" if count == 1 else f"{count} numbers in brackets"
-        raise ConfigurationError(f"{key}={text.strip()} must be {form}")
+        raise ConfigurationError(f"{key}={one_line(text.strip(), 60)} must be {form}")
     return values[0] if count == 1 else values
 
 

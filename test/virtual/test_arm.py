@@ -418,6 +418,7 @@ def test_objects_as_users_type_them(text: str, expected: HandObject | None) -> N
         ("-0.05", "masses are in kg"),
         ("payload:", "mass= must be a number"),
         ("payload:nan", "must be a number"),
+        ("9" * 400, "must be a number"),
         ("brick:1", "unknown kind 'brick'"),
         ("payload:0.05,colour=3", "unknown key 'colour'"),
         ("payload:0.05,size", "no key=value"),
