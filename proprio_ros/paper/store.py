@@ -26,7 +26,8 @@ Task = tuple[str, int]
 """Experiment and seed."""
 
 
-NO_ROWS = ("cli.py", "nodes/", "launch/", "report/", "paper/page.py", "paper/quoted.py", "paper/store.py")
+_PAGES = ("page.py", "cells.py", "searches_page.py", "quoted.py", "store.py")
+NO_ROWS = ("cli.py", "nodes/", "launch/", "report/", *(f"paper/{name}" for name in _PAGES))
 """Of the package's sources, those from which no row follows."""
 
 
