@@ -165,7 +165,7 @@ def parse_object(text: str, kinds: Iterable[type[HandObject]]) -> HandObject | N
         return make(**fields)
     except ConfigurationError as error:
         forms = " | ".join(["none | 0.05", *(kind.form for kind in there.values())])
-        raise ConfigurationError(f"object {one_line(text, 120)!r}: {error}; valid: {forms} (kg, m, Pa)") from error
+        raise ConfigurationError(f"object {one_line(text, 40)!r}: {error}; valid: {forms} (kg, m, Pa)") from error
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -184,7 +184,7 @@ def _numbers(key: str, text: str, count: int) -> float | tuple[float, ...]:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
         form = "a number" if count == 1 else f"{count} numbers in brackets"
-        raise ConfigurationError(f"{key}={one_line(text.strip(), 60)} must be {form}")
+        raise ConfigurationError(f"{key}={one_line(text.strip(), 40)} must be {form}")
     return values[0] if count == 1 else values
 
 
