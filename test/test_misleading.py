@@ -122,14 +122,14 @@ def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, rob
     runs = [prepare_run(known, run) for run in bag_runs(bag_in(bags / BALL), known, ReplayOptions(), {})]
     found = solve_load(known, runs, PayloadFacts(), _options(), Role.FREE)
     name = "payload_mass"
-    assert Assessment(found, name, runs, True).far_from_priors(known) == []
+    assert Assessment(found, name).far_from_priors() == []
     rows = {name: found.problem.index[key] for key, name in zip(learnt.keys, learnt.names, strict=True)}
     values = found.problem.base.copy()
     values[found.problem.index[name]] = found.values[found.problem.index[name]]
     for unknown in ("torque_constant[joint3]", "arm_scale"):
         sign = 1.0 if unknown == "arm_scale" else -1.0
         values[rows[unknown]] += sign * 3.0 * found.problem.unknowns[rows[unknown]].std
-    (sentence,) = Assessment(replace(found, values=values), name, runs, True).far_from_priors(known)
+    (sentence,) = Assessment(replace(found, values=values), name).far_from_priors()
     assert "together" in sentence
 
 

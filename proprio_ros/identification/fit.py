@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,14 +13,14 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Scan, SolverSummary, StartPath, UnknownRow
-from proprio_ros.identification.gates import Findings, chi2_limit
+from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, load_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
-from proprio_ros.kinds import key_of, label_of
+from proprio_ros.kinds import Key, key_of, label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -103,6 +103,15 @@ class FitResult:
     def reduced_chi2(self) -> float:
         return self.chi2 / self.dof
 
+    def value_of(self, key: Key) -> float:
+        """Of an unknown, in its unit."""
+        return float(self.values[self.problem.index[key]])
+
+    def determined(self, key: Key) -> tuple[float, float]:
+        """Of an unknown: its value and standard deviation, as the recording and its prior determine it."""
+        row = self.problem.index[key]
+        return self.value_of(key), float(np.sqrt(Posterior(self.problem, self.values).whole_covariance()[row, row]))
+
     def values_of(self, unknowns: Sequence[Unknown]) -> np.ndarray:
         """Its values of another problem's unknowns, theirs where it has none, shape (N,)."""
         index = self.problem.index
@@ -160,22 +169,47 @@ def solve_load(
     return FitResult.of(problem, solution)
 
 
-def warn_if_uncalibrated(
-    robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]], found: Findings
-) -> None:
-    """Add a warning to ``found`` where the interval carries the file's priors instead of a calibration."""
+def fit_both(
+    solve: Callable[..., FitResult], again: Callable[[FitResult, FitResult], bool]
+) -> tuple[FitResult, FitResult]:
+    """A fit with the robot as it is stated, and from there the one in which all that is open moves under its prior.
+
+    Args:
+        solve: Of a role for what is open, and a fit to start from (``start``), default every start.
+        again: Whether, of both fits, the second is to be tried from every start, too; the better one counts.
+    """
+    nominal = solve(Role.FROZEN)
+    opened = solve(Role.FREE, start=nominal)
+    if again(nominal, opened):
+        other = solve(Role.FREE)
+        opened = other if other.chi2 < opened.chi2 else opened
+    return nominal, opened
+
+
+def unexplained(_: FitResult, opened: FitResult) -> bool:
+    """For `fit_both`: whether the second fit does not explain the recording, as far from the file's values."""
+    return not opened.explains
+
+
+def fit_opened(solve: Callable[..., FitResult]) -> FitResult:
+    """The second fit of `fit_both`, from the first one alone."""
+    return solve(Role.FREE, start=solve(Role.FROZEN))
+
+
+def uncalibrated(robot: Robot, runs: Sequence[PreparedRun], budget: Sequence[tuple[str, float]]) -> list[Reason]:
+    """A sentence where the interval carries the file's priors instead of a calibration; ``budget`` in kg."""
     if robot.is_calibrated():
         joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
         if joints and robot.calibration is not None:  # a file that only says so leaves nothing to be said
             open_of_it = "was not calibrated, so the interval carries what the robot file leaves open of it"
-            found.reasons.append(Reason("not_calibrated", f"{', '.join(joints)} {open_of_it}"))
-        return
+            return [Reason("not_calibrated", f"{', '.join(joints)} {open_of_it}")]
+        return []
     if known_exactly(robot, runs):
-        return
+        return []
     largest = [f"{source_label(source)} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER][:3]
     sentence = "the robot has not been calibrated: the interval carries what its file leaves open"
     sentence += f" (standard deviations: {', '.join(largest)})" if largest else ""
-    found.reasons.append(Reason("not_calibrated", sentence))
+    return [Reason("not_calibrated", sentence)]
 
 
 def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_mass") -> list[tuple[str, float]]:
@@ -310,19 +344,6 @@ def _paths(
         )
         for s, end in enumerate(ends)
     )  # fmt: skip
-
-
-def misfit_reason(rms: float, expected: float, mass: float, reduced_chi2: float) -> str:
-    """Why a fit is no weighing: residuals (rms [rad]) larger than expected, or unknowns too far from their priors."""
-    if rms <= expected:
-        return (
-            f"misfit: the simulation ({1e3 * mass:.1f} g) only follows the recording with a robot or a start further from what is "
-            f"known about them than chance allows (reduced chi-square {reduced_chi2:.1f})"
-        )
-    return (
-        f"misfit: the best simulation ({1e3 * mass:.1f} g) misses the recording by {1e3 * rms:.2f} mrad rms where the encoder "
-        f"explains {1e3 * expected:.2f} mrad, so its mass is no weighing"
-    )
 
 
 def other_suspects(robot: Robot) -> list[str]:

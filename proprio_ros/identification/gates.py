@@ -10,7 +10,7 @@ import numpy as np
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.quantity import shown
 from proprio_ros.robot import DriveTrain, Robot
 
@@ -110,6 +110,14 @@ def unusable(run: PreparedRun) -> str:
             f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel",
         )
     return ""
+
+
+def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:
+    """Whether a run can be used; why not, and what is unusual about it, is added to ``found``."""
+    if problem := unusable(run):
+        found.reasons.append(of_run(run.run.name, problem))
+    screen_run(robot, run, found)
+    return not problem
 
 
 def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:

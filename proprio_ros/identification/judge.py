@@ -1,26 +1,17 @@
-"""What a fit is worth: the interval, how it is widened, the verdict, and the answer that says all of it.
+"""What a fit is worth: the interval, how it is widened, and the verdict.
 
 A probe looks at its fit from the worst that can be wrong with it to the least, and yields a `Refusal` for what it finds; the first
-one counts. Everything else about an answer is the same for every probe, and is made here.
+one counts. Calibrations and motions are judged by the same function.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.identification.estimate import (
-    Detail,
-    Estimate,
-    Fit,
-    Scan,
-    SolverSummary,
-    UnknownRow,
-    Value,
-    Verdict,
-)
+from proprio_ros.identification.estimate import Scan, Value, Verdict
 from proprio_ros.identification.fit import (
     FitResult,
     error_budget,
@@ -28,16 +19,13 @@ from proprio_ros.identification.fit import (
     other_suspects,
     source_label,
     unknown_rows,
-    warn_if_uncalibrated,
 )
-from proprio_ros.identification.gates import MOVING_START, Contradiction, Findings, chance_limit
+from proprio_ros.identification.gates import MOVING_START, chance_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.stamps import stamps_off
-from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95, shown, spec_for
-from proprio_ros.robot import Robot
 
 FAR = 5.0
 """Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say (DESIGN)."""
@@ -49,19 +37,27 @@ UNEVEN_S, UNEVEN_SHARE = 1e-3, 0.15
 count."""
 
 
+Budget = Sequence[tuple[str, float]]
+"""Sources of uncertainty, and the standard deviation that each puts on the value, in its unit; the largest first."""
+
+
 @dataclass(frozen=True)
 class Refusal:
-    """Why there is no value.
+    """Why an answer is not simply accepted.
 
     Attributes:
         verdict: what that makes of the answer.
-        withheld: in a few words, where the value would stand.
+        withheld: in a few words, where the value would stand; empty where the value is given nevertheless.
         reasons: in sentences, before whatever else was found.
     """
 
     verdict: Verdict
     withheld: str
-    reasons: Sequence[str]
+    reasons: tuple[str, ...]
+
+
+ACCEPTED = Refusal(Verdict.ACCEPTED, "", ())
+"""Nothing speaks against the answer."""
 
 
 def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
@@ -74,47 +70,34 @@ def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
     return Refusal(Verdict.NOT_IDENTIFIABLE, withheld, (Reason(code, sentence),))
 
 
-def paused(runs: Sequence[PreparedRun]) -> list[Reason]:
-    """What may be wrong with a recording that no model explains: whoever held the arm and recorded it was not always awake."""
-    longest_s, where = 0.0, ""
+def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
+    """What may be wrong with a recording that no model explains: the computer that held the arm and recorded it was busy elsewhere.
+
+    Then joint states pause, or come with stamps that are not when the positions were read, which shows in their steps.
+    """
+    longest_s, pauses_in = 0.0, ""
+    widest_s, every_s, uneven_in = 0.0, 0.0, ""
     for prepared in runs:
-        steps_s = np.diff(np.concatenate([prepared.run.before_times_s, prepared.run.times_s]))
+        run = prepared.run
+        steps_s = np.diff(np.concatenate([run.before_times_s, run.times_s]))
         if len(steps_s) and max(longest_s, PAUSE_S, PAUSE_STEPS * float(np.median(steps_s))) < steps_s.max():
-            longest_s, where = float(steps_s.max()), prepared.run.name
-    if not where:
-        return []
-    return [
-        Reason(
-            "paused",
-            f"{where}: the joint states pause for {1e3 * longest_s:.0f} ms: a computer that is busy elsewhere pushes and holds an "
-            "arm too late; keep it free and record again",
-        )
-    ]
-
-
-def uneven(runs: Sequence[PreparedRun]) -> list[Reason]:
-    """What else may be wrong with it: stamps that are not when the positions were read, which shows in their steps."""
-    widest_s, every_s, where = 0.0, 0.0, ""
-    for prepared in runs:
-        steps_s = np.diff(prepared.run.times_s)
+            longest_s, pauses_in = float(steps_s.max()), run.name
+        steps_s = np.diff(run.times_s)
         usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
         if len(steps_s) and steps_s.std() > max(widest_s, UNEVEN_S, UNEVEN_SHARE * usual_s):
-            widest_s, every_s, where = float(steps_s.std()), usual_s, prepared.run.name
-    if not where:
-        return []
-    return [
-        Reason(
-            "uneven",
-            f"{where}: the joint states come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms: a computer that "
-            "is busy elsewhere stamps positions when it did not read them; keep it free and record again",
+            widest_s, every_s, uneven_in = float(steps_s.std()), usual_s, run.name
+    again = "keep it free and record again"
+    if pauses_in:
+        paused = f"{pauses_in}: the joint states pause for {1e3 * longest_s:.0f} ms"
+        busy = "a computer that is busy elsewhere pushes and holds an arm too late"
+        return [Reason("paused", f"{paused}: {busy}; {again}")]
+    if uneven_in:
+        uneven = (
+            f"{uneven_in}: the joint states come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
         )
-    ]
-
-
-def contradicted(apart: Contradiction | None) -> Iterable[Refusal]:
-    """A refusal where runs say different values."""
-    if apart is not None and apart.half is None:
-        yield rejected("runs_contradict", "the runs contradict each other", apart.sentence)
+        busy = "a computer that is busy elsewhere stamps positions when it did not read them"
+        return [Reason("uneven", f"{uneven}: {busy}; {again}")]
+    return []
 
 
 @dataclass(frozen=True)
@@ -151,6 +134,11 @@ class Guess:
     spread: str
     std: float
 
+    @property
+    def source(self) -> str:
+        """Of uncertainty, as a budget lists it."""
+        return f"{self.key}, guessed"
+
 
 class Assessment:
     """A fit with what it is worth.
@@ -158,26 +146,25 @@ class Assessment:
     Args:
         fit: whose values are given.
         name: of the unknown that the probe is for.
-        runs: of the fit.
-        known: whether the robot's calibration knows the joints that they drive: then the residuals are known, too, and only
-            more than chance makes the interval wider.
         opened: whose covariance is given; default that of ``fit``.
 
     Attributes:
+        known: whether the robot's calibration knows the joints that were driven: then the residuals are known, too, and only more
+            than chance makes the interval wider.
         run_fits, rms, expected: see ``run_fits``.
         inflation: factor on the encoder's variance.
         posterior: of ``opened``.
         covariance: of all unknowns, shape (N, N); ``widen`` adds to it.
     """
 
-    def __init__(
-        self, fit: FitResult, name: str, runs: Sequence[PreparedRun], known: bool, opened: FitResult | None = None
-    ) -> None:
-        self.fit, self.name, self.runs = fit, name, runs
-        self.opened = opened or fit
+    def __init__(self, fit: FitResult, name: str, opened: FitResult | None = None) -> None:
+        self.fit, self.name, self.opened = fit, name, opened or fit
+        self.robot, self.runs = fit.problem.robot, fit.problem.runs
+        self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.row = fit.problem.index[name]
-        self.run_fits, self.rms, self.expected = run_fits(fit.problem, fit.values, runs)
-        self.inflation = 1.0 if known and fit.explains else max(1.0, fit.reduced_chi2)
+        self.unit = fit.problem.unknowns[self.row].unit
+        self.run_fits, self.rms, self.expected = run_fits(fit.problem, fit.values, self.runs)
+        self.inflation = 1.0 if self.known and fit.explains else max(1.0, fit.reduced_chi2)
         self.posterior = Posterior(self.opened.problem, self.opened.values, self.inflation)
         self.covariance = self.posterior.whole_covariance()
 
@@ -195,7 +182,7 @@ class Assessment:
         """Count another uncertainty, independent of the others, as a standard deviation in the unknown's unit."""
         self.covariance[self.row, self.row] += by**2
 
-    def far_from_priors(self, robot: Robot) -> list[str]:
+    def far_from_priors(self) -> list[str]:
         """Which unknowns ended further from their priors than a right model takes them, the furthest first.
 
         A run's start velocity has a prior worth the name only from a calibration; without one it is far where the joint clearly
@@ -205,7 +192,7 @@ class Assessment:
         for fit in (self.opened, self.fit):
             for row in unknown_rows(fit, self.covariance):
                 pull = row.pull
-                guessed = row.kind == "v0" and robot.calibration is None and abs(row.value) < MOVING_START
+                guessed = row.kind == "v0" and self.robot.calibration is None and abs(row.value) < MOVING_START
                 if pull is None or abs(pull) <= FAR or guessed:
                     continue
                 known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
@@ -218,8 +205,7 @@ class Assessment:
         return sentences or self._far_together()
 
     def _far_together(self) -> list[str]:
-        problem = self.opened.problem
-        calibration = problem.robot.calibration
+        problem, calibration = self.opened.problem, self.robot.calibration
         if calibration is None:
             return []
         keys = set(calibration.keys)
@@ -246,145 +232,60 @@ class Assessment:
         return misfit_profile(self.opened, self.name, self.posterior, self.inflation, self.value, self.std)
 
 
-def judge(
-    robot: Robot,
-    assessed: Assessment,
-    refusals: Iterable[Refusal],
-    found: Findings,
-    *,
-    probe: str,
-    run_count: int,
-    values: Callable[[str], tuple[Value, ...]],
-    solver: SolverSummary,
-    budget: Sequence[tuple[str, float]],
-    assumptions: tuple[str, ...],
-    apart: Contradiction | None = None,
-    remarks: Callable[[], Sequence[str]] = tuple,
-    open_drive_train: Sequence[tuple[str, float]] = (),
-    unknowns: tuple[UnknownRow, ...] | None = None,
-    detail: Callable[[str], Detail] | None = None,
-    useful: Useful | None = None,
-    guesses: Sequence[Guess] = (),
-) -> Estimate:
-    """The answer.
+def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Refusal:
+    """What the verdict is, and why: of what speaks against an answer the first counts, and what comes after it is not computed.
 
     Args:
-        robot: as it was identified with.
-        assessed: the fit, and what is known after it.
-        refusals: in order; only the first is taken, and what comes after it is not computed.
-        found: on the way here.
-        probe: its name.
-        run_count: how many runs there were, the unusable ones included.
-        values: made when the verdict is known, from the words where a value would stand (empty where it is given).
-        solver: see ``Estimate``.
-        budget: see ``Estimate``.
-        assumptions: see ``Estimate``.
-        apart: runs that say different values.
-        remarks: reasons to look closer at an accepted answer.
-        open_drive_train: what an uncalibrated robot puts on the value [kg], for a sentence.
-        unknowns: default all of the fit.
-        detail: made as ``values`` are.
-        useful: how wide an accepted answer's interval may be; default any.
-        guesses: facts that were not stated; what they put on the answer is in ``assessed`` already.
+        refusals: From the worst that can be wrong to the least; none where all is well.
+        assessed: The fit, where the answer is one: its unknowns and its stamps speak, too.
     """
-    fit = assessed.fit
-    withheld = ""
-    verdict = Verdict.ACCEPTED
-    refusal = next(iter(refusals), None)
-    far = assessed.far_from_priors(robot) if np.isfinite(fit.chi2) else []
-    if far and (refusal is None or refusal.verdict is Verdict.NOT_IDENTIFIABLE):
-        suspects = other_suspects(robot)
-        refusal = rejected(
-            "far_from_prior",
-            "the model only explains the recording far from what is known",
-            f"the simulation only follows the recording where {'; '.join(far)}: the model is wrong, or the file is",
-            *suspects,
-        )
-    elif far and refusal is not None:
-        refusal = Refusal(
-            refusal.verdict,
-            refusal.withheld,
-            (*refusal.reasons, Reason("far_from_prior", f"moreover, {'; '.join(far)}")),
-        )
-    if np.isfinite(fit.chi2) and (off := stamps_off(robot, fit)):
-        before = () if refusal is None else refusal.reasons
-        refusal = Refusal(Verdict.REJECTED, "the input is not stamped as the joint moved", (*off, *before))
-    if refusal is not None:
-        verdict = refusal.verdict
-        withheld = refusal.withheld
-        found.reasons[:0] = refusal.reasons
-        if verdict is Verdict.REJECTED:
-            found.reasons += paused(assessed.runs) or uneven(assessed.runs)
-    else:
-        value, std = assessed.value, assessed.std
-        name, unit = assessed.name, fit.problem.unknowns[assessed.row].unit
-        if useful is not None and useful.exceeded_by(value, std):
-            verdict = Verdict.TOO_WIDE
-            calibrated = robot.is_calibrated(joints_of(assessed.runs))
-            found.reasons.insert(0, _too_wide(unit, value, std, useful, budget, calibrated))
-        if guesses:
-            found.reasons.append(_guessed(guesses, value))
-        if apart is not None and apart.sentence:
-            found.reasons.append(apart.sentence)
-        if assessed.inflation > 1.0 and not fit.explains:
-            found.reasons.append(
-                Reason(
-                    "coarse_fit",
-                    f"the fit is {np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} "
-                    "mrad): the interval was widened by that factor",
-                )
+    refusal = next(iter(refusals), ACCEPTED)
+    if assessed is None or not np.isfinite(assessed.fit.chi2):
+        return refusal
+    if far := assessed.far_from_priors():
+        if refusal.verdict is Verdict.REJECTED:
+            moreover = Reason("far_from_prior", f"moreover, {'; '.join(far)}")
+            refusal = replace(refusal, reasons=(*refusal.reasons, moreover))
+        else:
+            refusal = rejected(
+                "far_from_prior",
+                "the model only explains the recording far from what is known",
+                f"the simulation only follows the recording where {'; '.join(far)}: the model is wrong, or the file is",
+                *other_suspects(assessed.robot),
             )
-        found.reasons += remarks()
-        elsewhere = len(solver.paths) - solver.starts_agreeing
-        if elsewhere:
-            found.reasons.append(
-                Reason(
-                    "starts_disagree",
-                    f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(name)} or in a worse fit; "
-                    "the best was taken",
-                )
-            )
-        warn_if_uncalibrated(robot, assessed.runs, open_drive_train, found)
-    return Estimate(
-        probe=probe,
-        robot=robot.name,
-        verdict=verdict,
-        reasons=tuple(found.reasons),
-        values=values(withheld),
-        fit=Fit(assessed.rms, assessed.expected, fit.reduced_chi2, condition=assessed.posterior.condition),
-        solver=solver,
-        runs=run_count,
-        run_fits=assessed.run_fits,
-        unknowns=unknown_rows(assessed.opened, assessed.covariance) if unknowns is None else unknowns,
-        budget=tuple(budget),
-        scan=assessed.profile(),
-        detail=None if detail is None else detail(withheld),
-        assumptions=(*assumptions, *(f"guessed, not stated: {guess.key} {guess.taken}" for guess in guesses)),
-        notes=tuple(found.notes),
-    )
+    if off := stamps_off(assessed.fit):
+        others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
+        refusal = Refusal(Verdict.REJECTED, "the input is not stamped as the joint moved", (*off, *others))
+    return refusal
 
 
-def _too_wide(
-    unit: str, value: float, std: float, useful: Useful, budget: Sequence[tuple[str, float]], calibrated: bool
-) -> Reason:
-    spec = spec_for(unit, std)
-    interval = shown(unit, max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0), spec=spec)
+def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[Refusal]:
+    """Where the interval of a fit is wider than is useful, whatever explains the recording.
+
+    Args:
+        assessed: The fit.
+        useful: How wide an accepted answer's interval may be.
+        budget: Which source puts how much standard deviation on the value, the largest first.
+    """
+    unit, value, std = assessed.unit, assessed.value, assessed.std
+    if not useful.exceeded_by(value, std):
+        return
+    interval = shown(unit, max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0), spec=spec_for(unit, std))
     limit = f"+-{100.0 * useful.share:.0f} % of the value"
     if useful.floor:
         limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
-    return Reason(
-        "too_wide",
-        f"anything from {interval} explains the recording, wider than {limit}"
-        + (f", mostly because of {source_label(budget[0][0])}" if budget else "")
-        + (
-            ": record more runs, with more travel"
-            if calibrated
-            else ": calibrate the robot on empty-hand runs, or record more runs"
-        ),
+    mostly = f", mostly because of {source_label(budget[0][0])}" if budget else ""
+    more = (
+        "record more runs, with more travel"
+        if assessed.known
+        else "calibrate the robot on empty-hand runs, or record more runs"
     )
+    sentence = f"anything from {interval} explains the recording, wider than {limit}{mostly}: {more}"
+    yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
 
 
-def _guessed(guesses: Sequence[Guess], value: float) -> Reason:
+def guessed(guesses: Sequence[Guess], value: float) -> Reason:
+    """What an answer that is ``value`` owes to facts that nobody stated."""
     off = float(np.sqrt(sum(guess.std**2 for guess in guesses)))
     listed = ", ".join(f"{guess.key} ({guess.taken}, counted as +- {guess.spread})" for guess in guesses)
     first = guesses[0].key
@@ -396,7 +297,9 @@ def _guessed(guesses: Sequence[Guess], value: float) -> Reason:
     )
 
 
-def positive(name: str, unit: str, value: float, std: float, withheld: str = "", highest: float = np.inf) -> Value:
+def positive(
+    name: str, unit: str, value: float, std: float, withheld: str = "", highest: float = np.inf, quantile: float = Z95
+) -> Value:
     """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
 
     Args:
@@ -406,8 +309,10 @@ def positive(name: str, unit: str, value: float, std: float, withheld: str = "",
         std: of the estimate.
         withheld: why no number is given; empty where it is.
         highest: that it can have.
+        quantile: half width of a 95 % interval in standard deviations.
     """
     if withheld:
         return Value(name, unit, None, reason=withheld)
-    interval = [max(value - Z95 * std, 0.0), min(max(value + Z95 * std, 0.0), highest)]
+    half = quantile * std
+    interval = [max(value - half, 0.0), min(max(value + half, 0.0), highest)]
     return Value(name, unit, max(value, 0.0), std, interval)

@@ -16,7 +16,6 @@ from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import onset_std
 from proprio_ros.records import MEASURED_EFFORT
-from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import INDEX
 
 STDS = 3.0
@@ -42,14 +41,10 @@ MIN_BEYOND = 2
 """Samples beyond the end that it takes to see that."""
 
 
-def stamps_off(robot: Robot, fit: FitResult) -> list[Reason]:
-    """A sentence for each run whose input is stamped otherwise than its joint moved.
-
-    Args:
-        robot: as it was identified with.
-        fit: of the runs; what the end of a current changes is taken from it.
-    """
+def stamps_off(fit: FitResult) -> list[Reason]:
+    """A sentence for each run of a fit whose input is stamped otherwise than its joint moved."""
     problem = fit.problem
+    robot = problem.robot
     parameters = problem.parameters(fit.values[None], np.zeros(0, dtype=int))[0][0]
     found: list[Reason] = []
     for run, row in zip(problem.runs, parameters, strict=True):

@@ -38,8 +38,9 @@ from proprio_ros.paper.ways import (
     timed,
 )
 from proprio_ros.pipeline.replay import ReplayOptions, replay
-from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
+from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import ContainerFacts, SphereTrack
+from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.probes.payload.identify import WeighingOptions, weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss

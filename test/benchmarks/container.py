@@ -27,7 +27,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.pipeline.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
 from proprio_ros.probes.container.facts import container_facts
-from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
+from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import (
     ContainerFacts,
     ContainerProblem,
@@ -35,6 +35,7 @@ from proprio_ros.probes.container.problem import (
     sphere_run,
     start_prior,
 )
+from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.probes.payload.paper import FRAME_S
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run

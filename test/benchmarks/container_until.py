@@ -33,7 +33,8 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import Until, load_sequence
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes.container.choosing import SphereUntilSure
-from proprio_ros.probes.container.identify import ContainerOptions, find_sphere, half_of
+from proprio_ros.probes.container.identify import find_sphere, half_of
+from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot

@@ -20,7 +20,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.container.facts import container_facts
-from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
+from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import (
     ContainerFacts,
     ContainerProblem,
@@ -29,6 +29,7 @@ from proprio_ros.probes.container.problem import (
     sphere_run,
     start_prior,
 )
+from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.robot import load_robot
 from proprio_ros.schema import reason_codes
 from proprio_ros.sim.joint import JointRun

@@ -28,8 +28,9 @@ from support.rolling_box import (
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.probes.container import identify as container
-from proprio_ros.probes.container.identify import ContainerOptions, find_sphere
+from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import SphereTrack
+from proprio_ros.probes.container.search import ContainerOptions
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot

@@ -1,6 +1,6 @@
 """A probe outside the package: how stiff is a spring at the joint? A law, a class, and the line that registers it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from types import MappingProxyType
 from typing import Any
@@ -9,11 +9,12 @@ import numpy as np
 import warp as wp
 
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.identification.conclude import Conclusion
+from proprio_ros.identification.estimate import Estimate, SolverSummary, Value
 from proprio_ros.identification.fit import FitResult, SearchOptions, summary
 from proprio_ros.identification.gates import MISFIT_LIMIT, Findings
-from proprio_ros.identification.judge import Assessment, judge, rejected
-from proprio_ros.identification.prepared_runs import KnownLoad, joints_of, prepare_run
+from proprio_ros.identification.judge import Refusal, rejected
+from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
@@ -92,25 +93,28 @@ def find_spring(robot: Robot, runs: Sequence[Run], prior: float) -> Estimate:
     problem = SpringProblem(robot, prepared, PayloadFacts(), unknowns)
     starts = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     fit = FitResult.of(problem, solvers.levenberg_marquardt(problem, starts, problem.simulator.windows, iterations=60))
-    assessed = Assessment(fit, "spring_stiffness", prepared, robot.is_calibrated(joints_of(prepared)))
-    value, std = assessed.value, assessed.std
-    misfit = rejected("misfit", "the model does not explain the recording", "a spring does not explain the recording")
-    return judge(
-        robot,
-        assessed,
-        [misfit] if fit.reduced_chi2 > MISFIT_LIMIT else [],
-        Findings(),
-        probe="spring",
-        run_count=len(runs),
-        values=lambda withheld: (
-            Value("spring_stiffness", "N m/rad", None, reason=withheld)
-            if withheld
-            else Value("spring_stiffness", "N m/rad", value, std, [value - Z95 * std, value + Z95 * std]),
-        ),
-        solver=summary(fit, "spring_stiffness", [0.0], std, fit.solution.iterations, SearchOptions()),
-        budget=assessed.budget(),
-        assumptions=("a spring between the joint and its zero",),
-    )
+    return StiffnessFound(fit, fit, Findings(), len(runs)).estimate()
+
+
+class StiffnessFound(Conclusion):
+    probe, name = "spring", "spring_stiffness"
+
+    def refusals(self) -> Iterator[Refusal]:
+        if self.fit.reduced_chi2 > MISFIT_LIMIT:
+            spring = "a spring does not explain the recording"
+            yield rejected("misfit", "the model does not explain the recording", spring)
+
+    def values(self, withheld: str) -> tuple[Value, ...]:
+        if withheld:
+            return (Value(self.name, "N m/rad", None, reason=withheld),)
+        value, std = self.assessed.value, self.assessed.std
+        return (Value(self.name, "N m/rad", value, std, [value - Z95 * std, value + Z95 * std]),)
+
+    def solver(self) -> SolverSummary:
+        return summary(self.fit, self.name, [0.0], self.assessed.std, self.fit.solution.iterations, SearchOptions())
+
+    def assumptions(self) -> tuple[str, ...]:
+        return ("a spring between the joint and its zero",)
 
 
 class Spring(Probe[float]):

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from proprio_ros.excitation.plans import ProbeSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.probes.container.identify import ContainerOptions
     from proprio_ros.probes.container.problem import ContainerFacts
+    from proprio_ros.probes.container.search import ContainerOptions
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
 
@@ -103,7 +103,7 @@ class Container(
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> ContainerJob:
         from proprio_ros.probes.container.facts import FORMS, container_facts
-        from proprio_ros.probes.container.identify import ContainerOptions
+        from proprio_ros.probes.container.search import ContainerOptions
 
         defaults = probe_file(self.name, ("container", "sphere", "contact", "solver"))
         container = container_facts(settings, defaults)

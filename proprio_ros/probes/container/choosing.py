@@ -34,21 +34,17 @@ from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.probes.container.identify import (
-    STILL_M,
-    UNPREDICTABLE,
+from proprio_ros.probes.container.identify import STILL_M
+from proprio_ros.probes.container.problem import LEVEL, ContainerFacts, ContainerProblem, sphere_run, start_prior
+from proprio_ros.probes.container.search import (
     ContainerOptions,
     ContainerRuns,
+    SphereSearch,
     check_shell,
     fit_empty,
-    fit_sphere,
     known_until,
     lost_at,
-    problem_of,
-    shortened,
-    solve,
 )
-from proprio_ros.probes.container.problem import LEVEL, ContainerFacts, ContainerProblem, sphere_run, start_prior
 from proprio_ros.quantity import Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -164,13 +160,13 @@ class SphereUntilSure(Chooser):
 
     def _fitted(self, before: FitResult | None) -> FitResult:
         """All runs together, from where those before ended."""
-        robot, data, facts, options = self.robot, self._data, self._facts, self._options
+        search = SphereSearch(self.robot, self._data, self._facts, self._options)
         if before is not None:
-            fit = solve(robot, data, facts, options, Role.FREE, before, rough=True)
+            fit = search.solve(Role.FREE, before, rough=True)
             if fit.explains or not before.explains:
                 return fit
         # the first run, or one that shows that the valley found so far was a wrong one
-        _, whole = fit_sphere(robot, data, facts, options)
+        _, whole = search.fits()
         return whole if before is None or whole.chi2 < fit.chi2 else fit
 
     def _cut_what_is_lost(self) -> None:
@@ -179,11 +175,7 @@ class SphereUntilSure(Chooser):
         cut = lost_at(self._fit)
         if not cut:
             return
-        runs = list(self._data.runs)
-        for row, used in cut.items():
-            runs[row] = shortened(runs[row], used, UNPREDICTABLE)
-        lost = [row for row in cut if runs[row].used < MIN_USED]
-        self._data = replace(self._data, runs=tuple(runs)).without(lost)
+        self._data, lost = self._data.before_lost(cut)
         if not any(self._data.rolling):
             self._fit = None
         else:  # runs have moved up where some were lost, so that what was their own is no start
@@ -311,8 +303,7 @@ class SphereUntilSure(Chooser):
     def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
         """Runs that have not been made as a problem."""
         data = ContainerRuns(tuple(runs), (True,) * len(runs), (None,) * len(runs))
-        problem, _ = problem_of(self.robot, data, self._facts, self._options, Role.FREE)
-        return problem
+        return SphereSearch(self.robot, data, self._facts, self._options).problem(Role.FREE)[0]
 
     def _geometry(self, run: PreparedRun) -> SphereRun:
         key = run.run.joint, tuple(run.run.held.items())

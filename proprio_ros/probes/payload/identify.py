@@ -15,49 +15,37 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, Value, Verdict, no_answer
+from proprio_ros.identification.conclude import Conclusion, stated_in
+from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
+    fit_both,
+    fit_opened,
     known_exactly,
-    misfit_reason,
-    other_suspects,
-    rivals,
     solve_load,
     summary,
 )
 from proprio_ros.identification.gates import (
     LITTLE_TRAVEL,
     MIN_USED,
-    MISFIT_LIMIT,
     MOVING_START,
     Contradiction,
     Findings,
-    contradicting,
+    admitted,
     contradiction,
     never_reversed,
-    screen_run,
     stood_still,
-    unusable,
 )
-from proprio_ros.identification.judge import (
-    Assessment,
-    Guess,
-    Refusal,
-    Useful,
-    contradicted,
-    judge,
-    not_identifiable,
-    positive,
-    rejected,
-)
+from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive, rejected
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.reasons import Reason, of_run
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.swings import (
     FRICTION_LAW,
     FRICTION_LAW_SHARE,
@@ -74,6 +62,7 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
+COM = tuple(f"payload_com_{axis}" for axis in "xyz")
 ALIKE_KG, ALIKE_SHARE = 5e-4, 0.05
 """Masses that differ by less, or by this share, do not contradict each other: what a model misses of torque and friction goes with
 the mass, by 1 to 2 % in each run. Half of the difference then counts as uncertainty."""
@@ -129,32 +118,29 @@ def weigh(
     weighing = 0
     for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
         prepared = prepare_run(robot, run, load, facts)
-        problem = unusable(prepared)
-        if problem:
-            found.reasons.append(of_run(run.name, problem))
-            if prepared.used >= MIN_USED:
-                still.append(prepared)
-        else:
+        if admitted(robot, prepared, found):
             usable.append(prepared)
             weighing += load is None
-        screen_run(robot, prepared, found)
+        elif prepared.used >= MIN_USED:
+            still.append(prepared)
     if not weighing:
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
     if are_swings(usable):
         return _weigh_swings(robot, usable, facts, options, found, len(runs))
     drift = _drift(robot, usable[weighing:], facts, options)
+    known = robot.is_calibrated(joints_of(usable))
 
-    nominal = solve_load(robot, usable, facts, options, Role.FROZEN, rough=robot.is_calibrated(joints_of(usable)))
-    opened = solve_load(robot, usable, facts, options, Role.FREE, start=nominal)
-    if not (opened if robot.is_calibrated(joints_of(usable)) else nominal).explains:
-        again = solve_load(robot, usable, facts, options, Role.FREE)
-        opened = again if again.chi2 < opened.chi2 else opened
-        if opened.chi2 < 0.5 * nominal.chi2 and not robot.is_calibrated() and not known_exactly(robot, usable):
-            found.notes.append(
-                "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, "
-                "under its priors"
-            )
-    return _conclude(robot, usable, facts, options, nominal, opened, found, len(runs), drift, still=still)
+    def solve(role: Role, start: FitResult | None = None) -> FitResult:
+        return solve_load(robot, usable, facts, options, role, start, rough=known and role is Role.FROZEN)
+
+    nominal, opened = fit_both(solve, lambda nominal, opened: not (opened if known else nominal).explains)
+    open_file = not robot.is_calibrated() and not known_exactly(robot, usable)
+    if open_file and not nominal.explains and opened.chi2 < 0.5 * nominal.chi2:
+        found.notes.append(
+            "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, under its "
+            "priors"
+        )
+    return Weighed(nominal, opened, found, len(runs), facts, options, drift, still=still).estimate()
 
 
 def _weigh_swings(
@@ -185,7 +171,7 @@ def _weigh_swings(
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
             "torque off all the time, and is the object's place and shape as stated?",
         )
-    return _conclude(robot, runs, facts, options, searched, opened, found, run_count, "", misfit)
+    return Weighed(searched, opened, found, run_count, facts, options, misfit_of_swing=misfit).estimate()
 
 
 def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
@@ -200,11 +186,8 @@ def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, o
     if not baseline:
         return ""
     runs = [replace(run, load=None) for run in baseline]
-    nominal = solve_load(robot, runs, facts, options, Role.FROZEN)
-    fit = solve_load(robot, runs, facts, options, Role.FREE, start=nominal)
-    row = fit.problem.index["payload_mass"]
-    mass = float(fit.values[row])
-    std = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[row, row]))
+    fit = fit_opened(partial(solve_load, robot, runs, facts, options))
+    mass, std = fit.determined("payload_mass")
     since = "its calibration" if robot.is_calibrated() else "its robot file was written"
     if not fit.explains:
         return (
@@ -219,87 +202,85 @@ def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, o
     return ""
 
 
-def on_bound(fit: FitResult) -> bool:
-    """Whether the mass went as far as the search allows."""
-    row = fit.problem.index["payload_mass"]
-    unknown, mass = fit.problem.unknowns[row], float(fit.values[row])
-    return mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6)
+@dataclass(eq=False)
+class Weighed(Conclusion):
+    """What a fit says about the mass in the hand.
 
+    Args:
+        facts: Shape and place of the payload.
+        options: Solver and limits.
+        drift: What an empty hand says against the calibration.
+        misfit_of_swing: Why free swings are not explained.
+        still: Runs that are of no use because their joint hardly moved.
+    """
 
-def _contradiction(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, outlier: int, mass: float
-) -> Contradiction:
-    name = runs[outlier].run.name
-    if runs[outlier].load is not None:
-        return Contradiction(
-            f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
+    facts: PayloadFacts
+    options: WeighingOptions
+    drift: str = ""
+    misfit_of_swing: str = ""
+    still: Sequence[PreparedRun] = ()
+
+    probe, name = "payload", "payload_mass"
+
+    @property
+    def swings(self) -> bool:
+        """Whether the runs are free swings."""
+        return self.runs[0].run.free
+
+    @property
+    def fit(self) -> FitResult:
+        """The nominal one where it explains what no calibration knows better."""
+        return self.nominal if self.nominal.explains and not self.known and not self.swings else self.opened
+
+    def widen(self) -> None:
+        mass = self.assessed.value
+        if self.swings:
+            self.count(FRICTION_LAW_SHARE * abs(mass), FRICTION_LAW)
+        elif not self.known:
+            # the nominal mass may sit anywhere inside the open fit's interval: count how far
+            self.assessed.widen(mass - float(self.opened.values[self.assessed.row]))
+            # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
+            self.assessed.widen(_static_std(self.fit.problem, self.runs))
+
+    def comparable(self) -> bool:
+        return True
+
+    def contradiction(self, outlier: int) -> Contradiction:
+        mass, name = self.assessed.value, self.runs[outlier].run.name
+        if self.runs[outlier].load is not None:
+            return Contradiction(
+                f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
+            )
+        others = [run for row, run in enumerate(self.runs) if row != outlier]
+        if all(run.load is not None for run in others):
+            return Contradiction(
+                f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
+            )
+        # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
+        one, rest = (
+            fit_opened(partial(solve_load, self.robot, group, self.facts, self.options)).value_of(self.name)
+            for group in ([self.runs[outlier]], others)
         )
-    masses: list[float] = []
-    for group in ([runs[outlier]], [run for row, run in enumerate(runs) if row != outlier]):
-        if any(run.load is None for run in group):
-            nominal = solve_load(robot, group, facts, options, Role.FROZEN)
-            fit = solve_load(robot, group, facts, options, Role.FREE, start=nominal)
-            masses.append(float(fit.values[fit.problem.index["payload_mass"]]))
-    if len(masses) < 2:
-        return Contradiction(
-            f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
-        )
-    # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
-    question = "was the same object held in the same place?"
-    one, others = masses
-    return contradiction(name, "kg", one, others, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
+        question = "was the same object held in the same place?"
+        return contradiction(name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
 
+    def guess(self) -> list[Guess]:
+        """Where the centre of mass is, unless that was stated: on a wrist joint 5 mm are 4 % of the mass."""
+        if not self.facts.com_guessed:
+            return []
+        shifts = self.assessed.posterior.follows(self.name, COM) * GUESSED_PLACE_M
+        off = float(np.linalg.norm(shifts))
+        if off < DECIDES * self.assessed.std:
+            return []
+        taken = f"[{', '.join(f'{1e3 * place:g}' for place in self.facts.com)}] mm"
+        return [Guess("payload.com", taken, f"{1e3 * GUESSED_PLACE_M:g} mm per axis", off)]
 
-def _conclude(
-    robot: Robot,
-    runs: Sequence[PreparedRun],
-    facts: PayloadFacts,
-    options: WeighingOptions,
-    nominal: FitResult,
-    opened: FitResult,
-    found: Findings,
-    run_count: int,
-    drift: str,
-    misfit_of_swing: str = "",
-    still: Sequence[PreparedRun] = (),
-) -> Estimate:
-    known = robot.is_calibrated(joints_of(runs))
-    swings = runs[0].run.free
-    fit = nominal if nominal.explains and not known and not swings else opened
-    assessed = Assessment(fit, "payload_mass", runs, known, opened)
-    budget = assessed.budget()
-    mass = assessed.value
-    if swings:
-        law = FRICTION_LAW_SHARE * abs(mass)
-        assessed.widen(law)
-        budget = sorted([*budget, (FRICTION_LAW, law)], key=lambda entry: -entry[1])
-    if not known and not swings:
-        # the nominal mass may sit anywhere inside the open fit's interval: count how far
-        assessed.widen(mass - float(opened.values[assessed.row]))
-        # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
-        assessed.widen(_static_std(fit.problem, runs))
-    outlier = (
-        contradicting(Posterior(opened.problem, opened.values)) if len(runs) > 1 and np.isfinite(fit.chi2) else None
-    )
-    apart = None if outlier is None else _contradiction(robot, runs, facts, options, outlier, mass)
-    if apart is not None and apart.half is not None:
-        assessed.widen(apart.half)
-    guesses = _guesses(facts, assessed)
-    for guess in guesses:
-        assessed.widen(guess.std)
-    sources = sorted([*budget, *((f"{g.key}, guessed", g.std) for g in guesses)], key=lambda entry: -entry[1])
-    std = assessed.std
-    moving = [] if fit.explains or swings else _moving_starts(robot, runs, facts, options, fit)
-
-    def refusals() -> Iterator[Refusal]:
-        if not np.isfinite(fit.chi2):
-            unsimulated = "no guess of the mass could be simulated"
-            yield rejected("unsimulated", unsimulated, unsimulated + ": check the robot file's inertias")
-        if drift:
-            yield rejected("drift", "the robot has changed since its calibration", drift)
-        if misfit_of_swing:
-            yield rejected("misfit", "the model does not explain the recording", misfit_of_swing)
-        if swings and not known and not known_exactly(robot, runs):
+    def untrusted(self) -> Iterator[Refusal]:
+        if self.drift:
+            yield rejected("drift", "the robot has changed since its calibration", self.drift)
+        if self.misfit_of_swing:
+            yield rejected("misfit", "the model does not explain the recording", self.misfit_of_swing)
+        if self.swings and self._is_open:
             # all that moves may be lighter or heavier together: a ridge along which no interval around the best fit holds
             yield not_identifiable(
                 "not_calibrated",
@@ -307,89 +288,109 @@ def _conclude(
                 "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with "
                 "swings of two known loads (calibrate --reference BAG=KG --reference BAG=KG)",
             )
-        yield from contradicted(apart)
-        if sticks := stood_still(robot, fit.problem, fit.values, still, mass):
+
+    def refusals(self) -> Iterator[Refusal]:
+        fit, mass = self.fit, self.assessed.value
+        if sticks := stood_still(self.robot, fit.problem, fit.values, self.still, mass):
             yield rejected("stood_still", "a joint stood still that should have moved", sticks)
-        if on_bound(fit):
+        if self._on_bound:
             yield rejected(
                 "on_bound",
                 "the mass ended on a bound of the search",
                 f"the mass ended on a bound of the search ({mass:.3g} kg): is this the right robot, joint and unit of current?",
             )
-        if fit.reduced_chi2 > MISFIT_LIMIT or moving:
-            misfit = misfit_reason(assessed.rms, assessed.expected, mass, fit.reduced_chi2)
-            yield rejected(
-                "misfit", "the model does not explain the recording", misfit, *(moving or other_suspects(robot))
-            )
-        if mass + Z95 * std < 0.0:
-            yield rejected(
-                "lighter_than_empty",
-                "the hand seems lighter than empty",
-                f"the hand with its load seems {-1e3 * mass:.1f} g lighter than it was empty: "
-                + ("has the robot changed since? calibrate it again" if known else "calibrate the robot"),
-            )
-        slow = [run for run in runs if abs(run.travel) < LITTLE_TRAVEL]
-        if fit is opened and not known and len(slow) == len(runs):
+        if moving := [] if fit.explains or self.swings else self._moving_starts():
+            yield self.misfit_of(*moving)
+        yield from self.misfit()
+        yield from self.lighter(
+            "the hand",
+            "has the robot changed since? calibrate it again" if self.known else "calibrate the robot",
+            " with its load",
+        )
+        slow = [run for run in self.runs if abs(run.travel) < LITTLE_TRAVEL]
+        if fit is self.opened and not self.known and len(slow) == len(self.runs):
             yield not_identifiable(
                 "short_travel",
                 "too little travel to separate friction from weight",
                 f"{slow[0].run.joint} moved only {abs(slow[0].travel):.2f} rad, too little to separate friction from weight: "
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
-        if others := rivals(fit, "payload_mass", mass, std, 0.02):
-            yield not_identifiable(
-                "several_values",
-                "more than one mass explains the recording",
-                "more than one mass explains the recording: " + ", ".join(f"{1e3 * m:.1f} g" for m in (mass, *others)),
-            )
+        yield from self.several(0.02)
 
-    searched = nominal if (nominal.explains and not swings) or len(opened.solution.cost) == 1 else opened
-    best = float(searched.physical("payload_mass")[searched.solution.best])
-    estimate = judge(
-        robot,
-        assessed,
-        refusals(),
-        found,
-        probe="payload",
-        run_count=run_count,
-        values=lambda withheld: _values(assessed, withheld),
+    @property
+    def _is_open(self) -> bool:
+        """Whether neither calibration nor file knows the joints that were driven."""
+        return not self.known and not known_exactly(self.robot, self.runs)
+
+    @property
+    def _on_bound(self) -> bool:
+        """Whether the mass went as far as the search allows."""
+        unknown, mass = self.fit.problem.unknowns[self.assessed.row], self.assessed.value
+        return mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6)
+
+    def _moving_starts(self) -> list[str]:
+        """A sentence for each run that fits far better if it did not start from rest."""
+        # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
+        options = replace(self.options, solver="lm")
+        moving = solve_load(self.robot, self.runs, self.facts, options, Role.FROZEN, start_velocity_std=10.0)
+        if not moving.chi2 < 0.5 * self.fit.chi2:
+            return []
+        mass = moving.value_of(self.name)
+        rms = run_fits(moving.problem, moving.values, self.runs)[1]
+        reasons = []
+        for row, run in enumerate(self.runs):
+            velocity = moving.value_of(("v0", row))
+            if abs(velocity) > MOVING_START:
+                reasons.append(
+                    f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when "
+                    f"the current comes on (then {1e3 * mass:.0f} g, rms {1e3 * rms:.2f} mrad): a probe must start from rest"
+                )
+        return reasons
+
+    def useful(self) -> Useful:
+        return Useful(self.options.wide_share, self.options.wide_floor_kg)
+
+    def cautions(self, solver: SolverSummary) -> Iterator[str]:
+        yield from super().cautions(solver)
+        if self._is_open and not self.swings:
+            yield from never_reversed(self.runs)
+
+    def solver(self) -> SolverSummary:
+        searched = self.opened
+        if (self.nominal.explains and not self.swings) or len(self.opened.solution.cost) == 1:
+            searched = self.nominal
+        best = float(searched.physical(self.name)[searched.solution.best])
         # starts agree when they explain the recording alike, at masses that the interval cannot separate
-        solver=summary(
-            searched, "payload_mass", options.starts_kg, max(1e-4, 0.01 * abs(best), 0.1 * std),
-            searched.solution.iterations, options, margin=0.5, final=fit,
-        ),
-        budget=sources,
-        assumptions=_assumptions(robot, facts, options, fit is nominal and not swings, swings),
-        apart=apart,
-        open_drive_train=budget,
-        useful=Useful(options.wide_share, options.wide_floor_kg),
-        guesses=guesses,
-    )  # fmt: skip
-    open_still = not known and not swings and not known_exactly(robot, runs)
-    if estimate.verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE) and open_still:
-        return replace(estimate, reasons=(*estimate.reasons, *never_reversed(runs)))
-    return estimate
+        tolerance = max(1e-4, 0.01 * abs(best), 0.1 * self.assessed.std)
+        iterations, options = searched.solution.iterations, self.options
+        return summary(
+            searched, self.name, options.starts_kg, tolerance, iterations, options, margin=0.5, final=self.fit
+        )
 
+    def values(self, withheld: str) -> tuple[Value, ...]:
+        problem = self.fit.problem
+        mass = positive(self.name, "kg", self.assessed.value, self.assessed.std, withheld)
+        rows = [problem.index[axis] for axis in COM]
+        if not any(problem.unknowns[row].std > 0.0 for row in rows):
+            return (mass,)
+        return mass, _centre_of_mass(self.fit, self.assessed.covariance, rows, withheld)
 
-def _guesses(facts: PayloadFacts, assessed: Assessment) -> list[Guess]:
-    """Where the centre of mass is, unless that was stated: on a wrist joint 5 mm are 4 % of the mass."""
-    if not facts.com_guessed or not np.isfinite(assessed.fit.chi2):
-        return []
-    shifts = assessed.posterior.follows("payload_mass", [f"payload_com_{axis}" for axis in "xyz"]) * GUESSED_PLACE_M
-    off = float(np.linalg.norm(shifts))
-    if off < DECIDES * assessed.std:
-        return []
-    taken = f"[{', '.join(f'{1e3 * place:g}' for place in facts.com)}] mm"
-    return [Guess("payload.com", taken, f"{1e3 * GUESSED_PLACE_M:g} mm per axis", off)]
-
-
-def _values(assessed: Assessment, withheld: str) -> tuple[Value, ...]:
-    fit, covariance = assessed.fit, assessed.covariance
-    values = [positive("payload_mass", "kg", assessed.value, assessed.std, withheld)]
-    rows = [fit.problem.index[f"payload_com_{axis}"] for axis in "xyz"]
-    if any(fit.problem.unknowns[r].std > 0.0 for r in rows):
-        values.append(_centre_of_mass(fit, covariance, rows, withheld))
-    return tuple(values)
+    def assumptions(self) -> tuple[str, ...]:
+        facts, robot, options = self.facts, self.robot, self.options
+        place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
+        size = " (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else ""
+        starts = (
+            "friction differs from swing to swing, by one factor each" if self.swings else "each probe starts from rest"
+        )
+        stay = self.fit is self.nominal and not self.swings
+        file = "its values stay where the file puts them" if stay else "what it leaves open was fitted under its priors"
+        return (
+            f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}",
+            f"{starts}; the held joints stand at their recorded mean",
+            f"{stated_in(robot)}; {file}",
+            f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
+            f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
+        )
 
 
 def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
@@ -424,49 +425,6 @@ def _static_std(problem: Problem, runs: Sequence[PreparedRun]) -> float:
     return min(float(np.hypot.reduce(run.torque_stds)) / max(w, 1e-9) for run, w in zip(runs, per_kg, strict=True))
 
 
-def _moving_starts(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions, fit: FitResult
-) -> list[str]:
-    """A sentence for each run that fits far better if it did not start from rest."""
-    # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
-    moving = solve_load(robot, runs, facts, replace(options, solver="lm"), Role.FROZEN, start_velocity_std=10.0)
-    if not moving.chi2 < 0.5 * fit.chi2:
-        return []
-    mass = float(moving.values[moving.problem.index["payload_mass"]])
-    rms = run_fits(moving.problem, moving.values, runs)[1]
-    reasons = []
-    for row, run in enumerate(runs):
-        velocity = float(moving.values[moving.problem.index["v0", row]])
-        if abs(velocity) > MOVING_START:
-            reasons.append(
-                f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when the "
-                f"current comes on (then {1e3 * mass:.0f} g, rms {1e3 * rms:.2f} mrad): a probe must start from rest"
-            )
-    return reasons
-
-
 def scan_masses(mass: float) -> np.ndarray:
     """Masses worth looking at around a value: three orders of magnitude, and a fine stretch about it [kg], shape (M,)."""
     return np.unique(np.concatenate([np.geomspace(1e-3, 0.5, 60), max(mass, 1e-3) * np.linspace(0.5, 1.5, 41)]))
-
-
-def _assumptions(
-    robot: Robot, facts: PayloadFacts, options: WeighingOptions, nominal: bool, swings: bool
-) -> tuple[str, ...]:
-    place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
-    return (
-        f"the payload is rigid, {facts.shape.description}"
-        + (" (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else "")
-        + f", its centre at [{place}] mm in {robot.payload_frame}",
-        ("friction differs from swing to swing, by one factor each" if swings else "each probe starts from rest")
-        + "; the held joints stand at their recorded mean",
-        f"robot file {robot.source.name}, "
-        + ("calibrated" if robot.is_calibrated() else "not calibrated")
-        + (
-            "; its values stay where the file puts them"
-            if nominal
-            else "; what it leaves open was fitted under its priors"
-        ),
-        f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
-        f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
-    )

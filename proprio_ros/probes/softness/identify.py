@@ -11,48 +11,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
-from proprio_ros.identification.estimate import Estimate, Value, no_answer
+from proprio_ros.identification.conclude import Conclusion, stated_in
+from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
-    other_suspects,
+    fit_both,
+    fit_opened,
     source_label,
     summary,
+    unexplained,
 )
-from proprio_ros.identification.gates import (
-    MIN_USED,
-    MISFIT_LIMIT,
-    UNMOVED_RAD,
-    Contradiction,
-    Findings,
-    contradicting,
-    contradiction,
-    screen_run,
-)
-from proprio_ros.identification.judge import (
-    Assessment,
-    Guess,
-    Refusal,
-    Useful,
-    contradicted,
-    judge,
-    not_identifiable,
-    positive,
-    rejected,
-)
-from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
+from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Contradiction, Findings, contradiction, screen_run
+from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.softness.detail import BlockShape, JointInterval, SoftnessDetail, SqueezeCurve
 from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
-from proprio_ros.robot import DriveTrain, Robot
+from proprio_ros.robot import Robot
 from proprio_ros.sim.energies import lame, lame_by_poissons_ratio, lame_of_small_strain
 from proprio_ros.sim.mesh import box
 from proprio_ros.sim.quasistatic import QuasiStatic
@@ -96,11 +80,48 @@ class SqueezeOptions:
 
 
 @dataclass(frozen=True)
-class _Recorded:
-    """The runs of a fit, those with the block first."""
+class SqueezeSearch:
+    """Runs that are fitted together, and how.
 
+    Attributes:
+        robot: Model, drive trains and their uncertainty.
+        runs: Those with the block first.
+        squeezing: Which have it.
+        facts: What is stated about it.
+        options: Solver and limits.
+    """
+
+    robot: Robot
     runs: tuple[PreparedRun, ...]
     squeezing: tuple[bool, ...]
+    facts: BlockFacts
+    options: SqueezeOptions
+
+    def part(self, rows: Sequence[int]) -> SqueezeSearch:
+        """Some of the runs."""
+        return replace(
+            self, runs=tuple(self.runs[row] for row in rows), squeezing=tuple(self.squeezing[row] for row in rows)
+        )
+
+    def solve(self, role: Role, start: FitResult | None = None) -> FitResult:
+        """Fit the runs from every guess, or from the values of another fit, which may have had fewer runs."""
+        options = self.options
+        unknowns = block_unknowns(self.robot, self.runs, self.squeezing, self.facts, role)
+        problem = SqueezeProblem(
+            self.robot, self.runs, self.facts, self.squeezing, unknowns, options.integrator, options.step_s
+        )
+        coordinates = problem.coordinates
+        if start is None:
+            starts = np.tile(coordinates.prior_mean, (len(options.starts_Pa), 1))
+            starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = options.starts_Pa
+            windows, tolerance = problem.simulator.windows, 1e-3
+        else:
+            starts = start.values_of(problem.unknowns)[problem.free][None]
+            windows, tolerance = None, 1e-4
+        solution = solvers.levenberg_marquardt(
+            problem, coordinates.internal(starts), windows, iterations=40, tolerance=tolerance
+        )
+        return FitResult.of(problem, solution)
 
 
 def find_softness(
@@ -139,42 +160,15 @@ def find_softness(
         else:
             usable.append((prepared, squeezes))
         screen_run(robot, prepared, found)
-    data = _Recorded(tuple(run for run, _ in usable), tuple(squeezes for _, squeezes in usable))
     # a probe raises a current that moved too little: those that did not move are no flaw of the others
-    (found.notes if any(data.squeezing) else found.reasons).extend(unmoved)
-    if not any(data.squeezing):
+    (found.notes if any(squeezes for _, squeezes in usable) else found.reasons).extend(unmoved)
+    if not any(squeezes for _, squeezes in usable):
         return no_answer("softness", "youngs_modulus", "Pa", robot.name, len(runs), found.reasons, found.notes)
-    nominal = _solve(robot, data, facts, options, Role.FROZEN)
-    fit = _solve(robot, data, facts, options, Role.FREE, nominal)
-    if not fit.explains:
-        again = _solve(robot, data, facts, options, Role.FREE)
-        fit = again if again.chi2 < fit.chi2 else fit
-    return _conclude(robot, data, facts, options, nominal, fit, found, len(runs))
-
-
-def _solve(
-    robot: Robot,
-    data: _Recorded,
-    facts: BlockFacts,
-    options: SqueezeOptions,
-    role: Role,
-    start: FitResult | None = None,
-) -> FitResult:
-    """Fit the runs from every guess, or from the values of another fit."""
-    unknowns = block_unknowns(robot, data.runs, data.squeezing, facts, role)
-    problem = SqueezeProblem(robot, data.runs, facts, data.squeezing, unknowns, options.integrator, options.step_s)
-    coordinates = problem.coordinates
-    if start is None:
-        starts = np.tile(coordinates.prior_mean, (len(options.starts_Pa), 1))
-        starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = options.starts_Pa
-        windows, tolerance = problem.simulator.windows, 1e-3
-    else:
-        starts = start.values[problem.free][None]
-        windows, tolerance = None, 1e-4
-    solution = solvers.levenberg_marquardt(
-        problem, coordinates.internal(starts), windows, iterations=40, tolerance=tolerance
+    search = SqueezeSearch(
+        robot, tuple(run for run, _ in usable), tuple(squeezes for _, squeezes in usable), facts, options
     )
-    return FitResult.of(problem, solution)
+    nominal, opened = fit_both(search.solve, unexplained)
+    return Squeezed(nominal, opened, found, len(runs), search).estimate()
 
 
 def fit_squeezes(
@@ -193,68 +187,76 @@ def fit_squeezes(
         options: how to solve.
         before: what some of the same runs said: the fit starts there.
     """
-    data = _Recorded(tuple(runs), (True,) * len(runs))
+    search = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options)
     if before is not None:
-        unknowns = block_unknowns(robot, data.runs, data.squeezing, facts, Role.FREE)
-        fit = _solve(robot, data, facts, options, Role.FREE, replace(before, values=before.values_of(unknowns)))
+        fit = search.solve(Role.FREE, before)
         if fit.explains:
             return fit
-    return _solve(robot, data, facts, options, Role.FREE, _solve(robot, data, facts, options, Role.FROZEN))
+    return fit_opened(search.solve)
 
 
-def _apart(
-    robot: Robot, data: _Recorded, facts: BlockFacts, options: SqueezeOptions, outlier: int, std_Pa: float
-) -> Contradiction:
-    """What a run says that the others predict badly; ``std_Pa`` is what all runs together leave open of the modulus."""
-    name = data.runs[outlier].run.name
-    moduli = []
-    for rows in ([outlier], [row for row in range(len(data.runs)) if row != outlier]):
-        part = _Recorded(tuple(data.runs[row] for row in rows), tuple(data.squeezing[row] for row in rows))
-        if not any(part.squeezing):
+@dataclass(eq=False)
+class Squeezed(Conclusion):
+    """What a fit says about the moduli of a block; ``search`` has the runs that were fitted, and how."""
+
+    search: SqueezeSearch
+
+    probe, name = "softness", "youngs_modulus"
+    searched_for = "modulus"
+    check = "check block.size and the robot file"
+    beside = "a gripper or a block"
+
+    def compare_runs(self) -> None:
+        super().compare_runs()
+        # friction is not the same in each run: what that makes of the modulus counts as noise of the readings
+        self.budget = self.assessed.budget()
+        self.measured_std = self.assessed.std
+
+    def contradiction(self, outlier: int) -> Contradiction:
+        name = self.runs[outlier].run.name
+        others = [row for row in range(len(self.runs)) if row != outlier]
+        parts = [self.search.part(rows) for rows in ([outlier], others)]
+        if not all(any(part.squeezing) for part in parts):
             return Contradiction(f"{name} contradicts the other runs: was the gripper empty where it should be?")
-        nominal = _solve(robot, part, facts, options, Role.FROZEN)
-        moduli.append(float(_solve(robot, part, facts, options, Role.FREE, nominal).physical("youngs_modulus")[0]))
-    one, others = moduli
-    question = "was the same block held in the same way?"
-    return contradiction(name, "Pa", one, others, max(ALIKE_SHARE * others, std_Pa), 0.0, question)
+        one, rest = (float(fit_opened(part.solve).physical(self.name)[0]) for part in parts)
+        alike = max(ALIKE_SHARE * rest, self.assessed.std)  # what all runs together leave open
+        return contradiction(name, "Pa", one, rest, alike, 0.0, "was the same block held in the same way?")
 
+    def guess(self) -> list[Guess]:
+        """The size, unless stated: of a given stiffness E A / L, the modulus goes with the length over both other sides."""
+        facts = self.search.facts
+        if "block.size" not in facts.guessed:
+            return []
+        taken = " x ".join(f"{1e3 * edge:g}" for edge in facts.size) + " mm"
+        std = np.sqrt(3.0) * GUESSED_SHARE * self.assessed.value
+        return [Guess("block.size", taken, f"{100.0 * GUESSED_SHARE:g} % per side", std)]
 
-def _conclude(
-    robot: Robot,
-    data: _Recorded,
-    facts: BlockFacts,
-    options: SqueezeOptions,
-    nominal: FitResult,
-    fit: FitResult,
-    found: Findings,
-    run_count: int,
-) -> Estimate:
-    problem = fit.problem
-    assert isinstance(problem, SqueezeProblem)
-    known = robot.is_calibrated(joints_of(data.runs))
-    assessed = Assessment(fit, "youngs_modulus", data.runs, known)
-    outlier = contradicting(Posterior(problem, fit.values)) if len(data.runs) > 1 and not fit.explains else None
-    apart = None if outlier is None else _apart(robot, data, facts, options, outlier, assessed.std)
-    if apart is not None and apart.half is not None:
-        assessed.widen(apart.half)
-    measured_std, budget = assessed.std, assessed.budget()
-    guesses = _guesses(facts, assessed.value)
-    for guess in guesses:
-        assessed.widen(guess.std)
-        budget = sorted([*budget, (f"{guess.key}, guessed", guess.std)], key=lambda entry: -entry[1])
-    modulus, std, covariance = assessed.value, assessed.std, assessed.covariance
-    curves = _curves(problem, fit.values, facts)
-    largest = max(float(curve.squeeze.max()) for curve in curves)
-    unknown = problem.unknowns[assessed.row]
+    @cached_property
+    def curves(self) -> tuple[SqueezeCurve, ...]:
+        """Force on a finger over squeeze, as simulated, with the quasi-static law alone."""
+        problem, facts, values = self.fit.problem, self.search.facts, self.fit.values
+        assert isinstance(problem, SqueezeProblem)
+        at = problem.index
+        modulus, ratio = float(values[at["youngs_modulus"]]), float(values[at["poissons_ratio"]])
+        table = problem.simulator.special.squeeze_runs[0].response
+        curves: list[SqueezeCurve] = []
+        for row, squeeze in zip(np.flatnonzero(problem.squeezing), problem.squeezes(values), strict=True):
+            pressed = np.maximum(squeeze, 0.0)
+            force = modulus * facts.area * table(pressed, np.full(len(pressed), ratio))[0]
+            run = problem.runs[row]
+            shapes = () if curves else _shapes(facts, ratio, run.times_s, squeeze)
+            curves.append(SqueezeCurve(run.run.name, facts.length, run.times_s, squeeze, force, shapes))
+        return tuple(curves)
 
-    def refusals() -> Iterator[Refusal]:
-        if not np.isfinite(fit.chi2):
-            unsimulated = "no guess of the modulus could be simulated"
-            yield rejected("unsimulated", unsimulated, unsimulated + ": check block.size and the robot file")
-        yield from contradicted(apart)
-        if fit.reduced_chi2 > MISFIT_LIMIT:
-            misfit = _misfit(assessed.rms, assessed.expected, modulus, fit.reduced_chi2)
-            yield rejected("misfit", "the model does not explain the recording", misfit, *other_suspects(robot))
+    @property
+    def largest(self) -> float:
+        """Squeeze, relative to the block's length."""
+        return max(float(curve.squeeze.max()) for curve in self.curves)
+
+    def refusals(self) -> Iterator[Refusal]:
+        yield from self.misfit()
+        modulus, std, largest = self.assessed.value, self.assessed.std, self.largest
+        unknown = self.fit.problem.unknowns[self.assessed.row]
         if largest < UNTOUCHED or modulus <= unknown.lower * 1.01:
             yield not_identifiable(
                 "hardly_pressed",
@@ -262,122 +264,133 @@ def _conclude(
                 f"the block was squeezed by {100.0 * max(largest, 0.0):.1f} % at most: is it between the fingers, and block.size "
                 "right?",
             )
-        if modulus >= unknown.upper * 0.99 or Z95 * std > options.widest_relative * modulus:
+        if modulus >= unknown.upper * 0.99 or Z95 * std > self.search.options.widest_relative * modulus:
             yield not_identifiable(
                 "one_sided",
                 "the recording bounds the modulus on one side at most",
                 f"Young's modulus can only be determined to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of "
-                f"{source_label(budget[0][0])}: "
+                f"{source_label(self.budget[0][0])}: "
                 + (
                     "squeeze with other currents, too"
-                    if known
+                    if self.known
                     else "calibrate the gripper on closings without the block"
                 ),
             )
 
-    def remarks() -> list[str]:
-        crushed = f"the block was squeezed by {100.0 * largest:.0f} %, where what is known about elasticity ends: use less current"
-        pressed = [run for run, squeezes in zip(data.runs, data.squeezing, strict=True) if squeezes]
-        return [*([crushed] * (largest > CRUSHED)), *_beyond_measured(pressed)]
-
-    def values(withheld: str) -> tuple[Value, ...]:
-        return _values(fit, covariance, facts, withheld, curves, measured_std)
-
-    best = float(nominal.physical("youngs_modulus")[nominal.solution.best])
-    return judge(
-        robot,
-        assessed,
-        refusals(),
-        found,
-        probe="softness",
-        run_count=run_count,
-        values=values,
-        solver=summary(
-            nominal, "youngs_modulus", options.starts_Pa, max(0.02 * best, 0.1 * std),
-            nominal.solution.iterations + fit.solution.iterations,
-            SearchOptions(integrator=options.integrator, step_s=options.step_s),
-            final=fit,
-        ),
-        budget=budget,
-        assumptions=_assumptions(robot, data.runs[0].drive, facts, options, largest),
-        apart=apart,
-        remarks=remarks,
-        useful=Useful(options.wide_share),
-        guesses=guesses,
-        detail=lambda withheld: SoftnessDetail(curves, None if withheld else _joint(fit, covariance, facts)),
-    )  # fmt: skip
-
-
-def _guesses(facts: BlockFacts, modulus: float) -> list[Guess]:
-    """The size where it was not stated: of a given stiffness E A / L, the modulus goes with the length over both other sides."""
-    if "block.size" not in facts.guessed:
-        return []
-    taken = " x ".join(f"{1e3 * edge:g}" for edge in facts.size) + " mm"
-    return [Guess("block.size", taken, f"{100.0 * GUESSED_SHARE:g} % per side", np.sqrt(3.0) * GUESSED_SHARE * modulus)]
-
-
-def _values(
-    fit: FitResult,
-    covariance: np.ndarray,
-    facts: BlockFacts,
-    withheld: str,
-    curves: Sequence[SqueezeCurve],
-    measured_std: float,
-) -> tuple[Value, ...]:
-    names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
-    if withheld:
-        return tuple(Value(name, unit, None, reason=withheld) for name, unit in names.items())
-    modulus, ratio, both, undetermined = _moduli(fit, covariance, facts)
-    std_e, std_nu = np.sqrt(np.diag(both)).tolist()
-    mu, lam = lame(modulus, ratio)
-    std_mu, std_lambda = np.sqrt(np.diag(_lame_covariance(modulus, ratio, both))).tolist()
-    force, strain, length = max(
-        ((c.force_N.max(), c.squeeze.max(), c.length) for c in curves), key=lambda each: each[1]
-    )
-    secant = float(force / (strain * length))
-    return (
-        positive("youngs_modulus", "Pa", modulus, std_e),
-        Value("poissons_ratio", "1", None, std_nu, reason=undetermined)
-        if undetermined
-        else positive("poissons_ratio", "1", ratio, std_nu, highest=HIGHEST_RATIO),
-        positive("lame_mu", "Pa", float(mu), std_mu),
-        Value("lame_lambda", "Pa", None, reason=undetermined)
-        if undetermined
-        else positive("lame_lambda", "Pa", float(lam), std_lambda),
-        # force over travel: whatever the block's size is
-        positive("secant_stiffness", "N/m", secant, secant * measured_std / modulus),
-        Value("largest_squeeze", "1", float(strain)),
-    )
-
-
-def _moduli(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> tuple[float, float, np.ndarray, str]:
-    """Young's modulus and Poisson's ratio as they are stated.
-
-    Returns:
-        both, their covariance, shape (2, 2), and why the ratio, with what goes with it, is not the recording's: empty where it is.
-    """
-    rows = [fit.problem.index["youngs_modulus"], fit.problem.index["poissons_ratio"]]
-    modulus, ratio = fit.values[rows].tolist()
-    both, prior = covariance[np.ix_(rows, rows)], facts.poissons_ratio
-    std = float(np.sqrt(both[1, 1]))
-    if prior.std == 0.0:
-        return modulus, ratio, both, ""
-    better = "squeeze further, with several currents, or state block.poissons_ratio"
-    if not 1e-3 < ratio < HIGHEST_RATIO - 1e-3:
-        # the fit could go no further, so it gives no interval either: what is known is the prior
-        known = np.diag([both[0, 0], prior.std**2])
-        undetermined = (
-            f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not determine it; {better}"
+    def remarks(self) -> Iterator[str]:
+        if self.largest > CRUSHED:
+            squeezed = f"the block was squeezed by {100.0 * self.largest:.0f} %"
+            yield f"{squeezed}, where what is known about elasticity ends: use less current"
+        yield from _beyond_measured(
+            [run for run, squeezes in zip(self.runs, self.search.squeezing, strict=True) if squeezes]
         )
-        return modulus, prior.value, known, undetermined
-    if RATIO_SPREAD * std > PRIOR_DOMINATED * prior.std:
-        undetermined = (
-            f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; "
-            f"{better}"
+
+    def useful(self) -> Useful:
+        return Useful(self.search.options.wide_share)
+
+    def solver(self) -> SolverSummary:
+        nominal, options = self.nominal, self.search.options
+        best = float(nominal.physical(self.name)[nominal.solution.best])
+        return summary(
+            nominal, self.name, options.starts_Pa, max(0.02 * best, 0.1 * self.assessed.std),
+            nominal.solution.iterations + self.fit.solution.iterations,
+            SearchOptions(integrator=options.integrator, step_s=options.step_s), final=self.fit,
+        )  # fmt: skip
+
+    def values(self, withheld: str) -> tuple[Value, ...]:
+        names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
+        if withheld:
+            return tuple(Value(name, unit, None, reason=withheld) for name, unit in names.items())
+        modulus, ratio, both, undetermined = self.moduli
+        std_e, std_nu = np.sqrt(np.diag(both)).tolist()
+        mu, lam = lame(modulus, ratio)
+        std_mu, std_lambda = np.sqrt(np.diag(_lame_covariance(modulus, ratio, both))).tolist()
+        force, strain, length = max(
+            ((c.force_N.max(), c.squeeze.max(), c.length) for c in self.curves), key=lambda each: each[1]
         )
-        return modulus, ratio, both, undetermined
-    spread = np.array([1.0, RATIO_SPREAD])
-    return modulus, ratio, both * np.outer(spread, spread), ""
+        secant = float(force / (strain * length))
+        return (
+            positive("youngs_modulus", "Pa", modulus, std_e),
+            Value("poissons_ratio", "1", None, std_nu, reason=undetermined)
+            if undetermined
+            else positive("poissons_ratio", "1", ratio, std_nu, highest=HIGHEST_RATIO),
+            positive("lame_mu", "Pa", float(mu), std_mu),
+            Value("lame_lambda", "Pa", None, reason=undetermined)
+            if undetermined
+            else positive("lame_lambda", "Pa", float(lam), std_lambda),
+            # force over travel: whatever the block's size is
+            positive("secant_stiffness", "N/m", secant, secant * self.measured_std / modulus),
+            Value("largest_squeeze", "1", float(strain)),
+        )
+
+    @cached_property
+    def moduli(self) -> tuple[float, float, np.ndarray, str]:
+        """Young's modulus and Poisson's ratio as they are stated.
+
+        With their covariance, shape (2, 2), and why the ratio, with what goes with it, is not the recording's: empty where it is.
+        """
+        rows = [self.fit.problem.index["youngs_modulus"], self.fit.problem.index["poissons_ratio"]]
+        modulus, ratio = self.fit.values[rows].tolist()
+        both, prior = self.assessed.covariance[np.ix_(rows, rows)], self.search.facts.poissons_ratio
+        std = float(np.sqrt(both[1, 1]))
+        if prior.std == 0.0:
+            return modulus, ratio, both, ""
+        better = "squeeze further, with several currents, or state block.poissons_ratio"
+        if not 1e-3 < ratio < HIGHEST_RATIO - 1e-3:
+            # the fit could go no further, so it gives no interval either: what is known is the prior
+            known = np.diag([both[0, 0], prior.std**2])
+            undetermined = (
+                f"the fit went to {ratio:.2f}, the end of what is searched: the squeeze does not determine it; {better}"
+            )
+            return modulus, prior.value, known, undetermined
+        if RATIO_SPREAD * std > PRIOR_DOMINATED * prior.std:
+            undetermined = (
+                f"prior_dominated: the squeeze determines Poisson's ratio to +-{std:.2f}, the prior to +-{prior.std:.2f}; "
+                f"{better}"
+            )
+            return modulus, ratio, both, undetermined
+        spread = np.array([1.0, RATIO_SPREAD])
+        return modulus, ratio, both * np.outer(spread, spread), ""
+
+    def detail(self, withheld: str) -> SoftnessDetail:
+        return SoftnessDetail(self.curves, None if withheld else self._joint())
+
+    def _joint(self) -> JointInterval:
+        """Mu and lambda together: the ellipse of Young's modulus and Poisson's ratio, as it bends on the way to them."""
+        modulus, ratio, both, undetermined = self.moduli
+        turn = np.linspace(0.0, 2.0 * np.pi, 121)
+        # in standard deviations: pascals and a ratio differ by orders of magnitude, and a ratio that is stated exactly has none
+        std = np.sqrt(np.diag(both))
+        sizes = np.where(std > 0.0, std, 1.0)
+        scale, axes = np.linalg.eigh(both / np.outer(sizes, sizes))
+        circle = np.stack([np.cos(turn), np.sin(turn)])
+        ellipse = sizes[:, None] * (axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ circle)
+        around = np.maximum(modulus + ellipse[0], 0.0), np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO)
+        return JointInterval(
+            ("lame_mu", "lame_lambda"), "Pa", np.array(lame(modulus, ratio)), _lame_covariance(modulus, ratio, both),
+            np.stack(lame(*around), axis=1), not undetermined,
+        )  # fmt: skip
+
+    def assumptions(self) -> tuple[str, ...]:
+        facts, options = self.search.facts, self.search.options
+        size = " x ".join(f"{1e3 * edge:.4g}" for edge in facts.size)
+        shape = "" if facts.mesh is None else f", a mesh of {len(facts.mesh.tets)} tetrahedra"
+        drive = self.runs[0].drive
+        measured = drive.finger_travel
+        ratio = f"{1e3 * drive.transmission:g} mm per rad"
+        if measured is not None:
+            span = ", ".join(
+                f"{1e3 * each:.2f}" for each in measured.ratio_at([measured.at_rad[0], measured.at_rad[-1]])
+            )
+            ratio = f"{span} mm per rad at both ends of what was measured ({len(measured.at_rad)} openings)"
+        return (
+            f"a homogeneous block of {size} mm (the first along the squeeze){shape}, faces {facts.contact}, law of elasticity "
+            f"{facts.law}; squeezed by up to {100.0 * self.largest:.0f} %",
+            f"{facts.fingers} fingers that move {ratio} each: the modulus goes with one over the square of that",
+            f"Poisson's ratio {facts.poissons_ratio.value:g} +- {facts.poissons_ratio.std:g} before the squeeze",
+            f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms",
+            stated_in(self.robot),
+        )
 
 
 def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarray:
@@ -385,38 +398,6 @@ def _lame_covariance(modulus: float, ratio: float, both: np.ndarray) -> np.ndarr
     by = np.column_stack([lame(1.0, ratio), modulus * np.array(lame_by_poissons_ratio(ratio))])
     covariance: np.ndarray = by @ both @ by.T
     return covariance
-
-
-def _joint(fit: FitResult, covariance: np.ndarray, facts: BlockFacts) -> JointInterval:
-    """Mu and lambda together: the ellipse of Young's modulus and Poisson's ratio, as it bends on the way to them."""
-    modulus, ratio, both, undetermined = _moduli(fit, covariance, facts)
-    turn = np.linspace(0.0, 2.0 * np.pi, 121)
-    # in standard deviations: pascals and a ratio differ by orders of magnitude, and a ratio that is stated exactly has none
-    std = np.sqrt(np.diag(both))
-    sizes = np.where(std > 0.0, std, 1.0)
-    scale, axes = np.linalg.eigh(both / np.outer(sizes, sizes))
-    circle = np.stack([np.cos(turn), np.sin(turn)])
-    ellipse = sizes[:, None] * (axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ circle)
-    around = np.maximum(modulus + ellipse[0], 0.0), np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO)
-    return JointInterval(
-        ("lame_mu", "lame_lambda"), "Pa", np.array(lame(modulus, ratio)), _lame_covariance(modulus, ratio, both),
-        np.stack(lame(*around), axis=1), not undetermined,
-    )  # fmt: skip
-
-
-def _curves(problem: SqueezeProblem, values: np.ndarray, facts: BlockFacts) -> tuple[SqueezeCurve, ...]:
-    """Force on a finger over squeeze, as simulated, with the quasi-static law alone."""
-    at = problem.index
-    modulus, ratio = float(values[at["youngs_modulus"]]), float(values[at["poissons_ratio"]])
-    table = problem.simulator.special.squeeze_runs[0].response
-    curves: list[SqueezeCurve] = []
-    for row, squeeze in zip(np.flatnonzero(problem.squeezing), problem.squeezes(values), strict=True):
-        pressed = np.maximum(squeeze, 0.0)
-        force = modulus * facts.area * table(pressed, np.full(len(pressed), ratio))[0]
-        run = problem.runs[row]
-        shapes = () if curves else _shapes(facts, ratio, run.times_s, squeeze)
-        curves.append(SqueezeCurve(run.run.name, facts.length, run.times_s, squeeze, force, shapes))
-    return tuple(curves)
 
 
 def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.ndarray) -> tuple[BlockShape, ...]:
@@ -441,38 +422,6 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
     return tuple(
         BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.outside)
         for row, points in zip(at, scaled, strict=True)
-    )
-
-
-def _misfit(rms: float, expected: float, modulus: float, reduced_chi2: float) -> str:
-    if rms <= expected:
-        return (
-            f"misfit: the simulation ({modulus:.3g} Pa) only follows the recording with a gripper or a block further from what is "
-            f"known about them than chance allows (reduced chi-square {reduced_chi2:.1f})"
-        )
-    return (
-        f"misfit: the best simulation ({modulus:.3g} Pa) misses the recording by {1e3 * rms:.2f} mrad rms where the encoder "
-        f"explains {1e3 * expected:.2f} mrad"
-    )
-
-
-def _assumptions(
-    robot: Robot, drive: DriveTrain, facts: BlockFacts, options: SqueezeOptions, largest: float
-) -> tuple[str, ...]:
-    size = " x ".join(f"{1e3 * edge:.4g}" for edge in facts.size)
-    shape = "" if facts.mesh is None else f", a mesh of {len(facts.mesh.tets)} tetrahedra"
-    measured = drive.finger_travel
-    ratio = f"{1e3 * drive.transmission:g} mm per rad"
-    if measured is not None:
-        span = ", ".join(f"{1e3 * each:.2f}" for each in measured.ratio_at([measured.at_rad[0], measured.at_rad[-1]]))
-        ratio = f"{span} mm per rad at both ends of what was measured ({len(measured.at_rad)} openings)"
-    return (
-        f"a homogeneous block of {size} mm (the first along the squeeze){shape}, faces {facts.contact}, law of elasticity "
-        f"{facts.law}; squeezed by up to {100.0 * largest:.0f} %",
-        f"{facts.fingers} fingers that move {ratio} each: the modulus goes with one over the square of that",
-        f"Poisson's ratio {facts.poissons_ratio.value:g} +- {facts.poissons_ratio.std:g} before the squeeze",
-        f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms",
-        f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated"),
     )
 
 

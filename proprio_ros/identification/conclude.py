@@ -1,0 +1,267 @@
+"""From a fit to the answer: what is the same for every probe, in one order, and where a probe says what only it knows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from proprio_ros.identification.estimate import Detail, Estimate, Fit, SolverSummary, Value, Verdict
+from proprio_ros.identification.fit import FitResult, other_suspects, rivals, uncalibrated, unknown_rows
+from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings, contradicting
+from proprio_ros.identification.judge import (
+    Assessment,
+    Guess,
+    Refusal,
+    Useful,
+    guessed,
+    judge,
+    not_identifiable,
+    rejected,
+    too_wide,
+    unsteady,
+)
+from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.prepared_runs import joints_of
+from proprio_ros.identification.reasons import Reason
+from proprio_ros.kinds import label_of
+from proprio_ros.quantity import Z95
+from proprio_ros.robot import Robot
+
+
+@dataclass(eq=False)
+class Conclusion:
+    """The answer that a fit gives; a probe's own class says what only it knows.
+
+    Args:
+        nominal: The search from all starts, with the robot as its file or calibration states it.
+        opened: The fit in which all that is open moves; its covariance is given.
+        found: On the way here.
+        run_count: How many runs there were, the unusable ones included.
+
+    Attributes:
+        probe: Its name; name: of the unknown that it is for.
+        searched_for: The same in a word.
+        check: What to look at where nothing could be simulated.
+        beside: What else than that unknown may be the cause of a misfit.
+        called: Unknowns that an answer shows under another kind.
+        robot, runs, known, assessed: Of the fit, see `Assessment`.
+        budget: What each source puts on the value, the largest first.
+        apart: Runs that say different values.
+        guesses: Facts that were not stated.
+    """
+
+    nominal: FitResult
+    opened: FitResult
+    found: Findings
+    run_count: int
+
+    probe: ClassVar[str]
+    name: ClassVar[str]
+    searched_for: ClassVar[str] = "mass"
+    check: ClassVar[str] = "check the robot file's inertias"
+    beside: ClassVar[str] = "a robot or a start"
+    called: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    def __post_init__(self) -> None:
+        self.robot, self.runs = self.opened.problem.robot, self.opened.problem.runs
+        self.known = self.robot.is_calibrated(joints_of(self.runs))
+        self.assessed = Assessment(self.fit, self.name, self.opened)
+        self.budget = [(self.called.get(source, source), std) for source, std in self.assessed.budget()]
+        self.apart: Contradiction | None = None
+        self.guesses: list[Guess] = []
+
+    # --- what a probe must say ----------------------------------------------------------------------------------------------
+
+    def values(self, withheld: str) -> tuple[Value, ...]:
+        """What is stated; ``withheld`` is in a few words why it is not, and empty where it is."""
+        raise NotImplementedError
+
+    def assumptions(self) -> tuple[str, ...]:
+        """What the answer rests on."""
+        raise NotImplementedError
+
+    def solver(self) -> SolverSummary:
+        """What every start did."""
+        raise NotImplementedError
+
+    # --- what it may say ----------------------------------------------------------------------------------------------------
+
+    @property
+    def fit(self) -> FitResult:
+        """Whose values are given."""
+        return self.opened
+
+    def widen(self) -> None:
+        """Count what only this probe is unsure of."""
+
+    def comparable(self) -> bool:
+        """Whether to ask if a run contradicts the others, which may take more fits."""
+        return not self.fit.explains
+
+    def contradiction(self, outlier: int) -> Contradiction:
+        """What a run says that the others predict badly."""
+        return Contradiction(f"{self.runs[outlier].run.name} contradicts the other runs")
+
+    def guess(self) -> list[Guess]:
+        """Facts that were not stated, and what that puts on the value."""
+        return []
+
+    def untrusted(self) -> Iterator[Refusal]:
+        """What speaks against the recording before one run is compared with another."""
+        yield from ()
+
+    def refusals(self) -> Iterator[Refusal]:
+        """What else speaks against the answer, the worst first."""
+        yield from self.misfit()
+
+    def useful(self) -> Useful | None:
+        """How wide an accepted answer's interval may be; None: as wide as it is."""
+        return None
+
+    def remarks(self) -> Iterator[str]:
+        """Reasons to look closer at an answer that is given."""
+        yield from ()
+
+    def detail(self, withheld: str) -> Detail | None:
+        """What only this probe's answers have; ``withheld`` as for `values`."""
+        return None
+
+    # --- refusals that probes share -----------------------------------------------------------------------------------------
+
+    def misfit(self, suspects: Callable[[], Sequence[str]] = tuple) -> Iterator[Refusal]:
+        """Where the model does not explain the recording; ``suspects`` may be why, default what the robot file leaves open."""
+        if self.fit.reduced_chi2 > MISFIT_LIMIT:
+            yield self.misfit_of(*(suspects() or other_suspects(self.robot)))
+
+    def misfit_of(self, *suspects: str) -> Refusal:
+        """Residuals larger than expected, or unknowns too far from their priors; and what may be the cause."""
+        rms, expected = self.assessed.rms, self.assessed.expected
+        if rms <= expected:
+            said = (
+                f"only follows the recording with {self.beside} further from what is known about them than chance allows (reduced "
+                f"chi-square {self.fit.reduced_chi2:.1f})"
+            )
+        else:
+            said = (
+                f"misses the recording by {1e3 * rms:.2f} mrad rms where the encoder explains {1e3 * expected:.2f} mrad"
+                + (", so its mass is no weighing" if self.assessed.unit == "kg" else "")
+            )
+        which = "simulation" if rms <= expected else "best simulation"
+        at, unit = self.assessed.value, self.assessed.unit
+        value = f"{1e3 * at:.1f} g" if unit == "kg" else f"{at:.3g} {unit}"
+        return rejected(
+            "misfit", "the model does not explain the recording", f"misfit: the {which} ({value}) {said}", *suspects
+        )
+
+    def lighter(self, thing: str, question: str, loaded: str = "") -> Iterator[Refusal]:
+        """Where ``thing`` is lighter than it was empty, to the end of its interval; ``loaded``: how it is now."""
+        mass = self.assessed.value
+        if mass + Z95 * self.assessed.std < 0.0:
+            yield rejected(
+                "lighter_than_empty",
+                f"{thing} seems lighter than empty",
+                f"{thing}{loaded} seems {-1e3 * mass:.1f} g lighter than it was empty: {question}",
+            )
+
+    def several(self, share: float, cure: str = "") -> Iterator[Refusal]:
+        """Where other starts explain the recording as well, at masses that differ by more than ``share``."""
+        mass = self.assessed.value
+        if others := rivals(self.fit, self.name, mass, self.assessed.std, share):
+            several = "more than one mass explains the recording"
+            masses = ", ".join(f"{1e3 * each:.1f} g" for each in sorted((mass, *others)))
+            yield not_identifiable("several_values", several, f"{several}: {masses}{cure}")
+
+    # --- the answer ---------------------------------------------------------------------------------------------------------
+
+    def count(self, std: float, source: str) -> None:
+        """Widen the interval by an uncertainty of its own, and show it in the budget."""
+        self.assessed.widen(std)
+        self.budget = sorted([*self.budget, (source, abs(std))], key=lambda entry: -entry[1])
+
+    def compare_runs(self) -> None:
+        """Look for a run that says another value than the others; nearly the same one widens the interval by half of that."""
+        if len(self.runs) < 2 or not np.isfinite(self.fit.chi2) or not self.comparable():
+            return
+        outlier = contradicting(Posterior(self.opened.problem, self.opened.values))
+        if outlier is not None:
+            self.apart = self.contradiction(outlier)
+            if self.apart.half is not None:
+                self.assessed.widen(self.apart.half)
+
+    def estimate(self) -> Estimate:
+        """The answer: widened by what the probe is unsure of, by what runs say differently, and by what was guessed."""
+        assessed = self.assessed
+        self.widen()
+        self.compare_runs()
+        self.guesses = self.guess() if np.isfinite(self.fit.chi2) else []
+        for guess in self.guesses:
+            self.count(guess.std, guess.source)
+        solver = self.solver()
+        refusal = judge(self._all_refusals(), assessed)
+        reasons = [*refusal.reasons, *self.found.reasons]
+        if refusal.verdict is Verdict.REJECTED:
+            reasons += unsteady(self.runs)
+        elif not refusal.withheld:
+            reasons += self.cautions(solver)
+        rows = unknown_rows(self.opened, assessed.covariance)
+        return Estimate(
+            probe=self.probe,
+            robot=self.robot.name,
+            verdict=refusal.verdict,
+            reasons=tuple(reasons),
+            values=self.values(refusal.withheld),
+            fit=Fit(assessed.rms, assessed.expected, self.fit.reduced_chi2, condition=assessed.posterior.condition),
+            solver=solver,
+            runs=self.run_count,
+            run_fits=assessed.run_fits,
+            unknowns=tuple(replace(row, kind=self.called.get(row.kind, row.kind)) for row in rows),
+            budget=tuple(self.budget),
+            scan=assessed.profile(),
+            detail=self.detail(refusal.withheld),
+            assumptions=(*self.assumptions(), *(f"guessed, not stated: {g.key} {g.taken}" for g in self.guesses)),
+            notes=tuple(self.found.notes),
+        )
+
+    def _all_refusals(self) -> Iterator[Refusal]:
+        if not np.isfinite(self.fit.chi2):
+            unsimulated = f"no guess of the {self.searched_for} could be simulated"
+            yield rejected("unsimulated", unsimulated, f"{unsimulated}: {self.check}")
+        yield from self.untrusted()
+        if self.apart is not None and self.apart.half is None:
+            yield rejected("runs_contradict", "the runs contradict each other", self.apart.sentence)
+        yield from self.refusals()
+        if useful := self.useful():
+            yield from too_wide(self.assessed, useful, self.budget)
+
+    def cautions(self, solver: SolverSummary) -> Iterator[str]:
+        """Reasons to look closer at an answer that is given, those of every probe among them."""
+        assessed = self.assessed
+        if self.guesses:
+            yield guessed(self.guesses, assessed.value)
+        if self.apart is not None and self.apart.sentence:
+            yield self.apart.sentence
+        if assessed.inflation > 1.0 and not self.fit.explains:
+            yield Reason(
+                "coarse_fit",
+                f"the fit is {np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} "
+                "mrad): the interval was widened by that factor",
+            )
+        yield from self.remarks()
+        if elsewhere := len(solver.paths) - solver.starts_agreeing:
+            yield Reason(
+                "starts_disagree",
+                f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)} or in a worse "
+                "fit; the best was taken",
+            )
+        sources = [] if assessed.unit != "kg" else self.budget
+        sought = {guess.source for guess in self.guesses}
+        yield from uncalibrated(self.robot, self.runs, [entry for entry in sources if entry[0] not in sought])
+
+
+def stated_in(robot: Robot) -> str:
+    """For assumptions: which robot file, and whether it was calibrated."""
+    return f"robot file {robot.source.name}, " + ("calibrated" if robot.is_calibrated() else "not calibrated")
