@@ -229,7 +229,7 @@ def _made_by(
     scope = {
         **known,
         "self": SimpleNamespace(
-            values=values, conventions=importlib.import_module("proprio_ros.recordings.bags").OUR_DRIVER
+            values=values, conventions=importlib.import_module("proprio_ros.recordings.topics").OUR_DRIVER
         ),
         "node": SimpleNamespace(values=values),
     }
@@ -400,7 +400,7 @@ def settings() -> str:
     from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
     from proprio_ros.probes.payload.facts import FORMS as OF_PAYLOAD
     from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
-    from proprio_ros.recordings import bags
+    from proprio_ros.recordings import reader, text
     from proprio_ros.recordings.drivers import COLUMNS, FORMS, INPUT
     from proprio_ros.robot import robot_file, urdf
 
@@ -488,10 +488,10 @@ def settings() -> str:
                 ("VALUE of a setting", f"{reading.LONGEST_VALUE} characters"),
                 ("links of a URDF, and joints", str(urdf.MOST_LINKS)),
                 ("names of joints and links", f"{urdf.LONGEST_NAME} printable characters"),
-                ("rows of a CSV file", str(bags.MOST_ROWS)),
-                ("messages of one topic", f"{bags.MOST_MESSAGES}, {bags.MOST_BYTES / 1e6:g} MB together"),
-                ("one message", f"{bags.MOST_BYTES_OF_ONE / 1e3:g} kB"),
-                ("files of a compressed bag, unpacked", f"{bags.MOST_UNPACKED / 1e9:g} GB each"),
+                ("rows of a CSV file", str(text.MOST_ROWS)),
+                ("messages of one topic", f"{reader.MOST_MESSAGES}, {reader.MOST_BYTES / 1e6:g} MB together"),
+                ("one message", f"{reader.MOST_BYTES_OF_ONE / 1e3:g} kB"),
+                ("files of a compressed bag, unpacked", f"{reader.MOST_UNPACKED / 1e9:g} GB each"),
             ],
         ),
     ]

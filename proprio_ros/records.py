@@ -37,6 +37,12 @@ TORQUE_OFF = "torque off"
 LOST_AFTER_PERIODS = 2.5
 """A gap longer than this many median periods means that messages were lost, not that one came late."""
 
+MIN_SAMPLES = 5
+"""Joint states that a recording has at least."""
+
+IMPLAUSIBLE_POSITION = 50.0
+"""No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
+
 LONGEST_NAME = 255
 """Characters of a joint's name."""
 
@@ -263,6 +269,14 @@ class PointTrack:
         object.__setattr__(self, "position", _frozen(self.position, np.float64, "points", (len(self.stamp_ns), 3)))
         _increasing(self.stamp_ns, "stamps of points")
         _finite(self.position, "points")
+
+    @classmethod
+    def of_seen(cls, stamp_ns: TimeArray, position: FloatArray) -> PointTrack:
+        """Of points in any order; what was seen twice at one instant counts once."""
+        order = np.argsort(stamp_ns, kind="stable")
+        stamp_ns = stamp_ns[order]
+        first = np.diff(stamp_ns, prepend=stamp_ns[:1] - 1) > 0
+        return cls(stamp_ns[first], position[order][first])
 
     def of_run(self, run: Run) -> tuple[FloatArray, FloatArray]:
         """Times since a run's onset [s], shape (C,), and points, shape (C, 3), of those within the run."""

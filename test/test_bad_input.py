@@ -24,7 +24,10 @@ from proprio_ros.inputs.reading import json_of, yaml_of
 from proprio_ros.inputs.resources import resource, share_directory
 from proprio_ros.inputs.settings import SEARCH, parse_settings
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.recordings.bags import RawMessage, read_point_file, read_recording, read_text_recording, write_messages
+from proprio_ros.recordings.messages import RawMessage
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.text import read_point_file, read_text_recording
+from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import JointRecord
 from proprio_ros.sim.mesh import read_mesh
 
@@ -339,18 +342,18 @@ def bytes_of(path: Path, topic: str) -> list[tuple[str, int, bytes]]:
 def test_more_than_is_read_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("MOST_MESSAGES", "MOST_BYTES", "MOST_BYTES_OF_ONE"):
         with monkeypatch.context() as patch:
-            patch.setattr(f"proprio_ros.recordings.bags.{name}", 20)
+            patch.setattr(f"proprio_ros.recordings.reader.{name}", 20)
             with pytest.raises(RecordingError, match="holds more than is read"):
                 read(BAG)
 
 
 def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from proprio_ros.recordings.bags import _zstd
+    from proprio_ros.recordings.reader import zstd
 
     folder = tmp_path / "bag"
     shutil.copytree(BAG, folder)
     whole = (folder / "bag_mcap.mcap").read_bytes()
-    (folder / "bag_mcap.mcap.zstd").write_bytes(_zstd.compress(whole))
+    (folder / "bag_mcap.mcap.zstd").write_bytes(zstd.compress(whole))
     (folder / "bag_mcap.mcap").unlink()
     metadata = (folder / "metadata.yaml").read_text().replace("compression_format: ''", "compression_format: zstd")
     metadata = metadata.replace("compression_mode: ''", "compression_mode: FILE").replace(
@@ -358,7 +361,7 @@ def test_a_compressed_bag_that_stands_for_gigabytes(tmp_path: Path, monkeypatch:
     )
     (folder / "metadata.yaml").write_text(metadata)
     assert len(read(folder).joints.times_ns) == len(read(BAG).joints.times_ns)
-    monkeypatch.setattr("proprio_ros.recordings.bags.MOST_UNPACKED", len(whole) - 1)
+    monkeypatch.setattr("proprio_ros.recordings.reader.MOST_UNPACKED", len(whole) - 1)
     with pytest.raises(RecordingError, match="unpacks to over"):
         read(folder)
 

@@ -15,9 +15,10 @@ from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, replay
-from proprio_ros.recordings.bags import read_recording, write_recording
 from proprio_ros.recordings.motions import motion_of
 from proprio_ros.recordings.runs import UnderController, cut_runs
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot
 

@@ -20,8 +20,11 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes.payload.identify import weigh
-from proprio_ros.recordings.bags import BOOL, JOINT_STATE, RawMessage, _types, read_recording, write_messages
+from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.runs import RELEASE_S, cut_runs
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.topics import BOOL, JOINT_STATE
+from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
 
@@ -140,7 +143,7 @@ def test_a_bag_says_when_torque_is_off(
     tmp_path: Path, swings: list[tuple[np.ndarray, np.ndarray]], late_s: int
 ) -> None:
     """Also where most states were heard late, on a busy computer: no clock differs for that."""
-    types: Any = _types()
+    types: Any = message_types()
     time, header, state, boolean = (
         types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BOOL)
     )

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line
 from proprio_ros.inputs.reading import path_problem
-from proprio_ros.recordings.bags import is_text_recording
 from proprio_ros.recordings.datasets import is_data_set, open_data_set
+from proprio_ros.recordings.text import is_text_recording
 
 STORAGE = (".mcap", ".db3")
 

@@ -17,9 +17,9 @@ from proprio_ros.batch.store import Store
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, prepare, replay, write_report
-from proprio_ros.recordings.bags import is_text_recording
 from proprio_ros.recordings.datasets import marked, open_data_set
 from proprio_ros.recordings.motions import SHORTEST_S
+from proprio_ros.recordings.text import is_text_recording
 
 MOST_EMPTY = 20
 """Episodes that calibrate an arm."""

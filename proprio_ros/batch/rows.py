@@ -17,8 +17,9 @@ from proprio_ros.errors import ProprioError, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.pipeline.replay import Prepared, ReplayOptions, identify, prepare, read_for
 from proprio_ros.probes.base import Online, Recorded
-from proprio_ros.recordings.bags import is_text_recording, parts_of
+from proprio_ros.recordings.contents import parts_of
 from proprio_ros.recordings.datasets import parts_of_episode
+from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.records import Span
 from proprio_ros.schema import calibration_used, reason_codes
 from proprio_ros.threads import one_blas_thread

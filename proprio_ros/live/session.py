@@ -39,8 +39,10 @@ from proprio_ros.pipeline.replay import (
 )
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
-from proprio_ros.recordings.bags import RawMessage, read_recording, write_messages
+from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import compile_kernels

@@ -23,8 +23,8 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.nodes.senders import Senders
-from proprio_ros.recordings.bags import TEMPERATURES
 from proprio_ros.recordings.description import robot_named
+from proprio_ros.recordings.topics import TEMPERATURES
 
 _D = DriverSettings()
 LATE_S = 0.005

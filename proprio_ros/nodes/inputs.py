@@ -20,7 +20,8 @@ from proprio_ros.live.session import LiveEstimate, Session, as_parameters
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
 from proprio_ros.pipeline.replay import ReplayOptions
-from proprio_ros.recordings.bags import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES, RawMessage
+from proprio_ros.recordings.messages import RawMessage
+from proprio_ros.recordings.topics import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES
 from proprio_ros.robot import DriveTrain
 
 STALE_S = 0.5

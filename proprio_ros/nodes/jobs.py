@@ -49,7 +49,7 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, aged_robot, replay, write_report
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Prepares, Probe, Shown, chooser_of
-from proprio_ros.recordings.bags import RawMessage
+from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.records import Run
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices

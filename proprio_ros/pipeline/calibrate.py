@@ -48,7 +48,7 @@ from proprio_ros.pipeline.replay import (
 from proprio_ros.probes import probe_that
 from proprio_ros.probes.base import WeighsReferences
 from proprio_ros.quantity import Quantity
-from proprio_ros.recordings.bags import read_motors
+from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import with_stall_currents

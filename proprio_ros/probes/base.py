@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.identification.regression.running import RunningWeight
-    from proprio_ros.recordings.bags import TextRecording
     from proprio_ros.recordings.motions import Motion
+    from proprio_ros.recordings.text import TextRecording
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts

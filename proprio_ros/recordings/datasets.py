@@ -21,9 +21,11 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
-from proprio_ros.recordings.bags import EFFORT_UNITS, IMPLAUSIBLE_POSITION, MIN_SAMPLES, ampere
+from proprio_ros.recordings.topics import EFFORT_UNITS, ampere
 from proprio_ros.records import (
+    IMPLAUSIBLE_POSITION,
     MEASURED_EFFORT,
+    MIN_SAMPLES,
     DriveSignals,
     FloatArray,
     InputRecord,

@@ -20,6 +20,6 @@ def description_of(bag: Path) -> str:
     Raises:
         RecordingError: it cannot be read, or holds no description.
     """
-    from proprio_ros.recordings.bags import read_description  # only here: it brings the readers of bags along
+    from proprio_ros.recordings.contents import read_description
 
     return read_description(bag)

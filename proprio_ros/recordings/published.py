@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.recordings.bags import TextRecording
+from proprio_ros.recordings.text import TextRecording
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 

@@ -19,8 +19,8 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.replay import DEFAULT_ROBOT
 from proprio_ros.probes.payload.facts import payload_facts
-from proprio_ros.recordings.bags import read_recording
 from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts

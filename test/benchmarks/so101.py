@@ -24,7 +24,9 @@ from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, replay
-from proprio_ros.recordings.bags import JOINT_STATE, RawMessage, _types, write_messages
+from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.topics import JOINT_STATE
+from proprio_ros.recordings.writer import write_messages
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 MIDDLE = np.array([0.0, -0.3, 0.3, 0.4, 0.0, 0.2])
@@ -105,7 +107,7 @@ class Arm:
 
 def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     """A bag of goals and positions."""
-    types: Any = _types()
+    types: Any = message_types()
     time, header, state = (
         types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
     )

@@ -16,7 +16,10 @@ from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, replay
-from proprio_ros.recordings.bags import FLOAT_ARRAYS, RawMessage, _types, read_temperatures, write_messages
+from proprio_ros.recordings.contents import read_temperatures
+from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.topics import FLOAT_ARRAYS
+from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -129,7 +132,7 @@ def test_the_robot_file_states_the_drift() -> None:
 
 def temperatures(celsius: dict[str, float], namespace: str = "") -> RawMessage:
     """What a driver says."""
-    types = _types()
+    types = message_types()
     dimension, layout = (types.types[f"std_msgs/msg/MultiArray{kind}"] for kind in ("Dimension", "Layout"))
     dims = [dimension(",".join(celsius), len(celsius), len(celsius))]
     message = types.types[FLOAT_ARRAYS[0]](layout(dims, 0), np.array(list(celsius.values())))
@@ -140,7 +143,7 @@ def temperatures(celsius: dict[str, float], namespace: str = "") -> RawMessage:
 
 def states() -> list[RawMessage]:
     """Of a driver that has nothing else to say."""
-    types = _types()
+    types = message_types()
     names = ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     kind, header, stamp = (types.types[name] for name in names)
     found = []

@@ -15,7 +15,10 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.live.session import check_input
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
 from proprio_ros.pipeline.replay import ReplayOptions, check_motors
-from proprio_ros.recordings.bags import STATUS, RawMessage, _types, read_motors, write_messages
+from proprio_ros.recordings.contents import read_motors
+from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.topics import STATUS
+from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import Robot, load_robot
 
 ELBOW = MotorIdentity(model=1020, id=13, firmware=46, homing_offset=0, drive_mode=0, moving_threshold=10)
@@ -24,7 +27,7 @@ ARM = {"joint2": replace(ELBOW, id=12), "joint3": ELBOW}
 
 def states(namespace: str = "") -> list[RawMessage]:
     """An arm at rest."""
-    types = _types()
+    types = message_types()
     kind, header = types.types["sensor_msgs/msg/JointState"], types.types["std_msgs/msg/Header"]
     time = types.types["builtin_interfaces/msg/Time"]
     messages = []
@@ -39,7 +42,7 @@ def states(namespace: str = "") -> list[RawMessage]:
 
 def said(values: Mapping[str, str], namespace: str = "") -> RawMessage:
     """What a driver says of its motors."""
-    types = _types()
+    types = message_types()
     pair = types.types["diagnostic_msgs/msg/KeyValue"]
     message = types.types[STATUS](0, "driver: motors", "", "", [pair(key, value) for key, value in values.items()])
     return RawMessage(f"{namespace}/motors", STATUS, 5, bytes(types.serialize_cdr(message, STATUS)))

@@ -19,8 +19,9 @@ from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import MOST_LOST_RUNS, ExcitationMachine, Phase
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
-from proprio_ros.recordings.bags import read_recording, write_recording
 from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.robot.kinematics import clearance

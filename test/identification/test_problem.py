@@ -13,8 +13,8 @@ from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.recordings.bags import read_recording
 from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 

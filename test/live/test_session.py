@@ -33,7 +33,8 @@ from proprio_ros.pipeline.replay import ReplayOptions, replay
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.payload.facts import inertia_tensor
 from proprio_ros.probes.softness import block_rotation, largest_squeeze
-from proprio_ros.recordings.bags import RawMessage, read_recording
+from proprio_ros.recordings.messages import RawMessage
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import Recording
 from proprio_ros.robot import FingerTravel, load_robot
 from proprio_ros.sim import sphere, squeeze

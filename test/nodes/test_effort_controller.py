@@ -20,7 +20,7 @@ from std_msgs.msg import Float64MultiArray
 from support.domains import free_domain
 from support.live import Client, running, wait_for
 
-from proprio_ros.recordings.bags import read_recording
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.effort_driver import FOREIGN_JOINTS
 

@@ -35,7 +35,7 @@ from support.live import SOON_S, UP_S, Client, running, wait_for
 from proprio_ros.bus.driver import DriverSettings
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import joint_state, labelled, values_of
-from proprio_ros.recordings.bags import read_recording
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 

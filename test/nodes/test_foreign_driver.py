@@ -19,7 +19,7 @@ from support.live import Client, comes_up, wait_for
 
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import values_of
-from proprio_ros.recordings.bags import read_recording
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long

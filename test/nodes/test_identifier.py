@@ -35,7 +35,9 @@ from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.pipeline.replay import ReplayOptions
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Sought
-from proprio_ros.recordings.bags import RawMessage, read_motors, read_temperatures, write_messages
+from proprio_ros.recordings.contents import read_motors, read_temperatures
+from proprio_ros.recordings.messages import RawMessage
+from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.kinematics import zero_pose
 

@@ -18,7 +18,7 @@ from support.domains import free_domain
 from support.live import Client, replayed_alike, running, wait_for
 
 from proprio_ros.nodes.graph import Graph
-from proprio_ros.recordings.bags import read_recording
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long

@@ -21,7 +21,7 @@ from support.virtual_pick_and_place import HIGHEST, LOWEST
 from proprio_ros.nodes.messages import labelled, time_ns
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions
-from proprio_ros.recordings.bags import write_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import JointRecord, Recording
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth

@@ -22,7 +22,8 @@ from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.pipeline.api import CalibrationResult, Weighing
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import ReplayOptions, replay
-from proprio_ros.recordings.bags import read_recording, write_recording
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, Recording
 from proprio_ros.robot import load_robot
 from proprio_ros.threads import one_blas_thread

@@ -16,7 +16,8 @@ from support.simulated import bag_in, fixed, known_drive_train, stated, truth_of
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
-from proprio_ros.recordings.bags import read_recording, write_recording
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot
 

@@ -19,15 +19,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
-from proprio_ros.recordings.bags import (
-    is_text_recording,
-    parts_of,
-    read_recording,
-    read_text_recording,
-    without_jumps,
-    write_recording,
-)
+from proprio_ros.recordings.contents import parts_of
 from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.signals import read_recording, without_jumps
+from proprio_ros.recordings.text import is_text_recording, read_text_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -934,10 +930,8 @@ def test_tables_that_are_refused(tmp_path: Path, change: Callable[[str], str], p
 
 def test_message_definitions_are_jazzys() -> None:
     """The few definitions kept here hash to the same type as the distribution's own."""
-    from rosbags.typesys import Stores, get_typestore
-
-    from proprio_ros.recordings import bags
+    from proprio_ros.recordings import messages
 
     jazzy = get_typestore(Stores.ROS2_JAZZY)
-    for name in bags._DEFINITIONS:
-        assert bags._types().hash_rihs01(name) == jazzy.hash_rihs01(name), name
+    for name in messages._DEFINITIONS:
+        assert messages.message_types().hash_rihs01(name) == jazzy.hash_rihs01(name), name

@@ -13,7 +13,6 @@ import pytest
 from proprio_ros.cli import main
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
 from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs
-from proprio_ros.recordings.bags import read_recording, write_recording
 from proprio_ros.recordings.motions import motion_of
 from proprio_ros.recordings.plausibility import (
     effort_per_torque,
@@ -22,6 +21,8 @@ from proprio_ros.recordings.plausibility import (
     gravity_torque,
     velocity_lag_s,
 )
+from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot, with_recorded_torque
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.bags import read_recording
 from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, Recording, TimeArray
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")

@@ -13,8 +13,8 @@ from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.inputs.forms import Text
 from proprio_ros.inputs.reading import yaml_of
-from proprio_ros.recordings.bags import _types
 from proprio_ros.recordings.description import description_of, robot_named
+from proprio_ros.recordings.messages import message_types
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.description import hand_link, read_model
 from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT
@@ -113,7 +113,7 @@ def test_a_bag_without_one_description(tmp_path: Path) -> None:
 
 
 def bag(path: Path, storage: StoragePlugin, texts: list[str], topic: str = "/robot_description") -> None:
-    types = _types()
+    types = message_types()
     with Writer(path, version=9, storage_plugin=storage) as writer:
         connection = writer.add_connection(topic, "std_msgs/msg/String", typestore=types)
         for number, text in enumerate(texts):

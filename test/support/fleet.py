@@ -18,8 +18,8 @@ import numpy as np
 import proprio_ros.batch.local as local
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import Job
-from proprio_ros.recordings.bags import write_recording
 from proprio_ros.recordings.motions import Motion
+from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import JointRecord, Recording
 from support.arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.recordings.bags import JOINT_STATE, RawMessage, _types, write_messages
+from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.topics import JOINT_STATE
+from proprio_ros.recordings.writer import write_messages
 
 STEP_S = 0.001
 
@@ -80,7 +82,7 @@ def record_arm(
 
     data.qpos[dofs], data.qvel[dofs], _ = wanted(0.0)
     inertia, per_effort = np.zeros((model.nv, model.nv)), np.array(list(constants.values()))
-    types: Any = _types()
+    types: Any = message_types()
     time, header, state = (
         types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
     )

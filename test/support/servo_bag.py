@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.recordings.bags import BATTERY, JOINT_STATE, RawMessage, _types, write_messages
+from proprio_ros.recordings.messages import RawMessage, message_types
+from proprio_ros.recordings.topics import BATTERY, JOINT_STATE
+from proprio_ros.recordings.writer import write_messages
 
 
 def write(
@@ -17,7 +19,7 @@ def write(
     effort: np.ndarray | None = None,
     topics: Sequence[str] = ("goal", "voltage"),
 ) -> Path:
-    types: Any = _types()
+    types: Any = message_types()
     time, header, state, battery = (
         types.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BATTERY)
     )

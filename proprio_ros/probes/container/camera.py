@@ -7,7 +7,8 @@ from pathlib import Path
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.probes.container.problem import SphereTrack
-from proprio_ros.recordings.bags import read_point_file, read_points
+from proprio_ros.recordings.contents import read_points
+from proprio_ros.recordings.text import read_point_file
 from proprio_ros.records import Run
 
 MOST_PLACES = 2000
@@ -29,7 +30,7 @@ def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTr
     if camera is None:
         return None
     topic = camera.startswith("/") and (path_problem(camera) or not Path(camera).is_file())
-    track = read_points(source, camera) if topic else read_point_file(camera)
+    track = read_points(source, camera, "sphere.camera") if topic else read_point_file(camera)
     times_s, position = track.of_run(run)
     if not len(times_s):
         raise ConfigurationError(

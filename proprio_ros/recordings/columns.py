@@ -1,0 +1,172 @@
+"""Messages of a bag as columns by joint, under the robot's names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.messages import labels_of
+from proprio_ros.recordings.reader import Bag
+from proprio_ros.recordings.topics import OUR_DRIVER, Conventions, InputTopic, Topic
+from proprio_ros.records import FloatArray, TimeArray
+
+
+class Columns(NamedTuple):
+    """Messages as columns by joint, rows in the order of recording."""
+
+    bag_ns: TimeArray  # (M,)
+    stamp_ns: TimeArray  # (M,), 0 where the header has no stamp
+    names: tuple[str, ...]
+    values: dict[str, FloatArray]  # quantity -> (M, J); NaN: not in the message, inf: in it, but NaN or infinite
+    notes: list[str]
+
+    def ahead_ns(self) -> TimeArray:
+        """How far each header stamp is ahead of the recorder's time [ns], of those messages that have one."""
+        ahead: TimeArray = (self.stamp_ns - self.bag_ns)[self.stamp_ns != 0]
+        return ahead
+
+    def clock_ns(self) -> int:
+        """How far the header stamps are ahead of the recorder's time [ns], 0 without any stamp."""
+        ahead = np.sort(self.ahead_ns())
+        return int(ahead[ahead.size // 2]) if ahead.size else 0  # np.median would round it to 256 ns
+
+
+def joint_state_columns(
+    bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
+) -> Columns:
+    """Columns of a JointState topic.
+
+    Args:
+        bag: The open bag.
+        topic: One of its topics.
+        quantities: Fields of the message; the first must be there in every message.
+        conventions: Of the driver.
+
+    Raises:
+        RecordingError: Names and values do not fit each other, or two joints would have one name.
+    """
+    rows = bag.rows(topic)
+    named = [conventions.renamed(part.message.name) for part in rows]
+    names = tuple(dict.fromkeys(name for part in named for name in part))
+    theirs: dict[str, str] = {}
+    for part, own in zip(rows, named, strict=True):
+        for name, other in zip(own, part.message.name, strict=True):
+            if theirs.setdefault(name, other) != other:
+                raise RecordingError(
+                    f"{bag.path}: {topic.name}: {theirs[name]} and {other} would both be {name}; state joint_names of --driver "
+                    f"{conventions.driver} otherwise"
+                )
+    index = {name: column for column, name in enumerate(names)}
+    bag_ns = np.concatenate([part.bag_ns for part in rows])
+    values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}
+    orders = set()
+    row = 0
+    for part, own in zip(rows, named, strict=True):
+        columns = [index[name] for name in own]
+        if len(set(columns)) != len(columns):
+            raise RecordingError(f"{bag.path}: {topic.name} names a joint twice in message {row + 1}")
+        orders.add(tuple(columns))
+        for quantity in quantities:
+            data = part.values[quantity]
+            length = data.shape[1]
+            if length != len(columns) and (length or quantity == quantities[0]):
+                raise RecordingError(
+                    f"{bag.path}: {topic.name} has {len(columns)} names but {length} values of {quantity} in message"
+                    f" {row + 1}; every joint needs one"
+                )
+            if length:
+                values[quantity][row : row + len(data), columns] = _marked(data)
+        row += len(part.bag_ns)
+    notes = []
+    if len({frozenset(order) for order in orders}) < len(orders):
+        notes.append(f"{topic.name}: the order of the joints changes between messages; they were matched by name.")
+    for quantity in {"position", "velocity"} & values.keys():
+        values[quantity] *= conventions.radians
+    return Columns(bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes)
+
+
+def _marked(values: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(values), values, np.inf)
+
+
+def array_columns(
+    bag: Bag,
+    topic: Topic,
+    means: InputTopic,
+    joint_order: Sequence[str],
+    recorded: Sequence[str],
+    conventions: Conventions,
+) -> Columns:
+    """Columns of an array of what drives the joints, as the quantity ``effort``.
+
+    A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
+    the push.
+
+    Args:
+        bag: The open bag.
+        topic: One of its topics, of a type of `FLOAT_ARRAYS`.
+        means: What it is.
+        joint_order: The robot's joints, in the order of numbers without labels.
+        recorded: Joints with joint states.
+        conventions: Of the driver.
+
+    Raises:
+        RecordingError: Labels or lengths do not fit.
+    """
+    parts = bag.rows(topic)
+    notes: dict[str, None] = {}
+    stated = conventions.renamed(means.joints)
+    labelled: list[Sequence[str]] = []
+    for part in parts:
+        count = len(part.message.data)
+        if not count:
+            labelled.append(())
+            continue
+        labels = _labels(bag, topic, part.message, {*joint_order, *recorded}, conventions)
+        if labels is None and stated:
+            if count != len(stated):
+                raise RecordingError(
+                    f"{bag.path}: {topic.name} has {count} values but --driver {conventions.driver} names "
+                    f"{len(stated)} joints ({', '.join(stated)}); state its controller's joints in a file of your own"
+                )
+            labels = stated
+        if labels is None:
+            there = tuple(joint for joint in joint_order if joint in recorded)
+            labels = next((order for order in (tuple(joint_order), there) if count == len(order)), None)
+            if labels is None:
+                advice = "label the columns in layout.dim, or choose another input with --command-topic"
+                if conventions.driver:
+                    advice = f"state the joints of its controller in a --driver file of your own (extends: {conventions.driver})"
+                raise RecordingError(
+                    f"{bag.path}: {topic.name} has {count} values but the robot has {len(joint_order)} joints"
+                    f" ({', '.join(joint_order)}); {advice}"
+                )
+            if len(labels) < len(joint_order) or means not in OUR_DRIVER.inputs:
+                notes[f"{topic.name} is unlabelled; it was read as the recorded joints {', '.join(labels)}."] = None
+        labelled.append(labels)
+    names = tuple(dict.fromkeys(name for labels in labelled for name in labels))
+    times_ns = np.concatenate([part.bag_ns for part in parts])
+    values = np.zeros((len(times_ns), len(names)))
+    row = 0
+    for part, named in zip(parts, labelled, strict=True):
+        if named:
+            columns = [names.index(label) for label in named]
+            values[row : row + len(part.bag_ns), columns] = _marked(part.values["data"])
+        row += len(part.bag_ns)
+    return Columns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
+
+
+def _labels(bag: Bag, topic: Topic, message: Any, known: set[str], conventions: Conventions) -> tuple[str, ...] | None:
+    """The robot's names of an array's columns; None where nothing names them."""
+    labels = conventions.renamed(labels_of(message))
+    if not any(labels) or (len(labels) != len(message.data) and known.isdisjoint(labels)):
+        return None  # no labels, or some that describe the dimensions ("currents") and not the columns
+    if len(labels) != len(message.data) or len(set(labels)) != len(labels) or not all(labels):
+        raise RecordingError(
+            f"{bag.path}: {topic.name} has {len(message.data)} values but is labelled {', '.join(labels)};"
+            " layout.dim must name every joint once"
+        )
+    return labels

@@ -1,0 +1,402 @@
+"""Bytes of ROS 2 bags, whole, cut or broken: rosbags reads both storages (sqlite3, mcap), and what it raises becomes one line.
+
+Only the topics that are needed are deserialised, so a bag may hold messages of types that nobody here knows.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from lz4.frame import LZ4FrameDecompressor
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.rosbag2 import reader as rosbag2_reader
+
+from proprio_ros.errors import RecordingError, one_line
+from proprio_ros.inputs.reading import path_problem, text_of, yaml_of
+from proprio_ros.recordings.messages import deserialised, stamp_ns
+from proprio_ros.recordings.topics import Topic, Topics, few
+from proprio_ros.records import FloatArray, Span, TimeArray
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MOST_MESSAGES = 1_000_000
+"""Messages of one topic of a bag: nearly three hours at 100 Hz."""
+MOST_BYTES = 500_000_000
+"""Bytes of the messages of one topic, together."""
+MOST_BYTES_OF_ONE = 200_000
+"""Bytes of one message: that of a thousand joints."""
+MOST_UNPACKED = 2_000_000_000
+"""Bytes of a compressed bag's files, or of one chunk of it, once they are unpacked."""
+_TOGETHER = 8192  # messages that are decoded at once
+
+
+@contextmanager
+def open_bag(path: str | Path) -> Iterator[Bag]:
+    """Open a bag.
+
+    Args:
+        path: Bag folder (with or without metadata.yaml), or one .mcap or .db3 file.
+
+    Raises:
+        RecordingError: It is none, or breaks then or while it is read, whatever rosbags raises over it.
+    """
+    path = Path(path)
+    files = _files(path)
+    _check_unpacked(path)
+    try:
+        with ExitStack() as stack:
+            yield Bag(path, files, [stack.enter_context(Reader(file)) for file in files])
+    except RecordingError:
+        raise
+    # rosbags lets sqlite, zstd, struct, YAML, KeyError and AssertionError through, depending on which byte is wrong
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        if "erialization format" in reason:
+            advice = "only 'cdr' can be read"
+        elif "checksum" in reason:
+            advice = "the file has changed since it was written: copy it again, or record it again"
+        else:
+            advice = "if the recorder was killed, try `ros2 bag reindex` or `mcap recover` on it"
+        raise RecordingError(f"{path}: not readable as a ROS 2 bag ({reason}); {advice}") from error
+
+
+class Bag:
+    """The open files of one bag.
+
+    Attributes:
+        path: Of the bag.
+        notes: What was repaired or is missing, a sentence each; grows while messages are read.
+        topics: What the files hold.
+    """
+
+    def __init__(self, path: Path, files: Sequence[Path], readers: list[Reader]) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self._readers = readers
+        self._between: tuple[int | None, int | None] = None, None  # recorder's times that are read [ns]
+        if len(files) > 1:
+            self.notes.append(f"There is no metadata.yaml; {len(files)} storage files were read as one bag.")
+        for log in sorted(path.glob("*.db3-wal")) if path.is_dir() else [path.with_name(f"{path.name}-wal")]:
+            if log.exists() and log.stat().st_size:
+                self.notes.append(
+                    f"{log.name} may hold messages that were not read; merge it with"
+                    f" `sqlite3 {log.name[:-4]} 'PRAGMA wal_checkpoint'`."
+                )
+        counts: dict[tuple[str, str], int] = {}
+        for reader in readers:
+            for connection in reader.connections:
+                key = (connection.topic, connection.msgtype)
+                counts[key] = counts.get(key, 0) + connection.msgcount
+        self.topics = Topics(path, tuple(Topic(*key, count) for key, count in sorted(counts.items())))
+
+    def cut(self, states: Topic, span: Span | None) -> None:
+        """Read only a part from now on, of every topic.
+
+        Raises:
+            RecordingError: The part is behind the last joint state.
+        """
+        if span is None:
+            return
+        first_ns = min(self._recorded_ns(states))
+        self._between = first_ns + span[0] if span[0] else None, None if span[1] is None else first_ns + span[1]
+        if next(self._read(states), None) is None:
+            until = "its end" if span[1] is None else f"{1e-9 * span[1]:g} s"
+            raise RecordingError(f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}")
+
+    def _recorded_ns(self, topic: Topic) -> Iterator[int]:
+        """The recorder's time of the first message in each file [ns]."""
+        for reader, wanted in self._wanted(topic):
+            for _, time_ns, _ in reader.messages(connections=wanted):
+                yield time_ns
+                break
+
+    def parts(self, states: Topic, most: int) -> list[Span]:
+        """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
+        count = -(-states.size // most)
+        if count < 2:
+            return [(0, None)]
+        size, begins, last_ns = -(-states.size // count), list[int](), 0
+        try:
+            for number, message in enumerate(_in_order(self._read(states))):
+                last_ns = message[0]
+                if number % size == 0:
+                    begins.append(last_ns)
+        except _OutOfOrder:  # files of one bag that overlap
+            times = sorted(time_ns for time_ns, _ in self._read(states))
+            begins, last_ns = times[::size], times[-1]
+        ends = sorted({begin_ns - begins[0] for begin_ns in begins})
+        return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
+
+    def messages(self, topic: Topic, most: int | None = None) -> list[tuple[int, Any]]:
+        """Recorder's time [ns] and message, of one topic, in the order of time; at least one, unless the bag was cut.
+
+        Args:
+            topic: One of `topics`.
+            most: Bytes that one may have; None: `MOST_BYTES_OF_ONE`.
+
+        Raises:
+            RecordingError: There are more messages or bytes than are read, or none.
+        """
+        return [(time_ns, deserialised(raw, topic.msgtype)) for time_ns, raw in self._raw(topic, most)]
+
+    def rows(self, topic: Topic) -> list[Rows]:
+        """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together.
+
+        Raises:
+            RecordingError: There are more messages or bytes than are read, or none.
+        """
+        try:
+            found = list(_in_rows(_in_order(self._limited(topic)), topic.msgtype))
+        except _OutOfOrder:  # files of one bag that overlap
+            found = list(_in_rows(self._raw(topic), topic.msgtype))
+        if not found:
+            raise RecordingError(f"{self.path}: {topic.name} holds no messages in this part of the recording")
+        return found
+
+    def _wanted(self, topic: Topic) -> Iterator[tuple[Reader, list[Connection]]]:
+        """The files that have a topic, with its connections."""
+        for reader in self._readers:
+            wanted = [c for c in reader.connections if (c.topic, c.msgtype) == (topic.name, topic.msgtype)]
+            if not wanted:
+                continue  # rosbags reads every topic when it is given none
+            for each in wanted:
+                encoding = each.ext.serialization_format if isinstance(each.ext, ConnectionExtRosbag2) else "ros1"
+                if encoding != "cdr":
+                    raise RecordingError(
+                        f"{self.path}: topic {each.topic} is serialised as {encoding!r}; only 'cdr' can be read: record it with a"
+                        " DDS middleware or convert it with `ros2 bag convert`"
+                    )
+            yield reader, wanted
+
+    def _read(self, topic: Topic) -> Iterator[tuple[int, bytes]]:
+        """Recorder's time [ns] and message as it was recorded, file by file."""
+        start_ns, stop_ns = self._between
+        for reader, wanted in self._wanted(topic):
+            for _, time_ns, raw in reader.messages(connections=wanted, start=start_ns, stop=stop_ns):
+                yield time_ns, bytes(raw)
+
+    def _limited(self, topic: Topic, most: int | None = None) -> Iterator[tuple[int, bytes]]:
+        """The same, of at most so many bytes each, at least one unless the bag was cut."""
+        most, size, count = most or MOST_BYTES_OF_ONE, 0, 0
+        for time_ns, raw in self._read(topic):
+            size += len(raw)
+            if len(raw) > most or size > MOST_BYTES or count == MOST_MESSAGES:
+                raise RecordingError(
+                    f"{self.path}: {one_line(topic.name, 60)} holds more than is read: {MOST_MESSAGES} messages, "
+                    f"{MOST_BYTES / 1e6:g} MB together and {most / 1e3:g} kB each; cut the bag with `ros2 bag convert`, or give a "
+                    "part of it, --span FROM:TO"
+                )
+            count += 1
+            yield time_ns, raw
+        if self._between != (None, None):
+            return
+        if not count:
+            raise RecordingError(f"{self.path}: {topic.name} should hold {topic.size} messages but holds none")
+        if count < topic.size:
+            self.notes.append(f"{topic.name}: the bag promises {topic.size} messages but holds {count}.")
+
+    def _raw(self, topic: Topic, most: int | None = None) -> list[tuple[int, bytes]]:
+        """All of them in the order of time."""
+        return sorted(self._limited(topic, most), key=lambda message: message[0])
+
+
+class _OutOfOrder(Exception):
+    """Messages do not come in the order of time."""
+
+
+def _in_order(messages: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """The same messages; raises `_OutOfOrder` where one is earlier than that before it."""
+    last_ns: int | None = None
+    for message in messages:
+        if last_ns is not None and message[0] < last_ns:
+            raise _OutOfOrder
+        last_ns = message[0]
+        yield message
+
+
+# --- many messages at once -------------------------------------------------------------------------------------------
+
+
+class Rows(NamedTuple):
+    """Messages that differ only in their numbers."""
+
+    bag_ns: TimeArray  # (M,)
+    stamp_ns: TimeArray  # (M,), 0 where there is none
+    message: Any  # the first of them
+    values: dict[str, FloatArray]  # (M, length of the field)
+
+
+def _in_rows(messages: Iterable[tuple[int, bytes]], msgtype: str) -> Iterator[Rows]:
+    """Numbers of messages in the order of time; no more than `_TOGETHER` messages are held as they were recorded."""
+    coming, waiting = iter(messages), list[tuple[int, bytes]]()
+    while True:
+        waiting += islice(coming, _TOGETHER - len(waiting))
+        if not waiting:
+            return
+        first = deserialised(waiting[0][1], msgtype)
+        names = ("position", "velocity", "effort") if hasattr(first, "header") else ("data",)
+        numbers = {name: getattr(first, name) for name in names}
+        layout = _layout(waiting[0][1], first, numbers)
+        count, stamps, values = 1, None, {key: np.asarray(data, np.float64)[None] for key, data in numbers.items()}
+        if layout is not None:
+            count, stamps, values = layout.read([raw for _, raw in waiting])
+        elif hasattr(first, "header"):
+            stamps = np.array([stamp_ns(first)])
+        times = np.array([time_ns for time_ns, _ in waiting[:count]], dtype=np.int64)
+        yield Rows(times, np.zeros_like(times) if stamps is None else stamps, first, values)
+        del waiting[:count]
+
+
+class _Layout(NamedTuple):
+    """Where the numbers lie in the bytes of a message (CDR, little-endian)."""
+
+    stamp: int | None
+    numbers: dict[str, tuple[int, int, str]]  # offset, length in bytes, type
+
+    def read(self, raws: Sequence[bytes]) -> tuple[int, TimeArray | None, dict[str, FloatArray]]:
+        """How many of the messages from the first on differ only in their numbers; their stamps and their numbers."""
+        length = len(raws[0])
+        count = next((n for n, raw in enumerate(raws) if len(raw) != length), len(raws))
+        table = np.frombuffer(b"".join(raws[:count]), np.uint8).reshape(count, length)
+        same = np.ones(length, dtype=bool)
+        for offset, size, _ in self.numbers.values():
+            same[offset : offset + size] = False
+        if self.stamp is not None:
+            same[self.stamp : self.stamp + 8] = False
+        unlike = np.flatnonzero((table[:, same] != table[0, same]).any(axis=1))
+        table = table[: int(unlike[0]) if len(unlike) else count]
+        stamps = None
+        if self.stamp is not None:
+            seconds, nanoseconds = (
+                table[:, at : at + 4].copy().view(kind)[:, 0].astype(np.int64)
+                for at, kind in ((self.stamp, "<i4"), (self.stamp + 4, "<u4"))
+            )
+            stamps = seconds * 1_000_000_000 + nanoseconds
+        values = {
+            name: table[:, at : at + size].copy().view(kind).astype(np.float64).reshape(len(table), -1)
+            for name, (at, size, kind) in self.numbers.items()
+        }
+        return len(table), stamps, values
+
+
+def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | None:
+    """Where the numbers of a message lie; None where that is not what the deserialiser says."""
+    if raw[:2] != b"\0\1":
+        return None
+    at = 4  # behind the header, from where alignment counts
+
+    def skip(size: int, align: int = 4) -> int:
+        nonlocal at
+        start = at + (4 - at) % align
+        at = start + size
+        return start
+
+    def skip_text(text: str) -> None:
+        skip(4)
+        skip(len(text.encode()) + 1, 1)
+
+    stamp = None
+    if hasattr(message, "header"):
+        stamp = skip(8)
+        skip_text(message.header.frame_id)
+        skip(4)
+        for name in message.name:
+            skip_text(name)
+    else:
+        skip(4)
+        for dimension in message.layout.dim:
+            skip_text(dimension.label)
+            skip(8)
+        skip(4)
+    places = {}
+    for key, values in numbers.items():
+        skip(4)
+        kind = np.dtype(np.asarray(values).dtype).newbyteorder("<")
+        start = skip(values.nbytes, kind.itemsize) if len(values) else at
+        places[key] = (start, values.nbytes, kind.str)
+    layout = _Layout(stamp, places)
+    if at > len(raw):
+        return None
+    _, stamps, found = layout.read([raw])
+    fits = all(np.array_equal(found[key][0], np.asarray(values), equal_nan=True) for key, values in numbers.items())
+    fits = fits and (stamps is None or int(stamps[0]) == stamp_ns(message))
+    return layout if fits else None
+
+
+# --- files and their compression -------------------------------------------------------------------------------------
+
+
+def _files(path: Path) -> list[Path]:
+    """What to hand to rosbags: the folder when it has metadata, else its storage files."""
+    problem = path_problem(path)
+    if problem:
+        raise RecordingError(f"{one_line(str(path), 100)}: {problem}")
+    if not path.exists():
+        raise RecordingError(f"{path}: no such bag; give a bag folder, or a .mcap or .db3 file")
+    if path.is_file():
+        if path.suffix == ".bag":
+            raise RecordingError(f"{path}: a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag")
+        if path.suffix not in (".mcap", ".db3"):
+            raise RecordingError(f"{path}: not a bag; give a bag folder, or a .mcap or .db3 file")
+        return [path]
+    if (path / "metadata.yaml").exists():
+        return [path]
+    for suffix in (".mcap", ".db3"):
+        files = sorted(path.glob(f"*{suffix}"))
+        if files:
+            return files
+    inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
+    hint = f"; did you mean one of the bags in it: {few(inner)}?" if inner else "; give a bag folder or file"
+    raise RecordingError(f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}")
+
+
+def _check_unpacked(path: Path) -> None:
+    """Refuse what would fill the disk or the memory before rosbags unpacks it."""
+    if not path.is_dir():
+        return
+    if (path / "metadata.yaml").exists():
+        text = text_of(path / "metadata.yaml", RecordingError)
+        if "&" in text or len(text) > 50_000:  # a recorder writes no anchors; rosbags would follow them
+            try:
+                yaml_of(text)
+            except ValueError as error:
+                raise RecordingError(f"{path}: not readable as a ROS 2 bag (metadata.yaml: {error})") from error
+    for file in path.glob("*.zstd"):
+        size = 0
+        with suppress(OSError, zstd.ZstdError, EOFError), zstd.open(file, "rb") as stream:
+            while size <= MOST_UNPACKED and (data := stream.read(1 << 20)):
+                size += len(data)
+        if size > MOST_UNPACKED:
+            raise RecordingError(f"{file}: unpacks to over {MOST_UNPACKED / 1e9:g} GB, the most that is read")
+
+
+def _unzstd(data: bytes, size: int = MOST_BYTES_OF_ONE) -> bytes:
+    """At most the given number of bytes, and one more."""
+    return bytes(zstd.ZstdDecompressor().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
+
+
+def _unlz4(data: bytes, size: int) -> bytes:
+    return bytes(LZ4FrameDecompressor().decompress(data, max_length=min(size, MOST_UNPACKED) + 1))
+
+
+class _Zstd:
+    """What rosbags uses of zstd for whole files and single messages, with a limit on the latter."""
+
+    open = staticmethod(zstd.open)
+    decompress = staticmethod(_unzstd)
+    ZstdError = zstd.ZstdError
+
+
+# a kilobyte of zstd can stand for gigabytes, and rosbags has no option that limits what it unpacks
+storage_mcap.DECOMPRESSORS.update(zstd=_unzstd, lz4=_unlz4)
+rosbag2_reader.zstd = _Zstd

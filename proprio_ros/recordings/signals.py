@@ -1,0 +1,502 @@
+"""Joint states and input of a ROS 2 bag as a `Recording`, without ROS.
+
+A foreign bag is repaired where the repair is certain, and every repair is noted in `Recording.notes`; where it would be
+a guess the user is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError, RecordingError, printable
+from proprio_ros.recordings.columns import Columns, array_columns, joint_state_columns
+from proprio_ros.recordings.messages import stamp_ns
+from proprio_ros.recordings.reader import Bag, open_bag
+from proprio_ros.recordings.topics import (
+    BATTERY,
+    BATTERY_STATE,
+    BOOL,
+    CURRENT_PER_COUNT_A,
+    EFFORT_UNITS,
+    JOINT_COMMAND,
+    JOINT_STATE,
+    OUR_DRIVER,
+    TORQUE_ENABLED,
+    Conventions,
+    InputTopic,
+    Topic,
+    ampere,
+    listed,
+)
+from proprio_ros.records import (
+    IMPLAUSIBLE_POSITION,
+    LOST_AFTER_PERIODS,
+    MEASURED_EFFORT,
+    MIN_SAMPLES,
+    ZERO_CURRENT_A,
+    BoolArray,
+    DriveSignals,
+    FloatArray,
+    InputRecord,
+    JointRecord,
+    Recording,
+    Span,
+    TimeArray,
+)
+
+REGISTER, LARGEST_COUNT = 65536, 4096
+"""Values of a register of 16 bits, and what no motor's current, duty or load in counts exceeds."""
+
+IMPLAUSIBLE_SPEED = 10.0
+"""rad/s or m/s: no joint of an arm gets that fast there and back between a few samples; a damaged number does."""
+
+LONGEST_JUMP = 3
+"""Samples in a row that may be damaged: more that agree with each other are a slipped encoder."""
+
+GARBAGE_SHARE = 0.05
+"""Fewer messages than this with impossible numbers are left out; more have another unit."""
+
+FOREIGN_CLOCK_NS = 500_000_000
+"""Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
+
+_NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
+
+
+class _Meaning(NamedTuple):
+    """What numbers of a bag mean; as for `read_recording`."""
+
+    conventions: Conventions
+    nominal: Mapping[str, float]
+    joint_order: Sequence[str]
+    effort_unit: str | None
+    per_count_A: float
+
+    def constants(self, names: Sequence[str]) -> FloatArray:
+        """Nominal torque constants [N m/A or N/A], NaN where unknown, shape (J,)."""
+        known = (self.nominal.get(name, 0.0) for name in names)
+        return np.array([float(value) if value > 0.0 else np.nan for value in known])
+
+
+def read_recording(
+    path: str | Path,
+    *,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    effort_unit: str | None = None,
+    nominal_torque_constants: Mapping[str, float],
+    joint_order: Sequence[str],
+    current_per_count_A: float = CURRENT_PER_COUNT_A,
+    states_only: bool = False,
+    conventions: Conventions = OUR_DRIVER,
+    span: Span | None = None,
+) -> Recording:
+    """Read joint states and input currents from a ROS 2 bag.
+
+    The input comes from /applied_effort, else from /current_command, else from measured effort; of another driver from the topics
+    that its conventions name, else from measured effort.
+
+    Args:
+        path: Bag folder (with or without metadata.yaml), or one .mcap or .db3 file.
+        state_topic: Topic of the joint states; None takes /joint_states, also under a namespace, else the only one.
+        command_topic: Topic of the input: sensor_msgs/JointState with effort = commanded current x nominal torque
+            constant [N m or N], or std_msgs/Float64MultiArray of currents [A]; None looks for the usual ones. Where the conventions
+            have an input of that type, its unit and its order of joints hold.
+        effort_unit: What effort of the joint states means: 'N.m', 'A', 'mA' or 'raw'; None: not stated, never guessed.
+        nominal_torque_constants: By joint; the ones with which effort was published [N m/A or N/A].
+        joint_order: Joints in the order of an unlabelled current command.
+        current_per_count_A: Current of one raw count [A].
+        states_only: Whether to leave the input out, whatever there is of it.
+        conventions: Of the driver that published.
+        span: The part that is read, by the recorder's times; None: all. A command that was given before it is not known.
+
+    Returns:
+        The recording, on the clock of the joint states' header stamps. `joints.effort` is set only for effort_unit
+        'N.m' and `joints.current` only where effort_unit says which; `inputs` is None when nothing about the input was
+        recorded, or only an effort of an unstated unit beside a known stretch without torque (see `torque_off_ns`).
+
+    Raises:
+        RecordingError: The bag cannot be read, or does not hold what is needed.
+        ConfigurationError: Unknown effort_unit.
+    """
+    if effort_unit is not None and effort_unit not in EFFORT_UNITS:
+        raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
+    path = Path(path)
+    meaning = _Meaning(conventions, nominal_torque_constants, joint_order, effort_unit, current_per_count_A)
+    inputs = None
+    with open_bag(path) as bag:
+        state = bag.topics.states(state_topic, command_topic, conventions)
+        bag.cut(state, span)
+        command = None if states_only else bag.topics.input(command_topic, state, conventions)
+        columns = joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
+        notes = list(columns.notes)
+        if command is not None and command[0] != state:
+            inputs = _commands(bag, *command, columns, meaning, notes)
+        torque_off = _torque_off(bag, state, columns, notes)
+        notes = bag.notes + notes
+    record = _joint_record(path, state, columns, inputs, meaning, notes)
+    # zero current needs no unit
+    needed = not states_only and not (torque_off and effort_unit is None)
+    if inputs is None and needed and record.reported_effort is not None:
+        inputs = _measured(path, state, record, meaning)
+    return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
+
+
+def _joint_record(
+    path: Path, topic: Topic, columns: Columns, inputs: InputRecord | None, meaning: _Meaning, notes: list[str]
+) -> JointRecord:
+    """What the joints did, out of the columns of their states."""
+    driven: list[str] = []
+    if inputs is not None:
+        used = _any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
+        driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
+    expected = [*meaning.joint_order, *driven]
+    times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
+    _check_positions(path, names, values["position"], expected)
+    reported = _known_or_none(_signed(names, values["effort"], notes))
+    effort, current = _effort_and_current(names, reported, meaning)
+    return JointRecord(times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported)
+
+
+def _torque_off(bag: Bag, state: Topic, columns: Columns, notes: list[str]) -> tuple[tuple[int, int], ...]:
+    """When torque was off, on the clock of the joint states, until the last of these."""
+    candidates = bag.topics.called(TORQUE_ENABLED, [BOOL], state.namespace)
+    if len(candidates) != 1:
+        if candidates:
+            notes.append(f"{listed(candidates)} may all say when torque is off; none of them was used.")
+        return ()
+    messages = bag.messages(candidates[0])
+    last_ns = int(_times(columns, state, []).max())
+    # the state heard soonest: on a busy computer most of them may come seconds late, and no clock differs for that
+    ahead_ns = columns.ahead_ns()
+    clock_ns = int(ahead_ns.max()) if ahead_ns.size else 0
+    shift_ns = clock_ns if abs(clock_ns) > FOREIGN_CLOCK_NS else 0
+    stretches: list[tuple[int, int]] = []
+    off_ns: int | None = None
+    for time_ns, message in messages:
+        if not message.data and off_ns is None:
+            off_ns = time_ns + shift_ns
+        elif message.data and off_ns is not None:
+            stretches.append((off_ns, time_ns + shift_ns))
+            off_ns = None
+    if off_ns is not None and off_ns < last_ns:
+        stretches.append((off_ns, last_ns))
+    return tuple(stretches)
+
+
+def _any(mask: BoolArray, axis: int) -> BoolArray:
+    return np.asarray(mask.any(axis=axis))
+
+
+def _all(mask: BoolArray, axis: int) -> BoolArray:
+    return np.asarray(mask.all(axis=axis))
+
+
+def _of(mask: BoolArray) -> str:
+    return f"{int(mask.sum())} of {mask.size}"
+
+
+def _times(columns: Columns, topic: Topic, notes: list[str]) -> TimeArray:
+    """Header stamps; where there are none, the recorder's time on the same clock."""
+    missing = columns.stamp_ns == 0
+    if missing.any():
+        notes.append(f"{topic.name}: {_of(missing)} messages have no header stamp; their time of recording was used.")
+    return np.where(missing, columns.bag_ns + columns.clock_ns(), columns.stamp_ns)
+
+
+def _sorted(times: TimeArray, topic: Topic, notes: list[str]) -> TimeArray:
+    """Order of the rows in time."""
+    late = np.diff(times, prepend=times[:1]) < 0
+    if late.any():
+        notes.append(f"{topic.name}: {_of(late)} stamps go back in time; the messages were sorted.")
+    return np.argsort(times, kind="stable")
+
+
+def _note_gaps(times: TimeArray, topic: Topic, notes: list[str]) -> None:
+    gaps = np.diff(times)
+    lost = gaps > LOST_AFTER_PERIODS * np.median(gaps) if gaps.size else np.zeros(0, dtype=bool)
+    if lost.any():
+        notes.append(
+            f"{topic.name}: messages were lost: {int(lost.sum())} gaps of more than {LOST_AFTER_PERIODS:g} periods"
+            f" ({np.median(gaps) / 1e6:.1f} ms), the longest {gaps.max() / 1e6:.0f} ms."
+        )
+
+
+def _state_rows(
+    path: Path, topic: Topic, columns: Columns, driven: Sequence[str], expected: Sequence[str], notes: list[str]
+) -> tuple[TimeArray, tuple[str, ...], dict[str, FloatArray]]:
+    """One row per usable message in the order of time, one column per joint that has a position.
+
+    Joints may be spread over several messages (arm and gripper from two publishers). The rows are then the messages
+    that have the driven joint; what others report in between is interpolated, since a held joint hardly moves, while
+    an interpolated sample of a driven joint would pretend to be a measurement.
+    """
+    times = _times(columns, topic, notes)
+    order = _sorted(times, topic, notes)
+    times = times[order]
+    usable = _any(np.isfinite(columns.values["position"]), axis=0)
+    never = [name for name, column in zip(columns.names, usable, strict=True) if not column]
+    if never:
+        notes.append(f"{topic.name}: {', '.join(never)} never has a finite position and was left out.")
+    names = tuple(name for name, column in zip(columns.names, usable, strict=True) if column)
+    values = {quantity: table[np.ix_(order, usable)] for quantity, table in columns.values.items()}
+    position = values["position"]
+    garbage = _garbage(values, np.isin(names, expected))
+    if garbage.any():
+        position[garbage] = np.nan
+        notes.append(f"{topic.name}: {_of(garbage)} messages hold numbers that no joint can have and were left out.")
+    given = np.isfinite(position)
+    if not names:
+        raise RecordingError(f"{path}: {topic.name} has no finite position in {len(times)} messages; check the driver")
+
+    needed = np.isin(names, driven)
+    if not needed.any():
+        needed[int(np.argmax(given.sum(axis=0)))] = True
+    base = _all(given[:, needed], axis=1)
+    if base.any():
+        needed |= given[base].mean(axis=0) > 0.5
+    rows = _all(given[:, needed], axis=1)
+    broken = ~rows & _any(np.isinf(position[:, needed]), axis=1)
+    if broken.any():
+        notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite positions and were left out.")
+    partial = ~rows & ~broken & _any(given[:, needed], axis=1)
+    if partial.any():
+        notes.append(f"{topic.name}: {_of(partial)} messages lack some of the joints and were left out.")
+    for column in np.flatnonzero(~_all(given[rows], axis=0)):
+        known = given[:, column]
+        known_times, first = np.unique(times[known] - times[0], return_index=True)
+        position[rows, column] = np.interp(times[rows] - times[0], known_times, position[known, column][first])
+        notes.append(f"{topic.name}: {names[column]} is in {_of(known)} messages; between them it was interpolated.")
+    rows[rows] = _first_of_equal(times[rows], topic, notes)
+    if int(rows.sum()) < MIN_SAMPLES:
+        raise RecordingError(
+            f"{path}: only {_of(rows)} messages of {topic.name} are usable, at least {MIN_SAMPLES} are needed"
+            f" ({' '.join(notes) or 'the recording is too short'})"
+        )
+    _note_gaps(times[rows], topic, notes)
+    return times[rows], names, {quantity: table[rows] for quantity, table in values.items()}
+
+
+def _garbage(values: Mapping[str, FloatArray], joints: BoolArray) -> BoolArray:
+    """Messages with numbers from unwritten memory in one of the joints' columns, shape (T,); none where they are not few.
+
+    Where many are far off, the unit is wrong instead, and the reader has to be told that.
+    """
+    bad = np.zeros(len(values["position"]), dtype=bool)
+    for quantity, limit in (("position", IMPLAUSIBLE_POSITION), ("velocity", 1e6), ("effort", 1e9)):
+        if quantity in values:
+            bad |= _any(np.abs(values[quantity][:, joints]) > limit, axis=1)
+    return bad if bad.mean() < GARBAGE_SHARE else np.zeros_like(bad)
+
+
+def _first_of_equal(times: TimeArray, topic: Topic, notes: list[str]) -> BoolArray:
+    repeated: BoolArray = np.diff(times, prepend=times[:1] - 1) == 0
+    if repeated.any():
+        notes.append(f"{topic.name}: {_of(repeated)} stamps are repeated; the first message of each was kept.")
+    return ~repeated
+
+
+def _check_positions(path: Path, names: Sequence[str], position: FloatArray, expected: Sequence[str]) -> None:
+    for name, values in zip(names, position.T, strict=True):
+        # joints that are not the robot's may be wheels, which do turn that far
+        if name in expected and np.abs(values).max() > IMPLAUSIBLE_POSITION:
+            worst = values[np.argmax(np.abs(values))]
+            raise RecordingError(
+                f"{path}: {name} stands at {worst:.6g}, which is no angle in rad nor a length in m; the publisher seems"
+                " to use degrees, millimetres or encoder counts: convert the positions to rad and m"
+            )
+
+
+def _known_or_none(values: FloatArray) -> FloatArray | None:
+    values = np.where(np.isfinite(values), values, np.nan)
+    return None if bool(np.isnan(values).all()) else values
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Each column keeps its last finite value; zero before the first."""
+    known = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], -1), axis=0)
+    return np.where(last < 0, 0.0, np.take_along_axis(values, np.maximum(last, 0), axis=0))
+
+
+def _commands(
+    bag: Bag, topic: Topic, means: InputTopic, states: Columns, meaning: _Meaning, notes: list[str]
+) -> InputRecord:
+    """Input from a command topic, on the clock of the joint states."""
+    if topic.msgtype == JOINT_STATE:
+        columns = joint_state_columns(bag, topic, ["effort"], meaning.conventions)
+        times = _times(columns, topic, notes)
+    else:
+        columns = array_columns(bag, topic, means, meaning.joint_order, states.names, meaning.conventions)
+        times = columns.bag_ns
+    effort, clock_ns = columns.values["effort"], states.clock_ns()
+    if means.unit == "N.m":
+        constants = meaning.constants(columns.names)
+        unknown = np.flatnonzero(np.isnan(constants) & _any(np.nan_to_num(effort) != 0.0, axis=0))
+        if unknown.size:
+            raise RecordingError(
+                f"{bag.path}: {topic.name} has effort on {columns.names[unknown[0]]}, whose nominal torque constant is"
+                f" not known; the robot has one for {', '.join(meaning.nominal) or 'no joint'}: add it to the robot's file"
+            )
+        current = effort / np.where(np.isnan(constants), 1.0, constants)
+    else:
+        current = effort * ampere(means.unit, meaning.per_count_A)
+    if not columns.stamp_ns.any() and abs(clock_ns) > FOREIGN_CLOCK_NS:
+        times = times + clock_ns
+        notes.append(
+            f"{topic.name}: its times were moved by {clock_ns * 1e-9:.3f} s, since the stamps of the joint states come"
+            " from another clock than the recorder's."
+        )
+    notes += columns.notes
+    broken = _any(np.isinf(current), axis=1)
+    if broken.any():
+        notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite values; the last finite one was held.")
+    order = _sorted(times, topic, notes)
+    times, current = times[order], _held(current[order])
+    latest = np.diff(times, append=times[-1] + 1) > 0
+    if not latest.all():
+        notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
+    return InputRecord(times[latest], columns.names, current[latest], printable(topic.name), means.unit)
+
+
+def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> FloatArray:
+    """The same with negative counts of a 16-bit register that were read as unsigned, and lie far above all others."""
+    negative = (effort >= REGISTER - LARGEST_COUNT) & (effort < REGISTER)
+    with np.errstate(invalid="ignore"):
+        others = np.abs(np.where(negative, 0.0, effort))
+        whole = np.isnan(effort) | (effort == np.round(effort))
+    columns = _any(negative, axis=0) & _all(np.isnan(others) | (others <= LARGEST_COUNT), axis=0) & _all(whole, axis=0)
+    if not columns.any():
+        return effort
+    which = ", ".join(name for name, column in zip(names, columns, strict=True) if column)
+    notes.append(
+        f"effort of {which}: {_of(negative & columns)} values of {REGISTER - LARGEST_COUNT} and more beside small ones are "
+        f"negative numbers of a 16-bit register that was read as unsigned; {REGISTER} was subtracted from them."
+    )
+    result: FloatArray = np.where(negative & columns, effort - REGISTER, effort)
+    return result
+
+
+def _effort_and_current(
+    names: Sequence[str], effort: FloatArray | None, meaning: _Meaning
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Effort [N m or N] and measured current [A] out of what a bag calls effort; None where the unit does not say."""
+    unit = meaning.effort_unit
+    if effort is None or unit is None:
+        return None, None
+    if unit == "N.m":
+        return effort, _known_or_none(effort / meaning.constants(names))
+    return None, effort * ampere(unit, meaning.per_count_A)
+
+
+def _measured(path: Path, topic: Topic, record: JointRecord, meaning: _Meaning) -> InputRecord:
+    """Input from what the motors reported, when no command was recorded."""
+    unit = meaning.effort_unit
+    if unit is None:
+        usual = " or ".join(f"/{each.topic}" for each in meaning.conventions.inputs) or "input"
+        raise RecordingError(
+            f"{path}: no {usual} in the bag, and what the effort of {topic.name} means is"
+            f" not stated; state it with --effort-unit {'|'.join(EFFORT_UNITS)}, or name the input with --command-topic"
+        )
+    if record.current is None:
+        raise RecordingError(
+            f"{path}: the effort of {topic.name} cannot be turned into current: the robot has a nominal torque constant"
+            f" for none of {', '.join(record.names)}; choose the robot with --robot"
+        )
+    known = _any(np.isfinite(record.current), axis=0)
+    names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
+    return InputRecord(record.times_ns, names, _held(record.current[:, known]), MEASURED_EFFORT, unit)
+
+
+def read_drive_signals(
+    path: str | Path,
+    state_topic: str | None = None,
+    conventions: Conventions = OUR_DRIVER,
+    span: Span | None = None,
+) -> DriveSignals:
+    """Read goals (positions of /joint_command) and supply voltage (/battery_state), as far as they are there.
+
+    Args:
+        path: The bag.
+        state_topic: As for `read_recording`.
+        conventions: As for `read_recording`; goals have the names and units of the joint states.
+        span: As for `read_recording`.
+
+    Raises:
+        RecordingError: The bag cannot be read, or several topics may be meant.
+    """
+    with open_bag(path) as bag:
+        state = bag.topics.states(state_topic, None, conventions)
+        bag.cut(state, span)
+
+        def found(name: str, msgtype: str) -> Topic | None:
+            topics = [topic for topic in bag.topics.called(name, [msgtype], state.namespace) if topic != state]
+            if len(topics) > 1:
+                raise RecordingError(f"{path}: which {name}? {listed(topics)}: record one of them")
+            return topics[0] if topics else None
+
+        goal, battery = found(JOINT_COMMAND, JOINT_STATE), found(BATTERY_STATE, BATTERY)
+        if goal is None and battery is None:
+            return DriveSignals(_NO_TIMES, (), np.empty((0, 0)), _NO_TIMES, np.empty(0))
+        ahead_ns = joint_state_columns(bag, state, ["position"], conventions).clock_ns()
+        goal_ns, names, goals = _NO_TIMES, tuple[str, ...](), np.empty((0, 0))
+        if goal is not None:
+            columns = joint_state_columns(bag, goal, ["position"], conventions)
+            goal_ns = np.where(columns.stamp_ns == 0, columns.bag_ns + ahead_ns, columns.stamp_ns)
+            order = np.argsort(goal_ns, kind="stable")
+            goals = np.where(np.isfinite(columns.values["position"]), columns.values["position"], np.nan)[order]
+            goal_ns, names = goal_ns[order], columns.names
+        volts = [
+            (stamp_ns(message) or time_ns + ahead_ns, float(message.voltage))
+            for time_ns, message in ([] if battery is None else bag.messages(battery))
+            if np.isfinite(message.voltage) and message.voltage > 0.0
+        ]
+    volts.sort(key=lambda sample: sample[0])
+    voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
+    return DriveSignals(goal_ns, names, goals, voltage_ns, np.array([volt for _, volt in volts], dtype=np.float64))
+
+
+def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
+    """Leave out, with a note, joint states in which a joint jumps away and back, as damaged numbers would.
+
+    That is all that can be seen of damage in a file without checksums (sqlite3): smaller errors, and those at the ends, cannot.
+
+    Args:
+        recording: As it was read.
+        joints: Those of the robot; others may be wheels.
+    """
+    record = recording.joints
+    position = record.position[:, np.isin(record.names, joints)]
+    if len(position) <= MIN_SAMPLES:
+        return recording
+    intervals = 1e-9 * np.diff(record.times_ns)
+    # two messages may be stamped at nearly the same time
+    allowed = IMPLAUSIBLE_SPEED * np.maximum(intervals, np.median(intervals))[:, None]
+    far = np.abs(np.diff(position, axis=0)) > allowed
+    jumped = np.zeros(position.shape, dtype=bool)
+    for count in range(1, LONGEST_JUMP + 1):
+        # it leaves, and after that many samples it is where it was, as far as it can have moved meanwhile
+        returned = np.abs(position[count + 1 :] - position[: -count - 1]) <= allowed[: len(allowed) - count] * (
+            count + 1
+        )
+        gone = far[: len(far) - count] & far[count:] & returned
+        for number in range(1, count + 1):
+            jumped[number : number + len(gone)] |= gone
+    kept = ~_any(jumped, axis=1)
+    if kept.all():
+        return recording
+    note = (
+        f"in {_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s; they were left "
+        "out: is the file damaged?"
+    )
+    columns: dict[str, Any] = {
+        quantity: None if values is None else values[kept]
+        for quantity in ("position", "velocity", "effort", "current", "reported_effort")
+        for values in [getattr(record, quantity)]
+    }
+    joint_states = replace(record, times_ns=record.times_ns[kept], **columns)
+    return replace(recording, joints=joint_states, notes=(*recording.notes, note))

@@ -1,0 +1,147 @@
+"""Recordings as text: the motion of one joint with its setting, and places that a camera saw."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.inputs.forms import FormError, Number, Text, shortly
+from proprio_ros.inputs.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of
+from proprio_ros.records import IMPLAUSIBLE_POSITION, MIN_SAMPLES, FloatArray, PointTrack
+
+MOST_ROWS = 200_000
+"""Rows of a CSV file: nearly two hours at 30 Hz."""
+
+
+@dataclass(frozen=True)
+class TextRecording:
+    """The motion of one joint as text, with the setting in which it was made.
+
+    Attributes:
+        name: Name of the folder.
+        joint: The joint that moved.
+        times_s: Sampling instants [s], strictly increasing, shape (T,).
+        relative_position: Position of the joint minus its start pose [rad], shape (T,).
+        setting: What setting.json says: `moving_joint`, `torque_N_m`, `start_pose_rad` by joint, and whatever else.
+    """
+
+    name: str
+    joint: str
+    times_s: FloatArray
+    relative_position: FloatArray
+    setting: dict[str, Any]
+
+
+def is_text_recording(path: str | Path) -> bool:
+    """Whether a path is a folder with trajectory.csv and setting.json."""
+    return not path_problem(path) and all((Path(path) / name).is_file() for name in ("trajectory.csv", "setting.json"))
+
+
+def read_text_recording(path: str | Path) -> TextRecording:
+    """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json.
+
+    Args:
+        path: The folder.
+
+    Returns:
+        The recording; numbers that setting.json gives under the keys of `_SETTING_NUMBERS` are checked.
+
+    Raises:
+        RecordingError: A file is missing or malformed, or a needed key of the setting is.
+    """
+    path = Path(path)
+    if not is_text_recording(path):
+        raise RecordingError(f"{path}: not a text recording; it needs trajectory.csv and setting.json")
+    setting = _setting(path / "setting.json")
+    joint = setting["moving_joint"]
+    file = path / "trajectory.csv"
+    expected = ["time_s", f"{joint}_relative_rad"]
+    header, rows = _csv_table(file, ",".join(expected))
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows])
+    except ValueError as error:
+        raise RecordingError(
+            f"{file}: not a table of numbers under the header {','.join(expected)} ({error})"
+        ) from error
+    if header != expected:
+        raise RecordingError(f"{file}: the header must be {','.join(expected)}, got {','.join(header)}")
+    if table.ndim != 2 or table.shape[1] != 2 or len(table) < MIN_SAMPLES or not np.isfinite(table).all():
+        raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")
+    if not bool(np.all(np.diff(table[:, 0]) > 0)):
+        raise RecordingError(f"{file}: time_s must increase from row to row")
+    table.setflags(write=False)
+    return TextRecording(path.resolve().name, joint, table[:, 0], table[:, 1], setting)
+
+
+_SETTING_NUMBERS = {
+    "torque_N_m": Number("that drives the joint", "N m", -1e3, 1e3),
+    "true_mass_kg": Number("of the object", "kg", 0.0, 1e3),
+    "armature_kg_m2": Number("of the joint", "kg m^2", 0.0, 100.0),
+    "gravity_m_s2": Number("downwards", "m/s^2", -100.0, 100.0),
+}
+_POSITION = Number("of a joint", "rad", -IMPLAUSIBLE_POSITION, IMPLAUSIBLE_POSITION)
+
+
+def _setting(file: Path) -> dict[str, Any]:
+    text = text_of(file, RecordingError)
+    try:
+        setting = json_of(text)
+    except ValueError as error:
+        raise RecordingError(f"{file}: not readable as JSON ({error})") from error
+    needed = ("moving_joint", "torque_N_m", "start_pose_rad")
+    missing = [key for key in needed if not isinstance(setting, dict) or key not in setting]
+    if missing:
+        raise RecordingError(f"{file}: {', '.join(missing)} missing; it must be an object with {', '.join(needed)}")
+    try:
+        Text(what="text").read(setting["moving_joint"])
+    except FormError as error:
+        raise RecordingError(f"{file}: moving_joint must be a name: {error}") from error
+    pose = setting["start_pose_rad"]
+    numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
+    if not isinstance(pose, dict) or setting["moving_joint"] not in pose:
+        raise RecordingError(
+            f"{file}: start_pose_rad must give a position for each joint, {setting['moving_joint']!r} too"
+        )
+    numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
+    for key, value in numbers.items():
+        if finite(value) is None:
+            raise RecordingError(f"{file}: {key} must be a number, got {shortly(value)}")
+        try:
+            _SETTING_NUMBERS.get(key, _POSITION).read(value)
+        except FormError as error:
+            raise RecordingError(f"{file}: {key}: {error}") from error
+    return dict(setting)
+
+
+def read_point_file(path: str | Path) -> PointTrack:
+    """Read where something was seen from a CSV file with the header ``stamp_ns,x,y,z``: clock of the joint states [ns], and m.
+
+    Raises:
+        RecordingError: The file is missing or malformed.
+    """
+    header, table = _csv_table(Path(path), "stamp_ns,x,y,z")
+    if header != ["stamp_ns", "x", "y", "z"]:
+        raise RecordingError(f"{path}: the header must be stamp_ns,x,y,z, got {','.join(header)}")
+    try:
+        stamps = np.array([int(row[0]) for row in table], dtype=np.int64)
+        points = np.array([[float(cell) for cell in row[1:]] for row in table]).reshape(-1, 3)
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(f"{path}: needs rows of a whole number of ns and three numbers in m ({error})") from error
+    return PointTrack.of_seen(stamps, points)
+
+
+def _csv_table(file: Path, form: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a CSV file, all cells as text."""
+    text = text_of(file, RecordingError, LONGEST_TABLE)
+    try:
+        header, *rows = [row for row in csv.reader(text.splitlines()) if row]
+    except (ValueError, csv.Error) as error:
+        raise RecordingError(f"{file}: not a table of numbers under the header {form} ({error})") from error
+    if len(rows) > MOST_ROWS:
+        raise RecordingError(f"{file}: has {len(rows)} rows, and {MOST_ROWS} are the most that are read: cut it")
+    return [cell.strip() for cell in header], rows

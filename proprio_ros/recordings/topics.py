@@ -1,0 +1,234 @@
+"""What the topics of a driver are called and mean, and which topic of a bag is what.
+
+Where a choice would be a guess (what `effort` means, which of two topics to take) the user is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from proprio_ros.errors import RecordingError
+
+EFFORT_UNITS = ("N.m", "A", "mA", "raw")
+"""What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
+
+CURRENT_PER_COUNT_A = 0.00269
+"""Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+BOOL = "std_msgs/msg/Bool"
+STRING = "std_msgs/msg/String"
+BATTERY = "sensor_msgs/msg/BatteryState"
+POINT = "geometry_msgs/msg/PointStamped"
+FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
+TORQUE_ENABLED = "torque_enabled"
+"""Topic that says whether the motors' torque is on."""
+TEMPERATURES = "motor_temperatures"
+"""Topic of how warm each motor is."""
+JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
+"""Topics of the goals of position servos, and of their supply."""
+
+
+def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
+    """Ampere of one of a unit of current."""
+    return {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
+
+
+@dataclass(frozen=True)
+class InputTopic:
+    """A topic that says what drove the joints.
+
+    Attributes:
+        topic: Its name without a namespace.
+        msgtype: `JOINT_STATE`, whose effort counts, or the first of `FLOAT_ARRAYS`.
+        unit: Of its numbers, one of `EFFORT_UNITS`.
+        joints: Order of numbers that come without names, in the driver's names; empty: the robot's.
+    """
+
+    topic: str
+    msgtype: str
+    unit: str
+    joints: tuple[str, ...] = ()
+
+    @property
+    def msgtypes(self) -> tuple[str, ...]:
+        """Types that can be read alike."""
+        return (JOINT_STATE,) if self.msgtype == JOINT_STATE else FLOAT_ARRAYS
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """Which topics a driver has, and what they mean; the defaults are those of this package's own driver.
+
+    Attributes:
+        driver: What the user called it; empty where nobody said, and the only joint states of any other name are taken, too.
+        states: Topic of the joint states, without a namespace.
+        inputs: Topics of what drives the joints, without a namespace; the first that a bag has is taken.
+        prefix: Before the names of this robot's joints; it is taken off.
+        names: The robot's names by those that the driver uses, once the prefix is off.
+        radians: What a unit of its positions is [rad]; those of sliding joints, too, are multiplied with it.
+    """
+
+    driver: str = ""
+    states: str = "joint_states"
+    inputs: tuple[InputTopic, ...] = (
+        InputTopic("applied_effort", JOINT_STATE, "N.m"),
+        InputTopic("current_command", FLOAT_ARRAYS[0], "A"),
+    )
+    prefix: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    radians: float = 1.0
+
+    def renamed(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The robot's names of joints that a driver names."""
+        if not self.prefix and not self.names:
+            return tuple(str(name) for name in names)
+        bare = [str(name).removeprefix(self.prefix) for name in names]
+        return tuple(self.names.get(name, name) for name in bare)
+
+    def published(self, name: str) -> str:
+        """The driver's name of one of the robot's joints."""
+        return self.prefix + next((theirs for theirs, ours in self.names.items() if ours == name), name)
+
+    def input_of(self, msgtype: str) -> InputTopic:
+        """What a topic of this type means that only the user has named."""
+        by_default = InputTopic("", JOINT_STATE, "N.m"), InputTopic("", FLOAT_ARRAYS[0], "A")
+        return next(each for each in (*self.inputs, *by_default) if msgtype in each.msgtypes)
+
+
+OUR_DRIVER = Conventions()
+
+
+class Topic(NamedTuple):
+    """A topic of a bag, and how many messages it holds by the bag's index."""
+
+    name: str
+    msgtype: str
+    size: int
+
+    @property
+    def namespace(self) -> str:
+        """What stands before its name."""
+        return self.name.rpartition("/")[0]
+
+
+def few(words: Sequence[str]) -> str:
+    """The first eight of some words, and how many more there are."""
+    shown = ", ".join(words[:8])
+    return f"{shown} and {len(words) - 8} more" if len(words) > 8 else shown or "none"
+
+
+def listed(topics: Sequence[Topic]) -> str:
+    """Topics as a message names them."""
+    return few([f"{topic.name} ({topic.msgtype.replace('/msg/', '/')})" for topic in topics])
+
+
+@dataclass(frozen=True)
+class Topics:
+    """The topics of one bag.
+
+    Attributes:
+        path: Of the bag, for messages.
+        all: Each with its type and its number of messages.
+    """
+
+    path: Path
+    all: tuple[Topic, ...]
+
+    def filled(self, *msgtypes: str) -> list[Topic]:
+        """Those of some types that hold messages."""
+        return [topic for topic in self.all if topic.size and topic.msgtype in msgtypes]
+
+    def called(self, name: str, msgtypes: Sequence[str], namespace: str = "") -> list[Topic]:
+        """Filled ones of this name: that in the namespace, else that at the root, else those of any namespace."""
+        filled = self.filled(*msgtypes)
+        for full_name in (f"{namespace}/{name}", f"/{name}"):
+            exact = [topic for topic in filled if topic.name == full_name]
+            if exact:
+                return exact
+        return [topic for topic in filled if topic.name.endswith(f"/{name}")]
+
+    def chosen(self, name: str, msgtypes: Sequence[str], option: str) -> Topic:
+        """The topic that the user named with an option.
+
+        Raises:
+            RecordingError: It is not in the bag, of another type, or empty.
+        """
+        found = [topic for topic in self.all if topic.name in (name, f"/{name}")]
+        fitting = [topic for topic in found if topic.msgtype in msgtypes]
+        if not fitting:
+            choices = [topic for topic in self.all if topic.msgtype in msgtypes]
+            what = f"is {found[0].msgtype}" if found else "is not in the bag"
+            raise RecordingError(f"{self.path}: {option} {name} {what}; choose from: {listed(choices)}")
+        if fitting[0].size == 0:
+            raise RecordingError(f"{self.path}: {option} {name} holds no messages")
+        return fitting[0]
+
+    def states(self, name: str | None, command_name: str | None = None, conventions: Conventions = OUR_DRIVER) -> Topic:
+        """The joint states.
+
+        Args:
+            name: What the user calls them; None: those that the driver's conventions name, else the only ones.
+            command_name: What the user calls the input, which is not taken for them.
+            conventions: Of the driver.
+
+        Raises:
+            RecordingError: There are none, or several may be meant.
+        """
+        if name is not None:
+            return self.chosen(name, [JOINT_STATE], "--state-topic")
+        if not any(topic.size for topic in self.all):
+            raise RecordingError(f"{self.path}: the bag holds no messages; record it again with `ros2 bag record`")
+        typed = [topic for topic in self.all if topic.msgtype == JOINT_STATE]
+        if not typed:
+            raise RecordingError(
+                f"{self.path}: no JointState topic in the bag; it holds: {listed(self.all)}; record /joint_states"
+            )
+        filled = self.filled(JOINT_STATE)
+        if not filled:
+            raise RecordingError(f"{self.path}: no joint states: {listed(typed)} holds no messages")
+        candidates = self.called(conventions.states, [JOINT_STATE])
+        if not candidates and conventions.driver:
+            raise RecordingError(
+                f"{self.path}: no joint states on {conventions.states}, where --driver {conventions.driver} has them; choose with "
+                f"--state-topic from: {listed(filled)}"
+            )
+        candidates = candidates or [
+            topic
+            for topic in filled
+            if not topic.name.endswith("/applied_effort") and topic.name not in (command_name, f"/{command_name}")
+        ]
+        if len(candidates) != 1:
+            raise RecordingError(f"{self.path}: which joint states? choose with --state-topic from: {listed(filled)}")
+        return candidates[0]
+
+    def input(
+        self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER
+    ) -> tuple[Topic, InputTopic] | None:
+        """The topic of what drove the joints, and what it means; None where there is none.
+
+        Args:
+            name: What the user calls it; None: the first that the driver's conventions name.
+            states: The joint states, whose namespace it has.
+            conventions: Of the driver.
+
+        Raises:
+            RecordingError: Several may be meant, or the named one does not fit.
+        """
+        if name is not None:
+            topic = self.chosen(name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")
+            return topic, conventions.input_of(topic.msgtype)
+        namespace = states.name.removesuffix(f"/{conventions.states}")
+        if namespace == states.name:  # the user named another topic
+            namespace = states.namespace
+        for usual in conventions.inputs:
+            found = [topic for topic in self.called(usual.topic, usual.msgtypes, namespace) if topic != states]
+            if len(found) > 1:
+                raise RecordingError(f"{self.path}: which input? choose with --command-topic from: {listed(found)}")
+            if found:
+                return found[0], usual
+        return None
