@@ -9,8 +9,8 @@ from typing import Any
 from proprio_ros.identification.regression.running import RunningEstimate, RunningWeight
 from proprio_ros.probes.base import Carried, Online
 from proprio_ros.quantity import Z95, shown, spec_for
+from proprio_ros.recordings.effort import ampere
 from proprio_ros.recordings.motions import MOVED_RAD
-from proprio_ros.recordings.topics import ampere
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 

@@ -39,7 +39,7 @@ from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, Answer, LongService, ManagedNode, run_node
 from proprio_ros.nodes.weighing import Weighing
-from proprio_ros.recordings.topics import EFFORT_UNITS
+from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
 

@@ -32,11 +32,12 @@ from proprio_ros.probes import all_probes
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.contents import look_into
 from proprio_ros.recordings.drivers import Driver, drivers_of
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS
 from proprio_ros.recordings.motions import SLOWEST_HZ, Motion, motion_of
 from proprio_ros.recordings.plausibility import EffortUnit, Finding, effort_per_torque, effort_units, findings, moving
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.text import is_text_recording, read_text_recording
-from proprio_ros.recordings.topics import CURRENT_PER_COUNT_A, EFFORT_UNITS, JOINT_STATE
+from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, STALL_CURRENT, InputRecord, Recording, Run
 from proprio_ros.robot import Robot, is_description

@@ -25,13 +25,14 @@ from proprio_ros.recordings.contents import read_motors, read_temperatures
 from proprio_ros.recordings.datasets import episode_of, read_episode
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.drivers import Driver, load_driver
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.plausibility import effort_per_torque, effort_units
 from proprio_ros.recordings.published import published_robot, published_run
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
 from proprio_ros.recordings.signals import read_drive_signals, read_recording, without_jumps
 from proprio_ros.recordings.text import TextRecording, is_text_recording, read_text_recording
-from proprio_ros.recordings.topics import CURRENT_PER_COUNT_A, OUR_DRIVER, Conventions
+from proprio_ros.recordings.topics import OUR_DRIVER, Conventions
 from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run, Span
 from proprio_ros.report import write_page

@@ -21,15 +21,13 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
-from proprio_ros.recordings.topics import EFFORT_UNITS, ampere
+from proprio_ros.recordings.effort import Effort
 from proprio_ros.records import (
     IMPLAUSIBLE_POSITION,
-    MEASURED_EFFORT,
     MIN_SAMPLES,
+    BoolArray,
     DriveSignals,
     FloatArray,
-    InputRecord,
-    JointRecord,
     Recording,
     Span,
     TimeArray,
@@ -348,94 +346,71 @@ def read_episode(
         RecordingError: It cannot be read, or lacks positions.
         ConfigurationError: Unknown effort_unit.
     """
-    if effort_unit is not None and effort_unit not in EFFORT_UNITS:
-        raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
+    means = Effort(effort_unit, nominal_torque_constants)
     data = open_data_set(folder)
     called = f"{Path(folder).name}#{index}"
     read = read_columns(data, index, [columns.position, columns.effort, columns.goal, *CLOCK], span)
     if columns.position not in read:
         raise RecordingError(f"{called}: no column {columns.position}; there are: {', '.join(data.features)}")
-    notes: list[str] = []
     states = _by_name(data, columns.position, read[columns.position], called)
-    position = {name.removesuffix(".pos"): values for name, values in states.items() if _suffix(name) in ("", "pos")}
+    position = _positions(states)
     measured = _effort(data, columns, read, states, tuple(position), called)
     goals = _by_name(data, columns.goal, read[columns.goal], called) if columns.goal in read else {}
-    goals = {name.removesuffix(".pos"): values for name, values in goals.items() if _suffix(name) in ("", "pos")}
-
-    def ours(name: str) -> str:
-        bare = name.removeprefix(prefix)
-        return names.get(bare, bare)
 
     def in_si(by_name: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """The same in rad or m, under the robot's names."""
         scale = np.pi / 180.0 if columns.position_unit == "deg" else 1.0
         found = {}
         for name, values in by_name.items():
-            low, high = limits.get(ours(name), (0.0, 1.0))
-            found[ours(name)] = low + 0.01 * (high - low) * values if name in columns.percent else scale * values
+            bare = name.removeprefix(prefix)
+            ours = names.get(bare, bare)
+            low, high = limits.get(ours, (0.0, 1.0))
+            found[ours] = low + 0.01 * (high - low) * values if name in columns.percent else scale * values
         return found
 
-    times_ns = _times(data, read)
-    joints = in_si(position)
+    times_ns, joints, sent = _times(data, read), in_si(position), in_si(_positions(goals))
     if len(joints) != len(position):
         raise RecordingError(
             f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
         )
     table = np.column_stack(list(joints.values()))
-    effort = np.full(table.shape, np.nan)
-    for number, name in enumerate(position):
-        if name in measured:
-            effort[:, number] = measured[name]
-    whole = np.isfinite(table).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
-    if not whole.all():
-        notes.append(
-            f"{int((~whole).sum())} of {len(whole)} frames have no finite position or no new time; they were left out."
-        )
-    if int(whole.sum()) < MIN_SAMPLES:
-        raise RecordingError(f"{called}: only {int(whole.sum())} frames are usable, at least {MIN_SAMPLES} are needed")
-    if np.abs(table[whole]).max() > IMPLAUSIBLE_POSITION:
-        raise RecordingError(
-            f"{called}: {columns.position} reaches {np.abs(table[whole]).max():.4g}, which is no angle in rad nor a length in m: "
-            "is the unit that of --driver (position_unit)?"
-        )
-    record, inputs = _measured(
-        tuple(joints), times_ns[whole], table[whole], effort[whole], effort_unit, nominal_torque_constants
-    )
-    sent = in_si(goals)
+    whole, notes = _usable(times_ns, table, columns, called)
+    nothing = np.full(len(table), np.nan)
+    effort = np.column_stack([measured.get(name, nothing) for name in position])
+    times_ns = times_ns[whole]
+    record = means.record(times_ns, tuple(joints), table[whole], None, effort[whole])
     signals = None
     if sent:
         rows = np.column_stack(list(sent.values()))[whole]
-        signals = DriveSignals(times_ns[whole], tuple(sent), rows, np.empty(0, np.int64), np.empty(0))
-    return Recording(called, record, inputs, tuple(notes), (), signals)
+        signals = DriveSignals(times_ns, tuple(sent), rows, np.empty(0, np.int64), np.empty(0))
+    return Recording(called, record, means.measured(record), notes, (), signals)
 
 
-def _measured(
-    names: tuple[str, ...],
-    times_ns: TimeArray,
-    position: FloatArray,
-    recorded: FloatArray,
-    unit: str | None,
-    nominal: Mapping[str, float],
-) -> tuple[JointRecord, InputRecord | None]:
-    """Joint states, and what drove the joints where the motors reported it; the numbers are those of a bag with the same effort."""
-    reported = recorded if np.isfinite(recorded).any() else None
-    if reported is None or unit is None:
-        return JointRecord(times_ns, names, position, reported_effort=reported), None
-    constants = np.array([float(nominal[name]) if nominal.get(name, 0.0) > 0.0 else np.nan for name in names])
-    effort = reported if unit == "N.m" else None
-    current = reported / constants if unit == "N.m" else reported * ampere(unit)
-    known = np.isfinite(current).all(axis=0)
-    record = JointRecord(
-        times_ns,
-        names,
-        position,
-        effort=effort,
-        current=current if np.isfinite(current).any() else None,
-        reported_effort=reported,
-    )
-    if not known.any():
-        return record, None
-    driven = tuple(names[number] for number in np.flatnonzero(known))
-    return record, InputRecord(times_ns, driven, current[:, known], MEASURED_EFFORT, unit)
+def _usable(
+    times_ns: TimeArray, position: FloatArray, columns: Columns, called: str
+) -> tuple[BoolArray, tuple[str, ...]]:
+    """Which frames have a position and a time of their own, shape (T,); and a note where some have not.
+
+    Raises:
+        RecordingError: They are too few, or a position is none in rad or m.
+    """
+    whole: BoolArray = np.isfinite(position).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
+    count, left_out = int(whole.sum()), int((~whole).sum())
+    if count < MIN_SAMPLES:
+        raise RecordingError(f"{called}: only {count} frames are usable, at least {MIN_SAMPLES} are needed")
+    furthest = np.abs(position[whole]).max()
+    if furthest > IMPLAUSIBLE_POSITION:
+        raise RecordingError(
+            f"{called}: {columns.position} reaches {furthest:.4g}, which is no angle in rad nor a length in m: "
+            "is the unit that of --driver (position_unit)?"
+        )
+    note = f"{left_out} of {len(whole)} frames have no finite position or no new time; they were left out."
+    return whole, (note,) if left_out else ()
+
+
+def _positions(by_name: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The entries that are positions, by joint."""
+    return {name.removesuffix(".pos"): values for name, values in by_name.items() if _suffix(name) in ("", "pos")}
 
 
 def _suffix(name: str) -> str:

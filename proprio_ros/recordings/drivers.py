@@ -18,7 +18,8 @@ from proprio_ros.inputs.forms import Choice, Form, FormError, Perhaps, Text, sho
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.recordings.datasets import POSITION_UNITS, Columns
-from proprio_ros.recordings.topics import EFFORT_UNITS, FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
+from proprio_ros.recordings.effort import EFFORT_UNITS
+from proprio_ros.recordings.topics import FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
 
 DEEPEST = 8
 """Files that extend each other."""

@@ -13,16 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from proprio_ros.errors import ConfigurationError, RecordingError, printable
+from proprio_ros.errors import RecordingError, printable
 from proprio_ros.recordings.columns import Columns, array_columns, joint_state_columns
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere, held, known_or_none
 from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.reader import Bag, open_bag
 from proprio_ros.recordings.topics import (
     BATTERY,
     BATTERY_STATE,
     BOOL,
-    CURRENT_PER_COUNT_A,
-    EFFORT_UNITS,
     JOINT_COMMAND,
     JOINT_STATE,
     OUR_DRIVER,
@@ -30,13 +29,11 @@ from proprio_ros.recordings.topics import (
     Conventions,
     InputTopic,
     Topic,
-    ampere,
     listed,
 )
 from proprio_ros.records import (
     IMPLAUSIBLE_POSITION,
     LOST_AFTER_PERIODS,
-    MEASURED_EFFORT,
     MIN_SAMPLES,
     ZERO_CURRENT_A,
     BoolArray,
@@ -67,19 +64,12 @@ FOREIGN_CLOCK_NS = 500_000_000
 _NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
 
 
-class _Meaning(NamedTuple):
-    """What numbers of a bag mean; as for `read_recording`."""
+class _Asked(NamedTuple):
+    """How a bag is read; as for `read_recording`."""
 
     conventions: Conventions
-    nominal: Mapping[str, float]
+    effort: Effort
     joint_order: Sequence[str]
-    effort_unit: str | None
-    per_count_A: float
-
-    def constants(self, names: Sequence[str]) -> FloatArray:
-        """Nominal torque constants [N m/A or N/A], NaN where unknown, shape (J,)."""
-        known = (self.nominal.get(name, 0.0) for name in names)
-        return np.array([float(value) if value > 0.0 else np.nan for value in known])
 
 
 def read_recording(
@@ -123,10 +113,8 @@ def read_recording(
         RecordingError: The bag cannot be read, or does not hold what is needed.
         ConfigurationError: Unknown effort_unit.
     """
-    if effort_unit is not None and effort_unit not in EFFORT_UNITS:
-        raise ConfigurationError(f"effort unit {effort_unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
-    path = Path(path)
-    meaning = _Meaning(conventions, nominal_torque_constants, joint_order, effort_unit, current_per_count_A)
+    effort = Effort(effort_unit, nominal_torque_constants, current_per_count_A)
+    path, asked = Path(path), _Asked(conventions, effort, joint_order)
     inputs = None
     with open_bag(path) as bag:
         state = bag.topics.states(state_topic, command_topic, conventions)
@@ -135,31 +123,30 @@ def read_recording(
         columns = joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
         notes = list(columns.notes)
         if command is not None and command[0] != state:
-            inputs = _commands(bag, *command, columns, meaning, notes)
+            inputs = _commands(bag, *command, columns, asked, notes)
         torque_off = _torque_off(bag, state, columns, notes)
         notes = bag.notes + notes
-    record = _joint_record(path, state, columns, inputs, meaning, notes)
+    record = _joint_record(path, state, columns, inputs, asked, notes)
     # zero current needs no unit
     needed = not states_only and not (torque_off and effort_unit is None)
     if inputs is None and needed and record.reported_effort is not None:
-        inputs = _measured(path, state, record, meaning)
+        inputs = _measured(path, state, record, asked)
     return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
 
 
 def _joint_record(
-    path: Path, topic: Topic, columns: Columns, inputs: InputRecord | None, meaning: _Meaning, notes: list[str]
+    path: Path, topic: Topic, columns: Columns, inputs: InputRecord | None, asked: _Asked, notes: list[str]
 ) -> JointRecord:
     """What the joints did, out of the columns of their states."""
     driven: list[str] = []
     if inputs is not None:
         used = _any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
-    expected = [*meaning.joint_order, *driven]
+    expected = [*asked.joint_order, *driven]
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
     _check_positions(path, names, values["position"], expected)
-    reported = _known_or_none(_signed(names, values["effort"], notes))
-    effort, current = _effort_and_current(names, reported, meaning)
-    return JointRecord(times, names, values["position"], _known_or_none(values["velocity"]), effort, current, reported)
+    effort = _signed(names, values["effort"], notes)
+    return asked.effort.record(times, names, values["position"], known_or_none(values["velocity"]), effort)
 
 
 def _torque_off(bag: Bag, state: Topic, columns: Columns, notes: list[str]) -> tuple[tuple[int, int], ...]:
@@ -311,40 +298,28 @@ def _check_positions(path: Path, names: Sequence[str], position: FloatArray, exp
             )
 
 
-def _known_or_none(values: FloatArray) -> FloatArray | None:
-    values = np.where(np.isfinite(values), values, np.nan)
-    return None if bool(np.isnan(values).all()) else values
-
-
-def _held(values: FloatArray) -> FloatArray:
-    """Each column keeps its last finite value; zero before the first."""
-    known = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], -1), axis=0)
-    return np.where(last < 0, 0.0, np.take_along_axis(values, np.maximum(last, 0), axis=0))
-
-
 def _commands(
-    bag: Bag, topic: Topic, means: InputTopic, states: Columns, meaning: _Meaning, notes: list[str]
+    bag: Bag, topic: Topic, means: InputTopic, states: Columns, asked: _Asked, notes: list[str]
 ) -> InputRecord:
     """Input from a command topic, on the clock of the joint states."""
     if topic.msgtype == JOINT_STATE:
-        columns = joint_state_columns(bag, topic, ["effort"], meaning.conventions)
+        columns = joint_state_columns(bag, topic, ["effort"], asked.conventions)
         times = _times(columns, topic, notes)
     else:
-        columns = array_columns(bag, topic, means, meaning.joint_order, states.names, meaning.conventions)
+        columns = array_columns(bag, topic, means, asked.joint_order, states.names, asked.conventions)
         times = columns.bag_ns
     effort, clock_ns = columns.values["effort"], states.clock_ns()
     if means.unit == "N.m":
-        constants = meaning.constants(columns.names)
+        constants = asked.effort.constants(columns.names)
         unknown = np.flatnonzero(np.isnan(constants) & _any(np.nan_to_num(effort) != 0.0, axis=0))
         if unknown.size:
             raise RecordingError(
                 f"{bag.path}: {topic.name} has effort on {columns.names[unknown[0]]}, whose nominal torque constant is"
-                f" not known; the robot has one for {', '.join(meaning.nominal) or 'no joint'}: add it to the robot's file"
+                f" not known; the robot has one for {', '.join(asked.effort.nominal) or 'no joint'}: add it to the robot's file"
             )
         current = effort / np.where(np.isnan(constants), 1.0, constants)
     else:
-        current = effort * ampere(means.unit, meaning.per_count_A)
+        current = effort * ampere(means.unit, asked.effort.per_count_A)
     if not columns.stamp_ns.any() and abs(clock_ns) > FOREIGN_CLOCK_NS:
         times = times + clock_ns
         notes.append(
@@ -356,7 +331,7 @@ def _commands(
     if broken.any():
         notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite values; the last finite one was held.")
     order = _sorted(times, topic, notes)
-    times, current = times[order], _held(current[order])
+    times, current = times[order], held(current[order])
     latest = np.diff(times, append=times[-1] + 1) > 0
     if not latest.all():
         notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
@@ -381,35 +356,21 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
     return result
 
 
-def _effort_and_current(
-    names: Sequence[str], effort: FloatArray | None, meaning: _Meaning
-) -> tuple[FloatArray | None, FloatArray | None]:
-    """Effort [N m or N] and measured current [A] out of what a bag calls effort; None where the unit does not say."""
-    unit = meaning.effort_unit
-    if effort is None or unit is None:
-        return None, None
-    if unit == "N.m":
-        return effort, _known_or_none(effort / meaning.constants(names))
-    return None, effort * ampere(unit, meaning.per_count_A)
-
-
-def _measured(path: Path, topic: Topic, record: JointRecord, meaning: _Meaning) -> InputRecord:
+def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> InputRecord:
     """Input from what the motors reported, when no command was recorded."""
-    unit = meaning.effort_unit
-    if unit is None:
-        usual = " or ".join(f"/{each.topic}" for each in meaning.conventions.inputs) or "input"
+    inputs = asked.effort.measured(record)
+    if asked.effort.unit is None:
+        usual = " or ".join(f"/{each.topic}" for each in asked.conventions.inputs) or "input"
         raise RecordingError(
             f"{path}: no {usual} in the bag, and what the effort of {topic.name} means is"
             f" not stated; state it with --effort-unit {'|'.join(EFFORT_UNITS)}, or name the input with --command-topic"
         )
-    if record.current is None:
+    if inputs is None:
         raise RecordingError(
             f"{path}: the effort of {topic.name} cannot be turned into current: the robot has a nominal torque constant"
             f" for none of {', '.join(record.names)}; choose the robot with --robot"
         )
-    known = _any(np.isfinite(record.current), axis=0)
-    names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
-    return InputRecord(record.times_ns, names, _held(record.current[:, known]), MEASURED_EFFORT, unit)
+    return inputs
 
 
 def read_drive_signals(

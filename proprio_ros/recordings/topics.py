@@ -12,12 +12,6 @@ from typing import NamedTuple
 
 from proprio_ros.errors import RecordingError
 
-EFFORT_UNITS = ("N.m", "A", "mA", "raw")
-"""What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
-
-CURRENT_PER_COUNT_A = 0.00269
-"""Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
-
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 BOOL = "std_msgs/msg/Bool"
@@ -31,11 +25,6 @@ TEMPERATURES = "motor_temperatures"
 """Topic of how warm each motor is."""
 JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
 """Topics of the goals of position servos, and of their supply."""
-
-
-def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
-    """Ampere of one of a unit of current."""
-    return {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
 
 
 @dataclass(frozen=True)

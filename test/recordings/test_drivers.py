@@ -32,10 +32,11 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import BagCheck, check_bags
 from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs, replay
 from proprio_ros.recordings.drivers import FORMS, INPUT, drivers_of, load_driver
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.topics import CURRENT_PER_COUNT_A, OUR_DRIVER
+from proprio_ros.recordings.topics import OUR_DRIVER
 from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import MEASURED_EFFORT, JointRecord, Recording
 from proprio_ros.robot import Robot, load_robot

@@ -1,0 +1,87 @@
+"""What ``effort`` of joint states means: a torque, a current, or counts of one; where nobody states it, it is not guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, TimeArray
+
+EFFORT_UNITS = ("N.m", "A", "mA", "raw")
+"""What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
+
+CURRENT_PER_COUNT_A = 0.00269
+"""Unit of Present Current of the XM430-W350: 2.69 mA (ROBOTIS e-manual, control table, register 126) [A]."""
+
+
+def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
+    """Ampere of one of a unit of current."""
+    return {"A": 1.0, "mA": 1e-3, "raw": per_count_A}[unit]
+
+
+def held(values: FloatArray) -> FloatArray:
+    """Each column keeps its last finite value; zero before the first."""
+    known = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], -1), axis=0)
+    return np.where(last < 0, 0.0, np.take_along_axis(values, np.maximum(last, 0), axis=0))
+
+
+def known_or_none(values: FloatArray) -> FloatArray | None:
+    """The same with NaN for whatever is not finite; None where nothing is."""
+    values = np.where(np.isfinite(values), values, np.nan)
+    return None if bool(np.isnan(values).all()) else values
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What effort is, as the user states it.
+
+    Attributes:
+        unit: One of `EFFORT_UNITS`; None: not stated.
+        nominal: Torque constants with which efforts were made of currents, by joint [N m/A or N/A].
+        per_count_A: Current of one raw count [A].
+
+    Raises:
+        ConfigurationError: Unknown unit.
+    """
+
+    unit: str | None
+    nominal: Mapping[str, float]
+    per_count_A: float = CURRENT_PER_COUNT_A
+
+    def __post_init__(self) -> None:
+        if self.unit is not None and self.unit not in EFFORT_UNITS:
+            raise ConfigurationError(f"effort unit {self.unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}")
+
+    def constants(self, names: Sequence[str]) -> FloatArray:
+        """Nominal torque constants [N m/A or N/A], NaN where unknown, shape (J,)."""
+        known = (self.nominal.get(name, 0.0) for name in names)
+        return np.array([float(value) if value > 0.0 else np.nan for value in known])
+
+    def record(
+        self,
+        times_ns: TimeArray,
+        names: tuple[str, ...],
+        position: FloatArray,
+        velocity: FloatArray | None,
+        recorded: FloatArray,
+    ) -> JointRecord:
+        """Joint states with the effort and the measured current that the recorded effort stands for, shape (T, J) each."""
+        reported = known_or_none(recorded)
+        effort = current = None
+        if reported is not None and self.unit == "N.m":
+            effort, current = reported, known_or_none(reported / self.constants(names))
+        elif reported is not None and self.unit is not None:
+            current = reported * ampere(self.unit, self.per_count_A)
+        return JointRecord(times_ns, names, position, velocity, effort, current, reported)
+
+    def measured(self, record: JointRecord) -> InputRecord | None:
+        """Input from what the motors reported; None where no joint's current is known."""
+        if record.current is None or self.unit is None:
+            return None
+        known = np.asarray(np.isfinite(record.current).any(axis=0))
+        names = tuple(name for name, column in zip(record.names, known, strict=True) if column)
+        return InputRecord(record.times_ns, names, held(record.current[:, known]), MEASURED_EFFORT, self.unit)
