@@ -1,9 +1,10 @@
-"""A fourth probe costs a law, a class and a line: this one lives beside this test, and no file of the package knows it."""
+"""A fourth probe brings a law, an unknown, an object, a baseline and a sequence of its own, and costs the package no line."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +12,12 @@ from pathlib import Path
 import pytest
 
 from proprio_ros.cli import main
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.excitation.plans import load_sequence
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.kinds import KINDS
 from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
-from proprio_ros.probes import PROBES, all_probes, probe_named
+from proprio_ros.probes import PROBES, all_probes, probe_named, virtual_object
 
 TEST = Path(__file__).resolve().parents[1]
 LINE = "spring=support.spring_probe:Spring"
@@ -31,6 +36,43 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_it_is_in_the_registry_behind_the_others(registered: None) -> None:
     assert [probe.name for probe in all_probes()] == [*PROBES, "spring"]
     assert probe_named("spring").answer == ("spring_stiffness", "N m/rad")
+    assert KINDS["spring_stiffness"].label == "stiffness of the spring"
+
+
+def test_no_file_of_the_package_knows_it() -> None:
+    package = TEST.parent / "proprio_ros"
+    assert not [path for path in package.rglob("*.py") if re.search("spring_(stiffness|probe)", path.read_text())]
+
+
+def test_a_virtual_hand_can_hold_its_object(registered: None) -> None:
+    from support.spring_probe import VirtualSpring
+
+    assert virtual_object("spring:0.4") == VirtualSpring(0.4)
+    for text, said in (("spring:-1", "a spring pulls back"), ("brick:1", "| spring:0.4 (kg, m, Pa)")):
+        with pytest.raises(ConfigurationError, match=re.escape(said)):
+            virtual_object(text)
+
+
+def test_the_virtual_arm_and_its_sequence_show_the_spring(registered: None) -> None:
+    """MuJoCo's spring, of which the identification's law knows nothing; a baseline makes the answer narrower."""
+    pytest.importorskip("mujoco")
+    from support.hand import ROBOT, Hand
+    from support.spring_probe import Spring, VirtualSpring, find_spring
+    from support.squeezing import made, played
+
+    _, empty, _ = played("empty_hand_elbow", Hand(1, None))
+    calibration = calibrate(ROBOT, [LoadedRun(run) for run in empty]).calibration
+    assert calibration is not None
+    sequence = load_sequence(Spring.default_sequence, ROBOT)
+    runs, baseline = (made(sequence, Hand(1, held))[1] for held in (VirtualSpring(0.4), None))
+    robot, widths = ROBOT.with_calibration(calibration), []
+    for without in ((), baseline):
+        estimate = find_spring(robot, runs, 1.0, without)
+        assert estimate.values[0].ci95 is not None, estimate.reasons
+        low, high = estimate.values[0].ci95
+        assert low < 0.4 < high, (low, high)
+        widths.append(high - low)
+    assert widths[1] < widths[0] < 0.1
 
 
 @pytest.mark.long
@@ -90,26 +132,29 @@ def test_the_command_line_offers_it(registered: None, capsys: pytest.CaptureFixt
 
 @pytest.mark.long
 def test_the_identifier_has_a_service_for_it(registered: None) -> None:
-    """In a process of its own, as the node is."""
+    """In a process of its own, as the node is; and one for its baseline."""
     pytest.importorskip("rclpy")
     code = (
         "from proprio_ros.nodes.identifier import IdentifierNode\n"
         "from proprio_ros.nodes.identifier_parameters import services\n"
         "names = [parameter.name for parameter in IdentifierNode.parameters]\n"
-        "print(services()['spring'], 'spring_sequence' in names)"
+        "print(services()['spring'], services()['spring_baseline'], {'spring_sequence', 'spring_baseline'} <= set(names))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.split() == ["calibrate_spring", "True"]
+    assert said.split() == ["calibrate_spring", "record_spring_baseline", "True"]
 
 
 @pytest.mark.long
 def test_the_demo_shows_it(registered: None, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Real nodes: the arm calibrates itself, pushes with nothing in its hand, and finds that there is no spring."""
+    """Real nodes: the arm calibrates itself, makes the baseline, pushes against the spring and finds how stiff it is."""
     pytest.importorskip("rclpy")
     pytest.importorskip("mujoco")
     words = [sys.executable, "-m", "proprio_ros.cli", "demo", "--probe", "spring", "--output", str(tmp_path / "demo")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=3600.0)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("spring ") and "the virtual arm's spring was 0.0 N m/rad" in done.stdout
+    found = re.match(r"spring ([0-9.]+) N m/rad, 95 % interval", done.stdout)
+    assert found is not None and "the virtual arm's spring was 0.4 N m/rad" in done.stdout, done.stdout
+    assert abs(float(found[1]) - 0.4) < 0.05 and "baseline" in done.stdout, done.stdout
+    assert "now an arm without its spring is in its hand" in done.stderr
     (page,) = (tmp_path / "demo").glob("*_spring/report.html")
     assert "<h2>The spring</h2>" in page.read_text()

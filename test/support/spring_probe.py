@@ -1,13 +1,19 @@
-"""A probe outside the package: how stiff is a spring at the joint? A law, a class, and the line that registers it."""
+"""A probe outside the package: how stiff is a spring at the elbow?
+
+A law, an unknown, a virtual object, a baseline, a sequence (spring.yaml), a class, and the line that registers it.
+"""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value
@@ -20,7 +26,7 @@ from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.inputs.settings import Settings, number
 from proprio_ros.kinds import Kind
-from proprio_ros.probes.base import Example, Probe, Recorded
+from proprio_ros.probes.base import Baseline, Example, HasBaseline, Recorded
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -41,6 +47,7 @@ from proprio_ros.sim.joint_kernels import (
 from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.sim.rollout import Law, rollout
 from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.virtual.objects import HandObject
 
 STIFFNESS = wp.constant(len(PARAMETERS))
 
@@ -75,22 +82,50 @@ class SpringSimulator(JointSimulator):
         return rollout(law, self.integrator), law.out
 
 
+@dataclass(frozen=True)
+class VirtualSpring(HandObject):
+    """A spring between the elbow of the virtual arm and its zero [N m/rad]."""
+
+    kind = "spring"
+    form = "spring:0.4"
+    keys = MappingProxyType({"stiffness": ("stiffness", 1)})
+
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        if self.stiffness < 0.0:
+            raise ConfigurationError(f"stiffness={self.stiffness:g}: a spring pulls back")
+
+    @property
+    def emptied(self) -> None:
+        """The arm with the spring taken off."""
+        return
+
+    def build(self, mujoco: Any, spec: Any, hand: Any) -> None:
+        spec.joint("joint3").stiffness[0] = self.stiffness
+
+
 class SpringProblem(Problem):
+    """Some runs with the spring, and those of the baseline behind them without it."""
+
+    with_spring: int
+
     def _simulator(self, runs: list[JointRun], integrator: str) -> JointSimulator:
         return SpringSimulator(runs, integrator)
 
     def _all_parameters(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, dp = super()._all_parameters(values)
-        p[..., STIFFNESS] = values[:, None, self.index["spring_stiffness"]]
-        dp[..., STIFFNESS, self.index["spring_stiffness"]] = 1.0
+        p[:, : self.with_spring, STIFFNESS] = values[:, None, self.index["spring_stiffness"]]
+        dp[:, : self.with_spring, STIFFNESS, self.index["spring_stiffness"]] = 1.0
         return p, dp
 
 
-def find_spring(robot: Robot, runs: Sequence[Run], prior: float) -> Estimate:
-    prepared = [prepare_run(robot, run, KnownLoad()) for run in runs]
+def find_spring(robot: Robot, runs: Sequence[Run], prior: float, baseline: Sequence[Run] = ()) -> Estimate:
+    prepared = [prepare_run(robot, run, KnownLoad()) for run in (*runs, *baseline)]
 
     unknowns = [Unknown("spring_stiffness", 0.0, prior, -10.0, 10.0), *robot_unknowns(robot, prepared, Role.FREE)]
     problem = SpringProblem(robot, prepared, PayloadFacts(), unknowns)
+    problem.with_spring = len(runs)
     starts = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     fit = FitResult.of(problem, solvers.levenberg_marquardt(problem, starts, problem.simulator.windows, iterations=60))
     return StiffnessFound(fit, fit, Findings(), len(runs)).estimate()
@@ -117,23 +152,30 @@ class StiffnessFound(Conclusion):
         return ("a spring between the joint and its zero",)
 
 
-class Spring(Probe[float]):
+class Spring(HasBaseline[float]):
     name = "spring"
     subject = "spring"
     answer = ("spring_stiffness", "N m/rad")
     keys = ("spring.",)
     unknowns = MappingProxyType({"spring_stiffness": Kind("N m/rad", "stiffness of the spring")})
-    default_sequence = "payload_elbow"
+    virtual_object = VirtualSpring
+    default_sequence = str(Path(__file__).with_name("spring.yaml"))
+    baseline = Baseline(
+        noun="arm without its spring",
+        hand="the spring has to be taken off",
+        question="is the spring off?",
+        missing="take the spring off and call ~/record_spring_baseline",
+    )
     example = Example(
         flag="stiffness",
         metavar="N.M/RAD",
         help="of the spring",
-        truth=0.0,
+        truth=0.4,
         lowest=0.0,
         highest=10.0,
         units="stiffness is in N m/rad",
-        held="none",
-        now="now there is nothing in its hand",
+        held="spring:{truth:g}",
+        now="now a spring is at its elbow",
         was="the virtual arm's spring was",
         takes="under a minute",
         sequences={"robot_sequence": "empty_hand_elbow"},
@@ -143,7 +185,13 @@ class Spring(Probe[float]):
         return number("spring.prior", settings.take("spring.prior", 1.0))
 
     def identify(self, robot: Robot, recorded: Recorded, facts: float) -> Estimate:
-        return find_spring(robot, recorded.runs, facts)
+        return find_spring(robot, recorded.runs, facts, recorded.baseline)
+
+    def needs_baseline(self, facts: float) -> bool:
+        return False
+
+    def baseline_settings(self, facts: float) -> dict[str, object]:
+        return {}
 
     def sections(self, estimate: Estimate) -> list[str]:
         return ["<h2>The spring</h2>"]
