@@ -62,7 +62,7 @@ class Results:
         columns = self.tables[table]["columns"]
         self.tables[table]["rows"].append(kept)
         if self._printed != table:
-            print(f"\n{line(list(columns))}\n|{'---|' * len(columns)}")
+            print("\n" * bool(self._printed) + f"{line(list(columns))}\n|{'---|' * len(columns)}")
             self._printed = table
         print(line(cells(columns, kept)), flush=True)
 
