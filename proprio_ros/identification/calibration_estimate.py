@@ -9,7 +9,7 @@ from typing import Any
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import Calibration
-from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, plain
+from proprio_ros.identification.estimate import Fit, RecordedRun, RunFit, UnknownRow, Verdict, picked, plain
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.schema import header, reason_codes
 
@@ -42,19 +42,8 @@ class ProbePlan:
     reason: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        record: dict[str, Any] = {
-            "joint": self.joint,
-            "start": dict(self.start),
-            "current_A": self.current_A,
-            "duration_s": self.duration_s,
-            "kind": self.kind,
-            "travel_rad": list(self.travel),
-            "clearance_m": self.clearance_m,
-        }
-        if self.std_kg:
-            record["std_kg"] = list(self.std_kg)
-        record["reason"] = self.reason
-        return record
+        known = picked(self, "joint", "start", "current_A", "duration_s", "kind", "clearance_m", "reason")
+        return plain({**known, "travel_rad": self.travel, **(picked(self, "std_kg") if self.std_kg else {})})
 
 
 @dataclass(frozen=True)
@@ -71,6 +60,9 @@ class HeldOutRun:
     rms: float
     reduced_chi2: float
     samples: int
+
+    def as_json(self) -> dict[str, Any]:
+        return picked(self, "name", "joint", "rms", "reduced_chi2")
 
 
 @dataclass(frozen=True)
@@ -96,12 +88,7 @@ class Weighable:
         return f"weighs {mass} to +-{half} (95 %) with {' and '.join(self.joints)}"
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "mass_kg": self.mass_kg,
-            "std_kg": self.std_kg,
-            "half_width95_kg": Z95 * self.std_kg,
-            "joints": list(self.joints),
-        }
+        return {**picked(self, "mass_kg", "std_kg", "joints"), "half_width95_kg": Z95 * self.std_kg}
 
 
 @dataclass(frozen=True)
@@ -147,7 +134,7 @@ class EmptyHand:
         )
 
     def as_json(self) -> dict[str, Any]:
-        return {"mass_kg": self.mass_kg, "std_kg": self.std_kg, "unnoticed_kg": self.unnoticed_kg}
+        return picked(self, "mass_kg", "std_kg", "unnoticed_kg")
 
 
 @dataclass(frozen=True)
@@ -169,6 +156,9 @@ class EmptyWeighing:
     def half_width(self) -> float:
         """Of the 95 % interval [kg]."""
         return self.quantile * self.std_kg
+
+    def as_json(self) -> dict[str, Any]:
+        return {**picked(self, "name", "mass_kg"), "half_width95_kg": self.half_width}
 
 
 @dataclass(frozen=True)
@@ -222,93 +212,35 @@ class CalibrationEstimate:
         learnt = self.motion or self.joint
         return len(self.run_fits) if learnt is None else len(learnt.runs)
 
-    def _joint_as_json(self) -> dict[str, Any]:
-        joint = self.joint
-        if joint is None:
-            return {}
-        return {
-            "one_joint": {
-                "joint": joint.joint,
-                "spread": joint.spread,
-                "residual_N_m": joint.residual,
-                "runs": [dict(run) for run in joint.runs],
-            }
-        }
-
-    def _motion_as_json(self) -> dict[str, Any]:
-        motion = self.motion
-        if motion is None:
-            return {}
-        return {
-            "motion": {
-                "stretches": motion.stretches,
-                "torque_scale": motion.torque_scale,
-                "torque_scale_std": motion.torque_scale_std,
-                "arm_over_urdf": motion.arm_over_urdf,
-                "residual_N_m": dict(zip(motion.joints, motion.residual.tolist(), strict=True)),
-                "runs": [dict(run) for run in motion.runs],
-                "weighed_empty": [
-                    {"name": each.name, "mass_kg": each.mass_kg, "half_width95_kg": each.half_width}
-                    for each in self.weighed_empty
-                ],
-            }
-        }
-
     def as_json(self) -> dict[str, Any]:
         """Plain numbers; what is not a number is null."""
-        fit = self.fit
-        calibration = self.calibration
-        return plain(
-            {
-                **header("calibration"),
-                "bags": [],
-                "references": [],
-                "calibration": None,
-                **self.origin,
-                "robot": self.robot,
-                "runs": self.runs,
-                "verdict": self.verdict.value,
-                "reasons": list(self.reasons),
-                "reason_codes": reason_codes(self.reasons),
-                "can_weigh": None if self.weighable is None else self.weighable.as_json(),
-                "empty_hand": None if self.empty_hand is None else self.empty_hand.as_json(),
-                "unknowns": [
-                    {
-                        "name": row.name,
-                        "value": row.value,
-                        "std": row.std,
-                        "unit": row.unit,
-                        "prior": row.prior,
-                        "prior_std": row.prior_std,
-                    }
-                    for row in self.unknowns
-                ],
-                "noise": None
-                if calibration is None
-                else {
-                    "residual_scale": calibration.residual_scale,
-                    "stamp_jitter_s": calibration.stamp_jitter_s,
-                    "torque_disturbance_N_m": calibration.torque_disturbance,
-                    "start_velocity_rad_s": calibration.start_velocity,
-                },
-                "fit": None
-                if fit is None
-                else {
-                    "rms": fit.rms,
-                    "expected_rms": fit.expected_rms,
-                    "unit": fit.unit,
-                    "reduced_chi2": fit.reduced_chi2,
-                    "condition": fit.condition,
-                },
-                "held_out": [
-                    {"name": h.name, "joint": h.joint, "rms": h.rms, "reduced_chi2": h.reduced_chi2}
-                    for h in self.held_out
-                ],
-                **self._motion_as_json(),
-                **self._joint_as_json(),
-                "not_separated": list(self.not_separated),
-                "advice": [plan.as_json() for plan in self.advice],
-                "notes": list(self.notes),
-                "timing_s": self.timing_s,
+        calibration, motion, joint = self.calibration, self.motion, self.joint
+        record: dict[str, Any] = {
+            **header("calibration"),
+            "bags": [],
+            "references": [],
+            "calibration": None,
+            **self.origin,
+            **picked(self, "robot", "runs", "verdict", "reasons"),
+            "reason_codes": reason_codes(self.reasons),
+            "can_weigh": self.weighable,
+            "empty_hand": self.empty_hand,
+            "unknowns": [picked(row, "name", "value", "std", "unit", "prior", "prior_std") for row in self.unknowns],
+            "noise": None,
+            **picked(self, "fit", "held_out"),
+        }
+        if calibration is not None:
+            record["noise"] = {
+                **picked(calibration, "residual_scale", "stamp_jitter_s"),
+                "torque_disturbance_N_m": calibration.torque_disturbance,
+                "start_velocity_rad_s": calibration.start_velocity,
             }
-        )
+        if motion is not None:
+            record["motion"] = {
+                **picked(motion, "stretches", "torque_scale", "torque_scale_std", "arm_over_urdf", "runs"),
+                "residual_N_m": dict(zip(motion.joints, motion.residual.tolist(), strict=True)),
+                "weighed_empty": self.weighed_empty,
+            }
+        if joint is not None:
+            record["one_joint"] = {**picked(joint, "joint", "spread", "runs"), "residual_N_m": joint.residual}
+        return plain({**record, **picked(self, "not_separated", "advice", "notes", "timing_s")})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol
@@ -40,16 +40,7 @@ class Value:
         return label_of(self.name)
 
     def as_json(self) -> dict[str, Any]:
-        record: dict[str, Any] = {
-            "name": self.name,
-            "value": self.value,
-            "std": self.std,
-            "ci95": self.ci95,
-            "unit": self.unit,
-        }
-        if self.reason:
-            record["reason"] = self.reason
-        return record
+        return picked(self, "name", "value", "std", "ci95", "unit", *(["reason"] if self.reason else []))
 
 
 @dataclass(frozen=True)
@@ -61,6 +52,9 @@ class Fit:
     reduced_chi2: float
     unit: str = "rad"
     condition: float = float("nan")
+
+    def as_json(self) -> dict[str, Any]:
+        return picked(self, "rms", "expected_rms", "unit", "reduced_chi2", "condition")
 
 
 @dataclass(frozen=True)
@@ -152,15 +146,8 @@ class SolverSummary:
         return sum(path.agrees for path in self.paths)
 
     def as_json(self) -> dict[str, Any]:
-        record: dict[str, Any] = {
-            "name": self.name,
-            "profile": self.profile,
-            "starts": len(self.paths),
-            "starts_agreeing": self.starts_agreeing,
-            "iterations": self.iterations,
-            "integrator": self.integrator,
-            "step_s": self.step_s,
-        }
+        record = picked(self, "name", "profile", "starts_agreeing", "iterations", "integrator", "step_s")
+        record["starts"] = len(self.paths)
         if any(path.scheduled is not None for path in self.paths):
             record["start_results"] = [
                 {"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end} for p in self.paths
@@ -186,16 +173,7 @@ class UnknownRow(Tag):
         return (self.value - self.prior) / self.prior_std
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "role": self.role,
-            "prior": self.prior,
-            "prior_std": self.prior_std,
-            "value": self.value,
-            "std": self.std,
-            "pull": self.pull,
-        }
+        return picked(self, "name", "unit", "role", "prior", "prior_std", "value", "std", "pull")
 
 
 @dataclass(frozen=True)
@@ -259,15 +237,6 @@ class Estimate:
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object; numbers are plain floats, what is not a number is null."""
-        fit = None
-        if self.fit is not None:
-            fit = {
-                "rms": self.fit.rms,
-                "expected_rms": self.fit.expected_rms,
-                "unit": self.fit.unit,
-                "reduced_chi2": self.fit.reduced_chi2,
-                "condition": self.fit.condition,
-            }
         return plain(
             {
                 **header("estimate"),
@@ -275,21 +244,13 @@ class Estimate:
                 "baseline": [],
                 "calibration": None,
                 **self.origin,
-                "probe": self.probe,
-                "robot": self.robot,
-                "runs": self.runs,
-                "verdict": self.verdict.value,
-                "reasons": list(self.reasons),
+                **picked(self, "probe", "robot", "runs", "verdict", "reasons"),
                 "reason_codes": reason_codes(self.reasons),
-                "estimates": [value.as_json() for value in self.values],
+                "estimates": self.values,
                 **({} if self.detail is None else self.detail.as_json()),
-                "fit": fit,
-                "solver": None if self.solver is None else self.solver.as_json(),
-                "unknowns": [row.as_json() for row in self.unknowns],
+                **picked(self, "fit", "solver", "unknowns"),
                 "uncertainty_budget": [{"source": s, "std": v, "unit": self.values[0].unit} for s, v in self.budget],
-                "assumptions": list(self.assumptions),
-                "notes": list(self.notes),
-                "timing_s": self.timing_s,
+                **picked(self, "assumptions", "notes", "timing_s"),
             }
         )
 
@@ -304,9 +265,18 @@ def no_answer(
     )
 
 
+def picked(of: Any, *names: str) -> dict[str, Any]:
+    """Some attributes of an object, by their names."""
+    return {name: getattr(of, name) for name in names}
+
+
 def plain(value: Any) -> Any:
-    """JSON has no NaN, and no numpy: both become what a reader of the contract expects."""
-    if isinstance(value, dict):
+    """For JSON, which has no NaN, no numpy, no enumerations and no objects of ours: what a reader of the contract expects."""
+    if hasattr(value, "as_json"):
+        return plain(value.as_json())
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
