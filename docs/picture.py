@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch, Rectangle
 
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.robot import load_robot
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
@@ -50,8 +51,8 @@ def weigh() -> list[Any]:
     with tempfile.TemporaryDirectory() as folder:
         calibration = Path(folder) / "my_arm.yaml"
         empty = [str(path / "bag_mcap") for path in sorted(BAGS.glob("realistic_s00_empty_*"))]
-        calibrate_from_bags(empty, {}, ReplayOptions(), str(calibration))
-        options = ReplayOptions(probe="payload", calibration=str(calibration))
+        calibrate_from_bags(empty, {}, Options(), str(calibration))
+        options = Options(probe="payload", calibration=str(calibration))
         return [replay([str(BAGS / bag / "bag_mcap")], options) for _, bag, _, _ in LOADS]
 
 

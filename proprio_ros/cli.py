@@ -12,17 +12,21 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from proprio_ros import progress, schema
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line, printable
 from proprio_ros.inputs.reading import path_problem
-from proprio_ros.inputs.settings import Settings, parse_settings
+from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.probes import all_probes, probe_named, probe_that
 from proprio_ros.probes.base import HasSolvers, HasTable
 from proprio_ros.quantity import shown, spec_for
 from proprio_ros.version import __version__
+
+if TYPE_CHECKING:
+    from proprio_ros.pipeline.request import Options
 
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 LONGEST_WORD = 100_000
@@ -422,28 +426,23 @@ def _settings(pairs: Sequence[str]) -> dict[str, Any]:
     return parse_settings(pairs)
 
 
+def _asked(options: argparse.Namespace, **read: Any) -> Options:
+    """What the options of a command state; some were read already."""
+    from proprio_ros.pipeline.request import Options
+
+    given = {entry.name: getattr(options, entry.name) for entry in fields(Options) if hasattr(options, entry.name)}
+    return Options(**{**given, **read})
+
+
 def _replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     _refuse_unwritable(options.report)
     settings = _settings(options.set)
     # heavy imports only now, so that --help and a mistyped option answer at once
-    from proprio_ros.pipeline.replay import ReplayOptions, replay
+    from proprio_ros.pipeline.replay import replay
 
     estimate = replay(
         options.bags,
-        ReplayOptions(
-            probe=options.probe,
-            robot=options.robot,
-            settings=settings,
-            solver=options.solver,
-            profile=options.profile,
-            calibration=options.calibration,
-            baseline=tuple(options.baseline),
-            driver=options.driver,
-            state_topic=options.state_topic,
-            command_topic=options.command_topic,
-            effort_unit=options.effort_unit,
-            span=_span(options.span),
-        ),
+        _asked(options, settings=settings, span=_span(options.span)),
     )
     if options.json:
         print(json.dumps(estimate.as_json(), indent=1))
@@ -473,17 +472,8 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
             raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
         references[path] = known
     from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
-    from proprio_ros.pipeline.replay import ReplayOptions
 
-    about = ReplayOptions(
-        robot=options.robot,
-        settings=settings,
-        calibration=options.refresh,
-        driver=options.driver,
-        state_topic=options.state_topic,
-        command_topic=options.command_topic,
-        effort_unit=options.effort_unit,
-    )
+    about = _asked(options, settings=settings, calibration=options.refresh)
     if options.refresh is not None and references:
         raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
     if options.refresh is not None:
@@ -512,17 +502,10 @@ def _calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _check(options: argparse.Namespace, given: Sequence[str]) -> int:
-    from proprio_ros.pipeline.check import as_json, check_bags
+    from proprio_ros.pipeline.check import check_bags
+    from proprio_ros.pipeline.looked_into import as_json
 
-    robot, checks = check_bags(
-        options.bags,
-        options.robot,
-        driver=options.driver,
-        state_topic=options.state_topic,
-        command_topic=options.command_topic,
-        effort_unit=options.effort_unit,
-        settings=_settings(options.set),
-    )
+    robot, checks = check_bags(options.bags, _asked(options, settings=_settings(options.set)))
     if options.json:
         print(json.dumps(as_json(robot, checks), indent=1))
     else:
@@ -557,9 +540,8 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = _settings(options.set)
     from proprio_ros.pipeline.api import Plans
     from proprio_ros.pipeline.calibrate import plan_probes
-    from proprio_ros.pipeline.replay import ReplayOptions
 
-    asked = ReplayOptions(robot=options.robot, settings=settings, calibration=options.calibration)
+    asked = _asked(options, settings=settings)
     plans = Plans(*plan_probes(masses, asked, options.count, _progress), masses)
     robot = plans.robot
     if options.json:
@@ -573,12 +555,12 @@ def _plan(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 
 def _table(options: argparse.Namespace, given: Sequence[str]) -> int:
-    settings = Settings(_settings(options.set))
+    settings = _settings(options.set)
+    from proprio_ros.pipeline.request import facts_of
+
     started = time.monotonic()
     probe: HasTable[Any] = probe_that(HasTable)
-    facts = probe.facts(settings)
-    settings.refuse_rest()
-    content, text = probe.rebuild_table(facts)
+    content, text = probe.rebuild_table(facts_of(probe.facts, settings))
     elapsed = time.monotonic() - started
     if options.json:
         print(json.dumps({**schema.header("table"), **content, "elapsed_s": elapsed}, indent=1))
@@ -603,10 +585,10 @@ def _span(text: str | None) -> tuple[int, int | None] | None:
 
 def _warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = parse_settings(options.set)
-    from proprio_ros.pipeline.replay import ReplayOptions, compile_for
+    from proprio_ros.pipeline.replay import compile_for
 
     for name in [options.probe] if options.probe else [probe.name for probe in all_probes()]:
-        compile_for(ReplayOptions(probe=name, robot=options.robot, settings=settings))
+        compile_for(_asked(options, settings=settings, probe=name))
         print(f"{name}: ready")
     return EXIT_OK
 
@@ -643,19 +625,9 @@ def _batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     settings = _settings(options.set)
     from proprio_ros.batch.job import refuse_device, run_batch
     from proprio_ros.batch.rows import Job
-    from proprio_ros.pipeline.replay import ReplayOptions
 
     refuse_device(options.device)
-    asked = ReplayOptions(
-        probe=options.probe,
-        robot=options.robot,
-        settings=settings,
-        calibration=options.calibration,
-        driver=options.driver,
-        state_topic=options.state_topic,
-        command_topic=options.command_topic,
-        effort_unit=options.effort_unit,
-    )
+    asked = _asked(options, settings=settings)
     outcome = run_batch(
         options.sources,
         Job(asked, options.grasps),

@@ -21,7 +21,9 @@ from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs, replay, write_report
+from proprio_ros.pipeline.loading import bag_recording, bag_runs
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import spec_for
@@ -44,7 +46,7 @@ def bag_in(folder: Path) -> Path:
 
 def answer(bags: Path, probe: str, name: str, settings: Mapping[str, Any], baseline: str = "") -> Estimate:
     empty = [bag_in(bags / baseline)] if baseline else []
-    return replay(bag_in(bags / name), ReplayOptions(probe=probe, settings=settings, baseline=empty))
+    return replay(bag_in(bags / name), Options(probe=probe, settings=settings, baseline=empty))
 
 
 def codes(estimate: Estimate) -> list[str]:
@@ -111,7 +113,7 @@ def robot() -> Robot:
 
 def empty_runs(bags: Path, robot: Robot) -> list[LoadedRun]:
     folders = sorted(bags.glob("realistic_s00_empty_0[0-4]_joint3"))
-    return [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), robot, ReplayOptions(), {})]
+    return [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), Request(robot))]
 
 
 def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, robot: Robot) -> None:
@@ -119,7 +121,7 @@ def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, rob
     learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
-    runs = [prepare_run(known, run) for run in bag_runs(bag_in(bags / BALL), known, ReplayOptions(), {})]
+    runs = [prepare_run(known, run) for run in bag_runs(bag_in(bags / BALL), Request(known))]
     found = solve_load(known, runs, PayloadFacts(), _options(), Role.FREE)
     name = "payload_mass"
     assert Assessment(found, name).far_from_priors() == []
@@ -194,7 +196,7 @@ def real_answer(folder: Path, bag: Path, unit: str, noise: float) -> Estimate | 
     """What is said about a pendulum, or None where nothing can be read."""
     path = real_robot(folder, bag.name.partition("_")[0], noise)
     try:
-        return replay(bag, ReplayOptions(robot=str(path), effort_unit=unit, settings={"payload.size": 0.06}))
+        return replay(bag, Options(robot=str(path), effort_unit=unit, settings={"payload.size": 0.06}))
     except RecordingError:
         return None
 
@@ -279,7 +281,7 @@ def test_a_run_of_the_calibration_is_weighed_with_its_noise(bags: Path, robot: R
 
 def stamped_off(folder: Path, robot: Robot, off_s: float) -> Sequence[Run]:
     """The runs of a bag whose commands are stamped so much later than the joint states are."""
-    recording = bag_recording(bag_in(folder), robot, ReplayOptions())
+    recording = bag_recording(bag_in(folder), Request(robot))
     assert recording.inputs is not None
     inputs = replace(recording.inputs, times_ns=recording.inputs.times_ns + round(1e9 * off_s))
     return cut_runs(replace(recording, inputs=inputs), joints=list(robot.drive_trains))
@@ -359,7 +361,7 @@ def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> N
     learnt = calibrate(robot, empty_runs(bags, robot)).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
-    runs = bag_runs(bag_in(bags / BALL), known, ReplayOptions(), {})
+    runs = bag_runs(bag_in(bags / BALL), Request(known))
     shape = PayloadShape.of("sphere", 0.02)
     stated = weigh(known, runs, PayloadFacts(shape=shape))
     guessed = weigh(known, runs, PayloadFacts(shape=shape, com_guessed=True))

@@ -14,7 +14,9 @@ from support.machines import REAL, pendulum_urdf
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
-from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, replay
+from proprio_ros.pipeline.loading import bag_recording
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.motions import motion_of
 from proprio_ros.recordings.runs import UnderController, cut_runs
 from proprio_ros.recordings.signals import read_recording
@@ -104,7 +106,7 @@ def swung(
 
 def replayed(bag: Path, robot: Path, unit: str = "N.m", baseline: Path | None = None) -> Estimate:
     empty = [] if baseline is None else [baseline]
-    return replay(bag, ReplayOptions(robot=str(robot), effort_unit=unit, baseline=empty))
+    return replay(bag, Options(robot=str(robot), effort_unit=unit, baseline=empty))
 
 
 def codes(estimate: Estimate) -> list[str]:
@@ -118,7 +120,7 @@ def test_a_joint_under_a_controller_is_a_motion_and_a_probe_is_none(tmp_path: Pa
     recording, _ = swung(0.4)
     write_recording(tmp_path / "bag", recording)
     robot = load_robot(str(robot_file(tmp_path)))
-    read = bag_recording(tmp_path / "bag", robot, ReplayOptions(effort_unit="N.m"))
+    read = bag_recording(tmp_path / "bag", Request(robot, Options(effort_unit="N.m")))
     with pytest.raises(UnderController, match="under a controller"):
         cut_runs(read, joints=["pendulum"])
     motion = motion_of(read, joints=["pendulum"])
@@ -141,7 +143,7 @@ def test_other_probes_do_not_take_it(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"one under a controller.*one at a time"):
         replay(
             tmp_path / "bag",
-            ReplayOptions(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"),
+            Options(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"),
         )
 
 

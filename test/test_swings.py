@@ -18,7 +18,8 @@ from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.runs import RELEASE_S, cut_runs
@@ -165,11 +166,11 @@ def test_a_bag_says_when_torque_is_off(
     assert 0.095 < 1e-9 * (read.torque_off_ns[0][0] - START_NS) < 0.115
     (tmp_path / "swing.urdf").write_text(URDF)
     (tmp_path / "swing.yaml").write_text(ROBOT)
-    _, (check,) = check_bags(tmp_path / "bag", tmp_path / "swing.yaml")
+    _, (check,) = check_bags(tmp_path / "bag", Options(robot=str(tmp_path / "swing.yaml")))
     assert check.usable == 1 and check.runs[0].free and check.as_json()["runs"][0]["free_swing"] is True
     assert "gravity moment over inertia, without any torque constant" in check.as_text()
     with pytest.raises(RecordingError, match="--probe container wants a joint that a current drives"):
-        replay(tmp_path / "bag", ReplayOptions(probe="container", robot=str(tmp_path / "swing.yaml"), settings={
+        replay(tmp_path / "bag", Options(probe="container", robot=str(tmp_path / "swing.yaml"), settings={
             "container.inner_size": [0.05, 0.05, 0.05], "container.mass": 0.02, "sphere.radius": 0.01,
         }))  # fmt: skip
 
@@ -275,11 +276,11 @@ def test_a_real_servo_that_lets_go_weighs(shared: Path, tmp_path: Path, calibrat
     file.write_text(ROBOT.replace("pivot:", "pendulum:") + "gravity: [0.0, 0.0, -9.80496]\n")
     (tmp_path / "swing.urdf").write_text((tmp_path / "swing.urdf").read_text().replace('"pivot"', '"pendulum"'))
     output = tmp_path / "calibrated.yaml"
-    options = ReplayOptions(robot=str(file), settings=dict(REAL))
+    options = Options(robot=str(file), settings=dict(REAL))
     learnt = calibrate_from_bags([], {bags[n]: REAL_KG[n] for n in calibrating}, options, output)
     assert learnt.verdict is Verdict.ACCEPTED
     for number in set(range(4)) - set(calibrating):
-        asked = ReplayOptions(calibration=output, settings=dict(REAL))
+        asked = Options(calibration=output, settings=dict(REAL))
         value = replay(bags[number], asked).values[0]
         assert isinstance(value.value, float) and isinstance(value.std, float)
         assert value.value == pytest.approx(REAL_KG[number], rel=0.035)
@@ -291,4 +292,4 @@ def test_the_same_swing_is_not_given_twice(shared: Path, tmp_path: Path) -> None
     if not bag.exists():
         pytest.skip("needs the real recordings")
     with pytest.raises(ConfigurationError, match="name each recording once"):
-        replay([bag, bag], ReplayOptions(robot="pendulum"))
+        replay([bag, bag], Options(robot="pendulum"))

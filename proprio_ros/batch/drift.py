@@ -17,7 +17,8 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.regression.motion_prior import fit_empty
 from proprio_ros.inputs.resources import write_in_one_step
-from proprio_ros.pipeline.replay import ReplayOptions, bag_motion, prepare
+from proprio_ros.pipeline.loading import bag_motion
+from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.report.chart import Axis, Panel, Series, chart
@@ -92,7 +93,7 @@ def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]
 def drift_of(
     episodes: Sequence[Episode],
     stamps: Mapping[str, int | None],
-    options: ReplayOptions,
+    options: Options,
     tell: Callable[[str], Any] = lambda _: None,
 ) -> list[Period]:
     """What each period says about the arm; one without a usable motion is left out.
@@ -103,16 +104,16 @@ def drift_of(
         options: Without a calibration; their span is what of each is empty.
         tell: Hears what is going on.
     """
-    prepared = prepare(replace(options, calibration=None))
+    request = request_of(replace(options, calibration=None))
     episodes = [episode for episode in episodes if stamps.get(episode.path)] or episodes
     found = []
     periods = evenly(periods_of([stamps.get(episode.path) for episode in episodes]), MOST_PERIODS)
     if len(periods) > 1:
         tell(f"drift over {len(periods)} periods")
     for name, at, own in periods:
-        motions = readable([episodes[place] for place in own], MOST_OF_PERIOD, prepared.robot, options, prepared.held)
+        motions = readable([episodes[place] for place in own], MOST_OF_PERIOD, request)
         try:
-            arm = fit_empty(prepared.robot, motions) if motions else None
+            arm = fit_empty(request.robot, motions) if motions else None
         except RecordingError:  # too little motion in all of them
             arm = None
         if arm is not None:
@@ -120,14 +121,12 @@ def drift_of(
     return found
 
 
-def readable(
-    episodes: Sequence[Episode], most: int, robot: Any, options: ReplayOptions, held: Mapping[str, float]
-) -> list[Motion]:
+def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[Motion]:
     """Motions of at most so many episodes, evenly over those there are; what cannot be read is left out."""
     found = []
     for episode in evenly(episodes, most):
         try:
-            found.append(bag_motion(Path(episode.path), robot, options, held))
+            found.append(bag_motion(Path(episode.path), request))
         except ProprioError:  # its row says why
             continue
     return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.identification.regression.running import RunningEstimate
-from proprio_ros.pipeline.replay import Prepared
+from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.base import Online
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -68,7 +68,7 @@ class Grasps:
     """Finds the stretches of a motion that comes in parts.
 
     Args:
-        prepared: Whose probe is `Online`.
+        request: Whose probe is `Online`.
         robot: With a calibration of motions.
         first: The first part; where its other joints stand they count as standing throughout.
 
@@ -76,10 +76,10 @@ class Grasps:
         RobotError: The calibration is of another arm.
     """
 
-    def __init__(self, prepared: Prepared, robot: Robot, first: Motion) -> None:
+    def __init__(self, request: Request, robot: Robot, first: Motion) -> None:
         self.robot = robot
-        assert isinstance(prepared.probe, Online)
-        self._running = prepared.probe.running(robot, prepared.facts, dict(first.held))
+        assert isinstance(request.probe, Online)
+        self._running = request.probe.running(robot, request.facts, dict(first.held))
         self._gripper = gripper_joint(robot, first)
         self._last: dict[float, RunningEstimate] = {}
         self._times: list[FloatArray] = []

@@ -16,8 +16,10 @@ from proprio_ros.batch.rows import GRASP, Job
 from proprio_ros.batch.store import Store
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, prepare, replay, write_report
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.recordings.datasets import marked, open_data_set
+from proprio_ros.recordings.drivers import load_driver
 from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
 
@@ -85,7 +87,7 @@ def run_batch(
     job = replace(job, options=_located(job.options))
     option = "--empty" if empty is not None else "--empty-first"
     if empty is None and empty_first_s is None:
-        prepare(job.options)  # what is wrong for every episode is said once
+        request_of(job.options)  # what is wrong for every episode is said once
     elif job.options.calibration is not None:
         raise ConfigurationError(f"{option} makes a calibration, and --calibration names one: give one of them")
     elif empty is not None and empty_first_s is not None:
@@ -97,7 +99,7 @@ def run_batch(
     if engine == "ray":
         ray_or_refuse()
     episodes = episodes_of(sources)
-    profile = job.options.publisher
+    profile = None if job.options.driver is None else load_driver(job.options.driver)
     if any(episode.index is not None for episode in episodes) and (profile is None or profile.columns is None):
         raise ConfigurationError(
             "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
@@ -151,8 +153,8 @@ def _run(
 
 
 def self_calibrated(
-    empty: Sequence[Episode], options: ReplayOptions, option: str, out: Path, tell: Callable[[str], Any]
-) -> ReplayOptions:
+    empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]
+) -> Options:
     """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
     Args:
@@ -170,11 +172,9 @@ def self_calibrated(
     """
     path = out.resolve() / "calibration.yaml"
     if not path.exists():
-        prepared = prepare(options)
+        request = request_of(options)
         # evenly over all of them: an arm drifts
-        chosen = [
-            each for each in evenly(empty, MOST_EMPTY) if readable([each], 1, prepared.robot, options, prepared.held)
-        ]
+        chosen = [each for each in evenly(empty, MOST_EMPTY) if readable([each], 1, request)]
         if not chosen:
             raise ConfigurationError(f"{option}: no motion of an empty hand can be read; is anything moving there?")
         what = "episodes that are marked as empty" if options.span is None else "episodes, whose hand is empty at first"
@@ -221,7 +221,7 @@ def _reports(store: Store, job: Job) -> dict[str, str]:
     return found
 
 
-def _located(options: ReplayOptions) -> ReplayOptions:
+def _located(options: Options) -> Options:
     """The same with absolute paths: another process may run elsewhere."""
 
     def absolute(name: str | Path | None) -> str | None:

@@ -15,7 +15,8 @@ from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.grasps import Grasp, Grasps
 from proprio_ros.errors import ProprioError, one_line
 from proprio_ros.identification.estimate import Estimate, Value
-from proprio_ros.pipeline.replay import Prepared, ReplayOptions, identify, prepare, read_for
+from proprio_ros.pipeline.replay import identify, read_for
+from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes.base import Online, Recorded
 from proprio_ros.recordings.contents import parts_of
 from proprio_ros.recordings.datasets import parts_of_episode
@@ -47,7 +48,7 @@ class Job:
             what it holds later [s].
     """
 
-    options: ReplayOptions = field(default_factory=ReplayOptions)
+    options: Options = field(default_factory=Options)
     grasps: bool = False
     empty_first_s: float = 0.0
 
@@ -72,11 +73,11 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
     try:
         if episode.problem:
             return _finished([failed_row(episode, job, episode.problem, "unreadable")], started)
-        prepared = _prepared(job.as_text(), _Once(job))
-        spans = spans_of(episode, job)
-        rows = _answered(episode, job, prepared, spans)
+        request = _request(job.as_text(), _Once(job))
+        spans = spans_of(episode, job, request)
+        rows = _answered(episode, job, request, spans)
         # a cut may go through a push: only motions are answered in parts
-        return _finished(rows or _answered(episode, job, prepared, [_later(None, job)]), started)
+        return _finished(rows or _answered(episode, job, request, [_later(None, job)]), started)
     except ProprioError as error:
         return _finished([failed_row(episode, job, str(error), "unreadable")], started)
     except Exception as error:  # whatever an episode holds, the job goes on
@@ -90,7 +91,7 @@ def rows_of_all(episodes: Sequence[Episode], job: Job) -> list[Row]:
     return [row for episode in episodes for row in rows_of(episode, job)]
 
 
-def spans_of(episode: Episode, job: Job) -> list[Span | None]:
+def spans_of(episode: Episode, job: Job, request: Request) -> list[Span | None]:
     """The parts in which an episode is answered; one, unless it is long.
 
     Raises:
@@ -102,7 +103,7 @@ def spans_of(episode: Episode, job: Job) -> list[Span | None]:
     elif is_text_recording(episode.path) or _bytes_of(Path(episode.path)) < LEAST_BYTES:
         parts = []
     else:
-        parts = parts_of(episode.path, MOST_SAMPLES, state_topic=options.state_topic, conventions=options.conventions)
+        parts = parts_of(episode.path, MOST_SAMPLES, state_topic=options.state_topic, conventions=request.conventions)
     if len(parts) < 2:
         return [_later(None, job)]
     return [later for part in parts if (later := _later(part, job)) is not None]
@@ -125,12 +126,12 @@ def _later(span: Span | None, job: Job) -> Span | None:
     return None if end_ns is not None and end_ns <= after_ns else (max(begin_ns, after_ns), end_ns)
 
 
-def _answered(episode: Episode, job: Job, prepared: Prepared, spans: Sequence[Span | None]) -> list[Row]:
+def _answered(episode: Episode, job: Job, request: Request, spans: Sequence[Span | None]) -> list[Row]:
     """Rows of each part, and of the grasps in all of them; none where one of several parts holds pushes."""
     rows: list[Row] = []
     grasps: Grasps | None = None
     for span in spans:
-        here = prepared if span is None else replace(prepared, options=replace(prepared.options, span=span))
+        here = request if span is None else replace(request, options=replace(request.options, span=span))
         try:
             robot, read = read_for(here, [episode.path])
             if len(spans) > 1 and read.runs:
@@ -177,8 +178,8 @@ class _Once:
 
 
 @lru_cache(maxsize=1)
-def _prepared(_text: str, once: _Once) -> Prepared:
-    return prepare(once.job.options)
+def _request(_text: str, once: _Once) -> Request:
+    return request_of(once.job.options)
 
 
 def _finished(rows: list[Row], started: float) -> list[Row]:
@@ -231,8 +232,8 @@ def failed_row(episode: Episode, job: Job, reason: str, code: str) -> Row:
     }
 
 
-def _whole(episode: Episode, prepared: Prepared, read: Recorded, estimate: Estimate) -> Row:
-    answer = next((value for value in estimate.values if value.name == prepared.probe.answer[0]), estimate.values[0])
+def _whole(episode: Episode, request: Request, read: Recorded, estimate: Estimate) -> Row:
+    answer = next((value for value in estimate.values if value.name == request.probe.answer[0]), estimate.values[0])
     used: Mapping[str, str] = estimate.origin["calibration"] or {}
     return {
         **_base(episode, estimate.probe),

@@ -18,7 +18,7 @@ import struct
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,14 +29,8 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.resources import paths_of, private_folder, write_in_one_step
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.replay import (
-    ReplayOptions,
-    bag_runs,
-    check_motors,
-    configured_robot,
-    held_positions,
-    probe_asked_for,
-)
+from proprio_ros.pipeline.loading import bag_runs, check_motors
+from proprio_ros.pipeline.request import Options, Request, read_request, request_of, robot_of
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
 from proprio_ros.recordings.messages import RawMessage
@@ -44,7 +38,6 @@ from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
-from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import compile_kernels
 
 JOURNAL = "messages.journal"
@@ -211,13 +204,13 @@ def _elsewhere() -> list[Path]:
     return [Path(tempfile.gettempdir()) / name, Path("/dev/shm") / name]
 
 
-def prepare_identification(options: ReplayOptions) -> None:
+def prepare_identification(options: Options) -> None:
     """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled in a probe.
 
     Raises:
         ConfigurationError, RobotError: the robot cannot be read, or compiled kernels cannot be kept.
     """
-    compile_kernels(rises=robot_of_settings(options, Settings(options.settings)).friction_rises)
+    compile_kernels(rises=robot_of(options).friction_rises)
 
 
 def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,14 +219,17 @@ def settings_for(probe: Probe[Any], settings: Mapping[str, Any]) -> dict[str, An
     return {key: value for key, value in settings.items() if key == "payload.frame" or not key.startswith(foreign)}
 
 
-def check_settings(options: ReplayOptions) -> None:
+def check_settings(options: Options) -> None:
     """Look at settings that may be about the objects of several probes.
 
     Raises:
         ConfigurationError, RobotError: In one line, what is wrong with them.
     """
-    settings = Settings(options.settings)
-    robot_of_settings(options, settings)
+    read_request(options, _checked)
+
+
+def _checked(settings: Settings) -> None:
+    """Take what is stated about any object; Raises: ConfigurationError: it is wrong, or the nodes cannot do it."""
     settings.take_prefix("solver.")
     # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
     concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
@@ -245,82 +241,46 @@ def check_settings(options: ReplayOptions) -> None:
         for probe in all_probes():  # so that the refusal can list every key there is
             if probe not in concerned:
                 probe.facts(settings)
-    settings.refuse_rest()
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a job is about, read once.
-
-    Attributes:
-        probe: what is identified.
-        robot: as the options have it.
-        facts: what is stated about the object; the probe knows their form.
-        options: with which the bag will be identified.
-    """
-
-    probe: Probe[Any]
-    robot: Robot
-    facts: Any
-    options: ReplayOptions
-
-
-def setting_of(options: ReplayOptions) -> Setting:
+def live_request(options: Options) -> Request:
     """Robot, object and search as the options have them, for a live job.
 
     Raises:
         ConfigurationError, RobotError: In one line, what is wrong with them.
     """
-    probe = probe_asked_for(options)
-    settings = Settings(options.settings)
-    robot = robot_of_settings(options, settings)
-    facts = probe.facts(settings, options.solver, options.profile)
-    settings.refuse_rest()
-    if isinstance(probe, Guards):
-        probe.check_live(facts)
-    return Setting(probe, robot, facts, options)
+    request = request_of(options)
+    if isinstance(request.probe, Guards):
+        request.probe.check_live(request.facts)
+    return request
 
 
-def robot_of_settings(options: ReplayOptions, settings: Settings) -> Robot:
-    """The robot, with what the settings say of it."""
-    robot = configured_robot(options.robot, options.calibration, settings, options.stated_unit)
-    held_positions(robot, settings)
-    return robot
-
-
-def baseline_runs(setting: Setting) -> list[Run]:
+def baseline_runs(request: Request) -> list[Run]:
     """The runs of the baseline, as the identification of the object will read them.
 
     Raises:
         RecordingError: One cannot be read.
     """
-    settings = Settings(setting.options.settings)
-    held = held_positions(setting.robot, settings)
-    return [
-        run
-        for path in paths_of(setting.options.baseline)
-        for run in bag_runs(Path(path), setting.robot, setting.options, held)
-    ]
+    return [run for path in paths_of(request.options.baseline) for run in bag_runs(Path(path), request)]
 
 
-def baseline_options(setting: Setting) -> ReplayOptions:
+def baseline_options(request: Request) -> Options:
     """How the hand without the object is identified: as what the probe's baseline says it is."""
-    probe, options = setting.probe, setting.options
+    probe, options = request.probe, request.options
     assert isinstance(probe, HasBaseline)
     left_out = (*probe.keys, "solver.")
     settings = {key: value for key, value in options.settings.items() if not key.startswith(left_out)}
-    settings |= probe.baseline_settings(setting.facts)
+    settings |= probe.baseline_settings(request.facts)
     return replace(options, probe=probe.baseline.probe, settings=settings, baseline=())
 
 
-def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, options: ReplayOptions) -> tuple[str, ...]:
+def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) -> tuple[str, ...]:
     """Read what comes in at rest as it will be read after the probe, so that a refusal comes before anything moves.
 
     Args:
         folder: Where the recording will be; a bag is written there, and taken away.
         messages: Some tenths of a second of all topics.
-        robot: That should be in them.
-        options: With which the recording will be identified.
+        request: With which the recording will be identified; its robot should be in them.
 
     Returns:
         The repairs that reading it takes, one sentence each.
@@ -333,15 +293,16 @@ def check_input(folder: Path, messages: Sequence[RawMessage], robot: Robot, opti
         write_messages(bag, messages)
     except (OSError, RecordingError) as error:
         raise unwritable(folder.parent, error) from error
+    robot, options = request.robot, request.options
     command = options.command_topic
     try:
         recording = read_recording(
             bag,
             state_topic=options.state_topic,
             command_topic=command if any(message.topic == command for message in messages) else None,
-            effort_unit=options.stated_unit or "raw",  # at rest nothing says what it means, and nothing asks
-            conventions=options.conventions,
-            nominal_torque_constants={n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()},
+            effort_unit=request.unit or "raw",  # at rest nothing says what it means, and nothing asks
+            conventions=request.conventions,
+            nominal_torque_constants=request.effort_per_current,
             joint_order=list(robot.drive_trains),
         )
         about_motors = check_motors(bag, robot, options.state_topic)
@@ -378,7 +339,7 @@ def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
     write_in_one_step(bag.parent / "estimate.json", json.dumps(content, indent=1) + "\n", "the result")
 
 
-def replay_command(bag: Path, options: ReplayOptions) -> str:
+def replay_command(bag: Path, options: Options) -> str:
     """The command line that gives the same numbers again."""
     words = ["proprio", "replay", str(bag), "--probe", options.probe]
     if options.robot:
@@ -403,12 +364,12 @@ class LiveEstimate:
     `add_state` and `add_input` may be called from another thread than `estimate`.
 
     Args:
-        setting: As for the bag that will be identified afterwards; of a probe that is `live`.
+        request: As for the bag that will be identified afterwards.
     """
 
-    def __init__(self, setting: Setting) -> None:
-        self._setting = setting
-        self.joints = tuple(setting.robot.drive_trains)
+    def __init__(self, request: Request) -> None:
+        self._request = request
+        self.joints = tuple(request.robot.drive_trains)
         self._lock = threading.Lock()
         self.reset()
 
@@ -432,7 +393,7 @@ class LiveEstimate:
 
     def add_input(self, stamp_ns: int, names: Sequence[str], effort: Sequence[float]) -> None:
         """One applied effort [N m or N]."""
-        drives = self._setting.robot.drive_trains
+        drives = self._request.robot.drive_trains
         row = {name: e / drives[name].nominal_effort_per_current for name, e in self._row(names, effort).items()}
         with self._lock:
             if row and (not self._inputs or stamp_ns > self._inputs[-1][0]):
@@ -446,7 +407,7 @@ class LiveEstimate:
                 self._commands.append((time_ns, row))
 
     def _row(self, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
-        known = self._setting.robot.drive_trains
+        known = self._request.robot.drive_trains
         row = {name: float(value) for name, value in zip(names, values, strict=False) if name in known}
         return {name: value for name, value in row.items() if math.isfinite(value)}
 
@@ -495,10 +456,10 @@ class LiveEstimate:
         if count == self._weighed or not driven:
             return None
         self._weighed = count
-        runs, setting = self.runs(), self._setting
+        runs, request = self.runs(), self._request
         try:
-            if not runs or not isinstance(setting.probe, EstimatesLive):
+            if not runs or not isinstance(request.probe, EstimatesLive):
                 return None
-            return setting.probe.identify_so_far(setting.robot, runs, setting.facts)
+            return request.probe.identify_so_far(request.robot, runs, request.facts)
         except ProprioError:
             return None

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, RobotError
-from proprio_ros.inputs.settings import Settings
-from proprio_ros.live.session import Setting, as_parameters, robot_of_settings, setting_of, settings_for
-from proprio_ros.pipeline.replay import ReplayOptions, robot_of
+from proprio_ros.live.session import as_parameters, live_request, settings_for
+from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes.base import Probe
 from proprio_ros.robot import Robot
 
@@ -32,7 +31,7 @@ class Keeping:
     Attributes:
         data: The folder.
         robot: Name or file of the robot.
-        topics: What a replay must be told to take the same topics, as in `ReplayOptions`.
+        topics: What a replay must be told to take the same topics, as in `Options`.
         calibration: That is used; None: none.
     """
 
@@ -41,12 +40,12 @@ class Keeping:
     topics: Mapping[str, Any] = field(default_factory=dict)
     calibration: Path | None = None
 
-    def options(self) -> ReplayOptions:
+    def options(self) -> Options:
         """With which a recording is replayed, but for what is in the hand."""
         robot = None if self.calibration else self.robot
-        return ReplayOptions(robot=robot, calibration=self.calibration, **self.topics)
+        return Options(robot=robot, calibration=self.calibration, **self.topics)
 
-    def setting(self, probe: Probe[Any], settings: Mapping[str, Any], baseline: Path | None) -> Setting:
+    def request(self, probe: Probe[Any], settings: Mapping[str, Any], baseline: Path | None) -> Request:
         """What a job is about: robot, and what is stated about the object, read once.
 
         Raises:
@@ -54,7 +53,7 @@ class Keeping:
         """
         empty = () if baseline is None else (baseline,)
         stated = settings_for(probe, settings)
-        return setting_of(replace(self.options(), probe=probe.name, settings=stated, baseline=empty))
+        return live_request(replace(self.options(), probe=probe.name, settings=stated, baseline=empty))
 
     def configured(self, settings: Mapping[str, Any]) -> Robot:
         """The robot, as calibrated and with what the settings say of it.
@@ -62,7 +61,7 @@ class Keeping:
         Raises:
             ConfigurationError, RobotError: In one line, what is wrong with them.
         """
-        return robot_of_settings(self.options(), Settings(settings))
+        return robot_of(replace(self.options(), settings=settings))
 
     # --- the calibration ----------------------------------------------------------------------------------------------
 
@@ -91,7 +90,7 @@ class Keeping:
         if not stated and not path.exists():
             return ""
         try:
-            robot_of(self.robot, path)
+            robot_of(Options(robot=self.robot, calibration=path))
         except RobotError as error:
             if stated:
                 raise RobotError(as_parameters(str(error))) from error
@@ -125,7 +124,7 @@ class Keeping:
     def _driven(self, path: Path | None) -> set[str]:
         """Joints of which a calibration knows what a current does; none where it cannot be used any more."""
         try:
-            learnt = None if path is None else robot_of(self.robot, path).calibration
+            learnt = None if path is None else robot_of(Options(robot=self.robot, calibration=path)).calibration
         except RobotError:
             return set()
         return set() if learnt is None else set(learnt.driven)

@@ -19,9 +19,9 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.live.session import LiveEstimate, Session, as_parameters
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import LATCHED, STREAM, ManagedNode
-from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.pipeline.request import usable_driver
 from proprio_ros.recordings.messages import RawMessage
-from proprio_ros.recordings.topics import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, TEMPERATURES
+from proprio_ros.recordings.topics import BATTERY_STATE, JOINT_COMMAND, JOINT_STATE, OUR_DRIVER, TEMPERATURES
 from proprio_ros.robot import DriveTrain
 
 STALE_S = 0.5
@@ -71,13 +71,12 @@ class Inputs:
         self.stamp_ns = 0
         """Of the newest joint state."""
         self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
-        stated = node.values["effort_unit"] or None
-        published = ReplayOptions(effort_unit=stated, driver=node.values["driver"] or None)
         try:
-            published.check_driver()
+            driver = usable_driver(node.values["driver"] or None)
         except ConfigurationError as error:
             raise ConfigurationError(as_parameters(str(error))) from error
-        self.conventions, self._unit = published.conventions, published.stated_unit or ""
+        self.conventions = OUR_DRIVER if driver is None else driver.conventions
+        self._unit: str = node.values["effort_unit"] or ("" if driver is None else driver.effort_unit or "")
         if self.conventions.radians != 1.0:
             raise ConfigurationError(f"driver {self.conventions.driver}: live, positions must come in rad")
 

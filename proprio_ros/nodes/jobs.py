@@ -23,7 +23,7 @@ from proprio_ros.excitation.plans import as_text, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Chooser, Decision
 from proprio_ros.experiment_design.until import chosen_known
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.inputs.settings import Settings, parse_settings
+from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, live_answer, refusal_of
 from proprio_ros.live.session import (
     LiveEstimate,
@@ -34,7 +34,6 @@ from proprio_ros.live.session import (
     check_input,
     keep_result,
     replay_command,
-    robot_of_settings,
 )
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.exciting import READY_S, Excitation
@@ -46,14 +45,14 @@ from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, aged_robot, replay, write_report
+from proprio_ros.pipeline.replay import aged_robot, replay, write_report
+from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Prepares, Probe, Shown, chooser_of
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.records import Run
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices
-from proprio_ros.robot import Robot
 
 CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
@@ -145,36 +144,36 @@ class Jobs:
         if isinstance(probe, HasBaseline):
             baseline = self._keeping.find_baseline(probe, self._value(f"{probe.name}_baseline"))
         stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
-        setting = self._keeping.setting(probe, stated, baseline)
-        setting = replace(setting, robot=aged_robot(setting.robot, self._inputs.moment()))
-        self._results.link = setting.robot.payload_frame
-        if baseline is None and isinstance(probe, HasBaseline) and probe.needs_baseline(setting.facts):
+        request = self._keeping.request(probe, stated, baseline)
+        request = replace(request, robot=aged_robot(request.robot, self._inputs.moment()))
+        self._results.link = request.robot.payload_frame
+        if baseline is None and isinstance(probe, HasBaseline) and probe.needs_baseline(request.facts):
             raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
         sequence = job.sequence or self._value(f"{probe.name}_sequence")
-        plan = load_sequence(sequence, setting.robot)
+        plan = load_sequence(sequence, request.robot)
         if job.until is not None:
             plan = replace(plan, until=job.until, runs=plan.runs if job.sequence else ())
-            check_sequence(plan, setting.robot)
+            check_sequence(plan, request.robot)
         if isinstance(probe, Guards):
             limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
-            probe.check(setting.robot, setting.facts, plan, limits)
+            probe.check(request.robot, request.facts, plan, limits)
         live = plan.until is not None or (isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0)
-        self._inputs.live = LiveEstimate(setting) if live else None
+        self._inputs.live = LiveEstimate(request) if live else None
         if isinstance(probe, Prepares):
             self._results.tell(job.kind, f"preparing the simulation of {probe.prepares}")
         with progress.listening(partial(self._results.tell_and_log, job.kind)):
-            (probe.prepare if isinstance(probe, Prepares) else probe.compile)(setting.robot, setting.facts)
+            (probe.prepare if isinstance(probe, Prepares) else probe.compile)(request.robot, request.facts)
         if job.cancelled.is_set():
             raise JobError("cancelled")
         chooser = None
         if plan.until is not None:
             self._results.tell(job.kind, "simulating what could be pushed")
-            chooser = chooser_of(probe, setting.robot, setting.facts, plan, baseline_runs(setting))
+            chooser = chooser_of(probe, request.robot, request.facts, plan, baseline_runs(request))
         if probe.hand:
             self._results.tell(job.kind, probe.hand)
-        bag = self.record(job, job.kind, sequence, setting.robot, setting.options, chooser)
+        bag = self.record(job, job.kind, sequence, request, chooser)
         try:
-            estimate = self.identify(job, bag, setting.options, partial(self._results.publish, setting))
+            estimate = self.identify(job, bag, request.options, partial(self._results.publish, request))
         except RecordingError as error:
             raise JobError(f"{job.reason or error}; recording: {bag}") from error
         if chooser is not None and plan.until is not None:
@@ -193,15 +192,15 @@ class Jobs:
     def _record_baseline(self, job: Job, probe: HasBaseline[Any]) -> tuple[bool, str]:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
         baseline, used = probe.baseline, self._keeping.used
-        setting = self._keeping.setting(probe, parse_settings(self._value("settings")), None)
-        self._inputs.live, self._results.link = None, setting.robot.payload_frame
+        request = self._keeping.request(probe, parse_settings(self._value("settings")), None)
+        self._inputs.live, self._results.link = None, request.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)
         sequence = self._value(f"{probe.name}_sequence")
-        plan = load_sequence(sequence, setting.robot)
+        plan = load_sequence(sequence, request.robot)
         if plan.until is not None:  # there is nothing that pushes could be chosen for
             sequence = as_text(replace(plan, until=None)) if plan.runs else probe.default_sequence
-        bag = self.record(job, job.kind, sequence, setting.robot, setting.options)
-        options = baseline_options(setting)
+        bag = self.record(job, job.kind, sequence, request)
+        options = baseline_options(request)
         estimate = self.identify(job, bag, options, partial(self._results.final, name=job.kind))
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
             return False, f"not kept: {refusal_of(estimate)}{used}; {baseline.question} recording: {bag}"
@@ -213,13 +212,13 @@ class Jobs:
         """The robot, with an empty hand and perhaps a weighed object."""
         self._inputs.live = None
         options = replace(self._keeping.options(), robot=self._keeping.robot, calibration=None)
-        robot = robot_of_settings(options, Settings({}))
+        request = Request(robot_of(options), options)
         sequence = self._value("robot_sequence")
-        bag = self.record(job, ROBOT, sequence, robot, options)
+        bag = self.record(job, ROBOT, sequence, request)
         empty: list[str | Path] = [bag]
         references: dict[str | Path, float] = {}
-        if chosen := self._chosen(job, sequence, robot, options, empty, 0.0):
-            empty.append(self.record(job, ROBOT, chosen, robot, options))
+        if chosen := self._chosen(job, sequence, request, empty, 0.0):
+            empty.append(self.record(job, ROBOT, chosen, request))
         mass = float(self._value("reference_mass"))
         if mass > 0.0:
             wait_s = float(self._value("reference_wait"))
@@ -228,10 +227,10 @@ class Jobs:
             if job.cancelled.wait(wait_s):
                 raise JobError(f"cancelled before the reference was weighed; recording: {bag}")
             sequence = self._value("reference_sequence")
-            if load_sequence(sequence, robot).runs:
-                references[self.record(job, "reference", sequence, robot, options)] = mass
-            if chosen := self._chosen(job, sequence, robot, options, empty, mass, references):
-                references[self.record(job, "reference", chosen, robot, options)] = mass
+            if load_sequence(sequence, request.robot).runs:
+                references[self.record(job, "reference", sequence, request)] = mass
+            if chosen := self._chosen(job, sequence, request, empty, mass, references):
+                references[self.record(job, "reference", chosen, request)] = mass
         self._results.tell(job.kind, "identifying the robot")
         output = bag.parent / "calibration.yaml"
         options = replace(options, settings=parse_settings(self._value("reference_settings")))
@@ -253,18 +252,19 @@ class Jobs:
         self,
         job: Job,
         sequence: str,
-        robot: Robot,
-        options: ReplayOptions,
+        request: Request,
         empty: list[str | Path],
         mass_kg: float,
         references: Mapping[str | Path, float] = MappingProxyType({}),
     ) -> str:
         """Pushes that a sequence with `until` wants beside its own: chosen by what was recorded so far; empty: none."""
+        robot = request.robot
         plan = load_sequence(sequence, robot)
         if plan.until is None:
             return ""
         self._results.tell(job.kind, "choosing further pushes")
-        options = replace(options, settings=parse_settings(self._value("reference_settings") if references else []))
+        stated = parse_settings(self._value("reference_settings") if references else [])
+        options = replace(request.options, settings=stated)
         so_far = calibrate_from_bags(empty, references, options)
         if so_far.calibration is None or so_far.verdict is Verdict.REJECTED:
             return ""  # the whole calibration will say why
@@ -275,7 +275,7 @@ class Jobs:
 
     # --- from a recording to an estimate ------------------------------------------------------------------------------
 
-    def identify(self, job: Job, bag: Path, options: ReplayOptions, publish: Callable[[Estimate], None]) -> Estimate:
+    def identify(self, job: Job, bag: Path, options: Options, publish: Callable[[Estimate], None]) -> Estimate:
         """The estimate from a bag: published, then written beside it with a report."""
         self._results.tell(job.kind, "identifying")
         estimate = replay([bag], options)
@@ -316,22 +316,14 @@ class Jobs:
 
     # --- recording ----------------------------------------------------------------------------------------------------
 
-    def record(
-        self,
-        job: Job,
-        kind: str,
-        sequence: str,
-        robot: Robot,
-        options: ReplayOptions,
-        chooser: Chooser | None = None,
-    ) -> Path:
+    def record(self, job: Job, kind: str, sequence: str, request: Request, chooser: Chooser | None = None) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
         inputs = self._inputs
         inputs.catch_up()
         session = Session(self._keeping.data, kind)
         try:
             session.open()
-            self._check_input(session.folder, robot, options)
+            self._check_input(session.folder, request)
         except RecordingError as error:
             session.discard()
             raise JobError(f"not begun: {as_parameters(str(error))}") from error
@@ -438,7 +430,7 @@ class Jobs:
             time.sleep(0.02)
         return runs
 
-    def _check_input(self, folder: Path, robot: Robot, options: ReplayOptions) -> None:
+    def _check_input(self, folder: Path, request: Request) -> None:
         """Whether what comes in can be read, before anything moves.
 
         Raises:
@@ -451,7 +443,7 @@ class Jobs:
             while True:
                 time.sleep(CHECK_S)
                 try:
-                    notes = check_input(folder, [*heard, *self._inputs.told_motors()], robot, options)
+                    notes = check_input(folder, [*heard, *self._inputs.told_motors()], request)
                     break
                 except RecordingError:
                     if time.monotonic() > deadline:

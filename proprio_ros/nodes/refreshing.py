@@ -11,17 +11,15 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import as_text, load_sequence
 from proprio_ros.experiment_design.until import chosen_refresh
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.inputs.settings import Settings
-from proprio_ros.live.session import robot_of_settings
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.results import Results
 from proprio_ros.pipeline.calibrate import refresh_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, aged_robot
+from proprio_ros.pipeline.replay import aged_robot
+from proprio_ros.pipeline.request import Request, robot_of
 from proprio_ros.quantity import shown
 from proprio_ros.report import write_calibration_report
-from proprio_ros.robot import Robot
 
 REFRESH_S = 30.0
 """All pushes of a refresh take so long at most; what they leave open a whole calibration has to learn."""
@@ -33,7 +31,7 @@ def refresh_robot(
     inputs: Inputs,
     results: Results,
     ways: str,
-    record: Callable[[Job, str, str, Robot, ReplayOptions], Path],
+    record: Callable[[Job, str, str, Request], Path],
     keep: Callable[[Callable[[], None]], None],
 ) -> tuple[bool, str]:
     """Choose, make and identify the pushes; the outcome takes the place of the calibration.
@@ -53,7 +51,7 @@ def refresh_robot(
     if keeping.calibration is None:
         raise JobError("there is no calibration to bring up to date: call ~/calibrate_robot first")
     inputs.live, options = None, keeping.options()
-    fresh = robot_of_settings(options, Settings({}))
+    fresh = robot_of(options)
     learnt = fresh.calibration
     if learnt is None or not learnt.driven:
         raise JobError(
@@ -81,7 +79,9 @@ def refresh_robot(
         job.kind, f"pushes with an empty hand: {len(runs)}; a weighing of 30 g was as sure as +-{worth}"
     )
     # after them the arm stays where it is
-    bag = record(job, job.kind, as_text(replace(sequence, runs=tuple(runs), until=None, home={})), fresh, options)
+    bag = record(
+        job, job.kind, as_text(replace(sequence, runs=tuple(runs), until=None, home={})), Request(fresh, options)
+    )
     results.tell(job.kind, "identifying what has changed")
     output = bag.parent / "calibration.yaml"
     try:

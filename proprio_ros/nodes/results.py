@@ -19,12 +19,12 @@ from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.regression.running import RunningEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.live.online_estimator import RunningFeed, running_entries, running_words
-from proprio_ros.live.session import Setting
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.job import WEIGH, Job
 from proprio_ros.nodes.numeric import StampedEstimates
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
+from proprio_ros.pipeline.request import Request
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Carried, Carries, Probe, Shown
 from proprio_ros.robot import Robot
@@ -162,9 +162,9 @@ class Results:
 
     # --- the hand -----------------------------------------------------------------------------------------------------
 
-    def publish(self, setting: Setting, estimate: Estimate) -> None:
+    def publish(self, request: Request, estimate: Estimate) -> None:
         """The answer, and where it is accepted its numbers and the load it stands for; how it looks, in amber if it is too wide."""
-        probe, robot, facts = setting.probe, setting.robot, setting.facts
+        probe, robot, facts = request.probe, request.robot, request.facts
         self.link = robot.payload_frame
         accepted = estimate.verdict is Verdict.ACCEPTED
         carried = probe.carried(facts, estimate) if accepted and isinstance(probe, Carries) else None

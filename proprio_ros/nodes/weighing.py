@@ -28,7 +28,7 @@ from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
-from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import probe_at_work
 from proprio_ros.robot import Robot
 
@@ -36,7 +36,7 @@ RUNNING_PERIOD_S = 0.1
 UNFED_S = 2.0
 """Joint states that say nothing for so long are worth a word."""
 
-Identify = Callable[[Job, Path, ReplayOptions, Callable[[Estimate], None]], Estimate]
+Identify = Callable[[Job, Path, Options, Callable[[Estimate], None]], Estimate]
 """From a bag to its estimate; see `Jobs.identify`."""
 
 
@@ -80,10 +80,10 @@ class Weighing:
             return
         if asked:
             probe = probe_at_work()
-            setting = self._keeping.setting(probe, stated, None)
-            self._make_feed = partial(RunningFeed, probe, setting.robot, setting.facts)
+            request = self._keeping.request(probe, stated, None)
+            self._make_feed = partial(RunningFeed, probe, request.robot, request.facts)
             self._make_feed()  # so that a calibration of another arm is refused now
-            self._link = setting.robot.payload_frame
+            self._link = request.robot.payload_frame
 
     # --- the last seconds ---------------------------------------------------------------------------------------------
 
@@ -105,8 +105,8 @@ class Weighing:
         if not any_moved(((renamed(state.name), state.position) for state in states), self._robot.drive_trains):
             raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
         stated = {**parse_settings(value_of(self._node, "settings")), **parse_settings(job.settings)}
-        setting = self._keeping.setting(probe_at_work(), stated, None)
-        options = replace(setting.options, effort_unit=unit)
+        request = self._keeping.request(probe_at_work(), stated, None)
+        options = replace(request.options, effort_unit=unit)
         session = Session(self._keeping.data, WEIGH)
         for message in kept:
             session.add(*message)
@@ -115,13 +115,13 @@ class Weighing:
         if warning:
             self._node.say("warning", warning)
         try:
-            estimate = identify(job, bag, options, partial(self._results.publish, setting))
+            estimate = identify(job, bag, options, partial(self._results.publish, request))
         except RecordingError as error:
             raise JobError(f"not weighed: {error}; recording: {bag}") from error
         answer = interval_of(estimate)
         said = f"the last {seconds:g} s{self._keeping.used}; recording: {bag}"
         return (
-            (True, f"{setting.probe.subject} {answer}, {said}")
+            (True, f"{request.probe.subject} {answer}, {said}")
             if answer
             else (False, f"{refusal_of(estimate)}; {said}")
         )

@@ -37,7 +37,8 @@ from proprio_ros.paper.ways import (
     paper_sphere,
     timed,
 )
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import ContainerFacts, SphereTrack
 from proprio_ros.probes.container.search import ContainerOptions
@@ -168,9 +169,9 @@ def published(folder: Path) -> Rows:
     Raises:
         ProprioError: it is no such recording.
     """
-    theirs = replay([folder], ReplayOptions(profile="paper"))
+    theirs = replay([folder], Options(profile="paper"))
     ways = [(path.start, path.scheduled, path.end) for path in theirs.solver.paths] if theirs.solver is not None else []
-    estimate = replay([folder], ReplayOptions())
+    estimate = replay([folder], Options())
     return {"paths": ways, "ours": answered(estimate, estimate.value("payload_mass")).__dict__}
 
 

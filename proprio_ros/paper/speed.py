@@ -25,7 +25,8 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.paper.hand import stated_robot
 from proprio_ros.paper.ways import Answer, answered, paper_mass, timed
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.sim.joint import INDEX
@@ -42,7 +43,7 @@ class _Case:
 
     def __init__(self) -> None:
         robot = stated_robot()
-        (run,) = bag_runs(share_directory() / "bags" / BAG / "bag_mcap", robot, ReplayOptions(), {})
+        (run,) = bag_runs(share_directory() / "bags" / BAG / "bag_mcap", Request(robot))
         self.robot, self.run = robot, run
         self.facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.04))
         self.prepared = prepare_run(robot, run, None, self.facts)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,9 +19,11 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate,
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_probes
-from proprio_ros.pipeline.check import BagCheck, check_bags
-from proprio_ros.pipeline.check import as_json as checks_as_json
-from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.looked_into import BagCheck
+from proprio_ros.pipeline.looked_into import as_json as checks_as_json
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options
 from proprio_ros.quantity import spec_for
 from proprio_ros.report import card, runs_figure, write_calibration_report
 from proprio_ros.robot import Robot
@@ -382,21 +384,8 @@ def weigh(
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
-    call = _call("weigh", bags, locals())
-    options = ReplayOptions(
-        probe=probe,
-        robot=_text(robot),
-        settings=_settings(settings, facts),
-        solver=solver,
-        profile=profile,
-        calibration=_text(calibration),
-        baseline=_texts(baseline),
-        driver=_text(driver),
-        state_topic=state_topic,
-        command_topic=command_topic,
-        effort_unit=effort_unit,
-    )
-    return Weighing(replay(_texts(bags), options), _texts(bags), call)
+    given = dict(locals())
+    return Weighing(replay(_texts(bags), _options(given)), _texts(bags), _call("weigh", bags, given))
 
 
 def calibrate(
@@ -433,21 +422,13 @@ def calibrate(
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
-    call = _call("calibrate", bags, locals())
-    options = ReplayOptions(
-        robot=_text(robot),
-        settings=_settings(settings, facts),
-        driver=_text(driver),
-        state_topic=state_topic,
-        command_topic=command_topic,
-        effort_unit=effort_unit,
-    )
+    given = dict(locals())
     folder = None if output is not None else tempfile.TemporaryDirectory(prefix="proprio-")
     path = Path(output) if folder is None else Path(folder.name) / "calibration.yaml"  # type: ignore[arg-type]
     known: dict[str | Path, float] = {os.fspath(bag): mass for bag, mass in (references or {}).items()}
-    estimate = calibrate_from_bags(_texts(bags), known, options, path, progress, force)
+    estimate = calibrate_from_bags(_texts(bags), known, _options(given), path, progress, force)
     accepted = estimate.verdict.value == "accepted"
-    return CalibrationResult(estimate, path if accepted else None, call, folder)
+    return CalibrationResult(estimate, path if accepted else None, _call("calibrate", bags, given), folder)
 
 
 def plan(
@@ -474,7 +455,7 @@ def plan(
     Raises:
         ConfigurationError, RobotError: With one line that says what is wrong and what to do.
     """
-    options = ReplayOptions(robot=_text(robot), settings=_settings(settings, facts), calibration=_text(calibration))
+    options = _options(locals())
     asked = [float(masses)] if isinstance(masses, (int, float)) else [float(mass) for mass in masses]
     return Plans(*plan_probes(asked, options, count, progress), asked)
 
@@ -503,21 +484,17 @@ def check(
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
-    return Checks(
-        *check_bags(
-            _texts(bags),
-            _text(robot),
-            driver=_text(driver),
-            state_topic=state_topic,
-            command_topic=command_topic,
-            effort_unit=effort_unit,
-            settings=_settings(settings, {}),
-        )
-    )
+    return Checks(*check_bags(_texts(bags), _options(locals())))
 
 
-def _text(path: AnyPath | None) -> str | None:
-    return None if path is None else os.fspath(path)
+def _options(given: Mapping[str, Any]) -> Options:
+    """What a call states, by the names of its arguments; paths become text."""
+    stated = {entry.name: given[entry.name] for entry in fields(Options) if entry.name in given}
+    for name in ("robot", "calibration", "driver"):
+        if stated.get(name) is not None:
+            stated[name] = os.fspath(stated[name])
+    stated["baseline"] = _texts(stated.get("baseline", ()))
+    return Options(**{**stated, "settings": _settings(given["settings"], given.get("facts", {}))})
 
 
 def _texts(paths: Paths) -> tuple[str, ...]:

@@ -32,19 +32,9 @@ from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.inputs.reading import text_of, yaml_of
 from proprio_ros.inputs.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.replay import (
-    DEFAULT_ROBOT,
-    Recordings,
-    ReplayOptions,
-    aged_robot,
-    bag_recording,
-    bag_runs,
-    bag_runs_or_motion,
-    held_positions,
-    moment_of,
-    robot_of,
-    runs_or_motion,
-)
+from proprio_ros.pipeline.loading import Recordings, bag_recording, bag_runs, bag_runs_or_motion, runs_or_motion
+from proprio_ros.pipeline.replay import aged_robot, moment_of
+from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
 from proprio_ros.probes.base import WeighsReferences
 from proprio_ros.quantity import Quantity
@@ -52,7 +42,7 @@ from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import with_stall_currents
-from proprio_ros.robot import Robot, is_description, nested_settings, with_recorded_torque
+from proprio_ros.robot import Robot, is_description, nested_settings
 from proprio_ros.schema import calibration_used
 from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.threads import one_blas_thread
@@ -65,7 +55,7 @@ HEAVIEST_REFERENCE_KG = 5.0
 def calibrate_from_bags(
     paths: str | Path | Sequence[str | Path],
     references: Mapping[str | Path, float],
-    options: ReplayOptions | None = None,
+    options: Options | None = None,
     output: str | Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
     force: bool = False,
@@ -83,38 +73,24 @@ def calibrate_from_bags(
     Raises:
         ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
     """
-    options = options or ReplayOptions()
-    paths = paths_of(paths)
-    if output is not None:
-        check_new_yaml(Path(output), force)
-    started = time.perf_counter()
-    options.check_driver()
-    if not paths and not references:
-        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
+    paths, started = paths_of(paths), time.perf_counter()
+    _check_given([*paths, *references], output, force)
     for path, mass in references.items():
         if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
             raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
-    settings = Settings(options.settings)
-    overrides = settings.take_prefix("robot.")
-    if options.stated_unit == "N.m":
-        overrides = with_recorded_torque(options.robot or DEFAULT_ROBOT, overrides)
-    robot = robot_of(options.robot, None, overrides)
-    held = held_positions(robot, settings)
-    facts = _reference(settings)
-    settings.refuse_rest()
+    request = read_request(replace(options or Options(), calibration=None), _reference)
     loads = [*((Path(path), KnownLoad()) for path in paths)]
-    loads += [(Path(path), KnownLoad(mass, facts)) for path, mass in references.items()]
+    loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
-    motors = _motors_of([path for path, _ in loads], options)
-    robot, delay = _with_learnt_delay(robot, loads, facts, options, held, progress)
-    overrides |= delay
+    motors = _motors_of([path for path, _ in loads], request)
+    request = _with_learnt_delay(request, loads, progress)
     runs: list[LoadedRun] = []
     motions: list[tuple[Motion, float]] = []
     for number, (path, load) in enumerate(loads, start=1):
         progress(f"reading {path} ({number} of {len(loads)})")
-        found = bag_runs_or_motion(path, robot, options, held)
+        found = bag_runs_or_motion(path, request)
         if isinstance(found, Motion):
-            motions.append((once.checked_motion(path, found), load.mass))
+            motions.append((once.checked(path, found), load.mass))
         else:
             runs += [LoadedRun(run, load) for run in once.checked(path, found)]
     read = time.perf_counter()
@@ -123,36 +99,28 @@ def calibrate_from_bags(
             f"{motions[0][0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].run.name} holds "
             "probes: calibrate with one or the other, each makes a file of its own"
         )
-    if motions and references and len(motions[0][0].joints) == 1:
-        progress(f"fitting {len(motions)} motions of one joint")
-        estimate = calibrate_joint(robot, [motion for motion, _ in motions], [kg for _, kg in motions], facts)
-    elif motions:
-        estimate = _from_motions(robot, motions, facts if "payload.com" in settings.taken else None, progress)
+    if motions:
+        estimate = _from_motions(request, motions, progress)
     else:
-        estimate = with_advice(robot, calibrate(robot, runs, progress), progress=progress)
+        estimate = with_advice(request.robot, calibrate(request.robot, runs, progress), progress=progress)
     if estimate.calibration is not None:
-        made = moment_of([each.run for each in runs], [path for path, _ in loads], options.state_topic)
+        made = moment_of([each.run for each in runs], [path for path, _ in loads], request.options.state_topic)
         estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
-    written = None
-    learnt = estimate.calibration or estimate.motion or estimate.joint
-    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
-        said = "" if estimate.weighable is None else estimate.weighable.sentence()
-        write_calibration(Path(output), robot, learnt, overrides, said)
-        written = calibration_used(Path(output))
+    written = _written(estimate, output, request)
     origin = {
         "bags": [str(path) for path in paths],
         "references": [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()],
         "calibration": written,
     }
     used = {fit.name for fit in estimate.run_fits}
-    unused = tuple(recorded_run(robot, each.run) for each in runs if each.run.name not in used)
+    unused = tuple(recorded_run(request.robot, each.run) for each in runs if each.run.name not in used)
     return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin, unused=unused)
 
 
 @one_blas_thread
 def refresh_from_bags(
     paths: str | Path | Sequence[str | Path],
-    options: ReplayOptions,
+    options: Options,
     output: str | Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
     force: bool = False,
@@ -169,47 +137,60 @@ def refresh_from_bags(
     Raises:
         ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
     """
-    paths, old = paths_of(paths), options.calibration
+    paths, old, started = paths_of(paths), options.calibration, time.perf_counter()
     if old is None:
         raise ConfigurationError("nothing to bring up to date: name the old calibration")
-    if output is not None:
-        check_new_yaml(Path(output), force)
-    started = time.perf_counter()
-    options.check_driver()
-    if not paths:
-        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
-    settings = Settings(options.settings)
-    robot = robot_of(options.robot, old, {})
-    held = held_positions(robot, settings)
-    settings.refuse_rest()
-    if robot.calibration is None:
+    _check_given(paths, output, force)
+    if stated := [key for key in options.settings if key.startswith("robot.")]:
+        raise ConfigurationError(
+            f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start"
+        )
+    request = read_request(options)
+    fresh = request.robot.calibration
+    if fresh is None:
         raise ConfigurationError(f"{old} was made from motions; only a calibration of runs can be brought up to date")
     once = Recordings(paths)
-    motors = _motors_of([Path(path) for path in paths], options)
-    runs = [run for path in paths for run in once.checked(path, bag_runs(Path(path), robot, options, held))]
+    motors = _motors_of([Path(path) for path in paths], request)
+    runs = [run for path in paths for run in once.checked(path, bag_runs(Path(path), request))]
     now = moment_of(runs, paths, options.state_topic)
-    fresh = robot.calibration
-    robot = aged_robot(robot, now)
+    robot = aged_robot(request.robot, now)
     read = time.perf_counter()
     estimate = with_advice(robot, refresh(robot, [LoadedRun(run) for run in runs], progress), progress=progress)
     if (learnt := estimate.calibration) is not None:
         learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
         estimate = replace(estimate, calibration=learnt)
-    written = None
-    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
-        said = "" if estimate.weighable is None else estimate.weighable.sentence()
-        write_calibration(Path(output), robot, learnt, said=said, like=Path(old))
-        written = calibration_used(Path(output))
+    written = _written(estimate, output, replace(request, robot=robot), like=Path(old))
     origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old), "calibration": written}
     return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
 
 
+def _check_given(paths: Sequence[str | Path], output: str | Path | None, force: bool) -> None:
+    """Raises: ConfigurationError: no recording is given, or the new file must not be written."""
+    if output is not None:
+        check_new_yaml(Path(output), force)
+    if not paths:
+        raise ConfigurationError("no recording given: name at least one bag with an empty hand")
+
+
+def _written(
+    estimate: CalibrationEstimate, output: str | Path | None, request: Request, like: Path | None = None
+) -> dict[str, str] | None:
+    """Write an accepted calibration, and name it as answers do; None: it is not written."""
+    learnt = estimate.calibration or estimate.motion or estimate.joint
+    if output is None or learnt is None or estimate.verdict.value != "accepted":
+        return None
+    said = "" if estimate.weighable is None else estimate.weighable.sentence()
+    write_calibration(Path(output), request.robot, learnt, request.overrides, said, like)
+    return calibration_used(Path(output))
+
+
 def _reference(settings: Settings) -> PayloadFacts:
-    probe: WeighsReferences[Any] = probe_that(WeighsReferences)
+    """What is stated of a weighed reference."""
+    probe: WeighsReferences = probe_that(WeighsReferences)
     return probe.reference(settings)
 
 
-def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, MotorIdentity]:
+def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdentity]:
     """The motors of the arm that all recordings are of, as far as they say it.
 
     Raises:
@@ -219,7 +200,7 @@ def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, Motor
     for path in paths:
         if episode_of(path) is not None:  # a data set does not say it
             continue
-        found = read_motors(path, options.state_topic)
+        found = read_motors(path, request.options.state_topic)
         if differences := other_arm(motors, found):
             raise RecordingError(f"{path}: another arm than that of the recordings before it: {differences}")
         motors |= found
@@ -229,7 +210,7 @@ def _motors_of(paths: Sequence[Path], options: ReplayOptions) -> dict[str, Motor
 @one_blas_thread
 def plan_probes(
     masses_kg: Sequence[float],
-    options: ReplayOptions | None = None,
+    options: Options | None = None,
     count: int = 10,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Robot, list[ProbePlan]]:
@@ -238,25 +219,30 @@ def plan_probes(
     Raises:
         ConfigurationError, RobotError: with one line that says what is wrong and what to do.
     """
-    options = options or ReplayOptions()
-    settings = Settings(options.settings)
-    overrides = settings.take_prefix("robot.")
-    robot = robot_of(options.robot, options.calibration, overrides)
-    facts = _reference(settings)
-    settings.refuse_rest()
-    return robot, plan(robot, masses_kg, facts, count, progress=progress)
+    request = read_request(options or Options(), _reference)
+    if request.locked:
+        raise ConfigurationError(
+            f"--set held.{next(iter(request.locked))}: a plan says where every joint is; leave it out"
+        )
+    return request.robot, plan(request.robot, masses_kg, request.facts, count, progress=progress)
 
 
 def _from_motions(
-    robot: Robot, motions: Sequence[tuple[Motion, float]], facts: PayloadFacts | None, progress: Callable[[str], None]
+    request: Request, motions: Sequence[tuple[Motion, float]], progress: Callable[[str], None]
 ) -> CalibrationEstimate:
+    """Of motions and the mass of the reference in each [kg]; 0: the hand was empty."""
+    robot, facts = request.robot, request.facts
     empty = [motion for motion, mass_kg in motions if mass_kg == 0.0]
+    references = [(motion, mass_kg) for motion, mass_kg in motions if mass_kg > 0.0]
+    if references and len(motions[0][0].joints) == 1:
+        progress(f"fitting {len(motions)} motions of one joint")
+        return calibrate_joint(robot, [motion for motion, _ in motions], [kg for _, kg in motions], facts)
     if not empty:
         raise RecordingError(
             f"{motions[0][0].name}: a motion with a reference needs one with an empty hand beside it: name that bag, too"
         )
-    centre = None if facts is None else (np.asarray(facts.com), np.asarray(facts.com_std))
-    references = [(motion, mass_kg) for motion, mass_kg in motions if mass_kg > 0.0]
+    stated = "payload.com" in request.options.settings
+    centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if stated else None
     return calibrate_motions(robot, empty, references, centre, progress)
 
 
@@ -328,34 +314,32 @@ def _section_of(calibration: Calibration | MotionCalibration | JointCalibration)
 
 
 def _with_learnt_delay(
-    robot: Robot,
-    loads: Sequence[tuple[Path, KnownLoad]],
-    facts: PayloadFacts,
-    options: ReplayOptions,
-    held: Mapping[str, float],
-    progress: Callable[[str], None],
-) -> tuple[Robot, dict[str, Any]]:
-    """The robot with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
+    request: Request, loads: Sequence[tuple[Path, KnownLoad]], progress: Callable[[str], None]
+) -> Request:
+    """The same with the delay from a goal to its torque that motions with known loads show, and the setting that says so.
 
     Only where a single joint follows its goal by a law, so that all of its torque hangs on that delay.
     """
+    robot = request.robot
     (joint, *others), drives = list(robot.drive_trains), robot.drive_trains
     driven_by = drives[joint].driven_by
     if others or driven_by is None or not driven_by.follows_goal or robot.delay.std == 0.0 or len(loads) < FEWEST_RUNS:
-        return robot, {}
-    recordings = [bag_recording(path, robot, options) for path, _ in loads]
+        return request
+    recordings = [bag_recording(path, request) for path, _ in loads]
     if any(recording.torque_off_ns for recording in recordings):
-        return robot, {}
+        return request
     progress("looking for the delay from a goal to its torque")
     masses = [load.mass for _, load in loads]
 
     def left_over(delay_s: float) -> float:
         late = replace(robot, delay=Quantity(delay_s))
-        motions = [runs_or_motion(with_stall_currents(each, late), late, held) for each in recordings]
-        return torque_left_over(late, [each for each in motions if isinstance(each, Motion)], masses, facts)
+        asked = replace(request, robot=late)
+        motions = [runs_or_motion(with_stall_currents(each, late), asked) for each in recordings]
+        return torque_left_over(late, [each for each in motions if isinstance(each, Motion)], masses, request.facts)
 
     delay = best_delay(left_over, robot.delay)
-    return replace(robot, delay=delay), {"delay_s": {"value": delay.value, "std": delay.std}}
+    overrides = {**request.overrides, "delay_s": {"value": delay.value, "std": delay.std}}
+    return replace(request, robot=replace(robot, delay=delay), overrides=overrides)
 
 
 def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:

@@ -34,7 +34,8 @@ from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, prepare, read_for, replay
+from proprio_ros.pipeline.replay import read_for, replay
+from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.recordings.datasets import episode_of, open_data_set, read_episode
 
 MASSES_KG = (0.0, 0.05, 0.1)
@@ -48,7 +49,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "data").mkdir()
     arm, robot = Arm(3), write_robot(folder, build=FOUR)
     empty = [write_bag(folder / f"empty_{n}", arm.record(900 + n, 20.0)) for n in range(2)]
-    options = ReplayOptions(robot=str(robot), effort_unit="N.m")
+    options = Options(robot=str(robot), effort_unit="N.m")
     assert calibrate_from_bags(empty, {}, options, folder / "arm.yaml", lambda words: None).verdict.value == "accepted"
     motions = [arm.record(n, 12.0, mass) for n, mass in enumerate(MASSES_KG)]
     for n, motion in enumerate(motions):
@@ -63,10 +64,8 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def asked(folder: Path) -> ReplayOptions:
-    return ReplayOptions(
-        calibration=folder / "arm.yaml", effort_unit="N.m", settings=SETTINGS, driver=folder / "units.yaml"
-    )
+def asked(folder: Path) -> Options:
+    return Options(calibration=folder / "arm.yaml", effort_unit="N.m", settings=SETTINGS, driver=folder / "units.yaml")
 
 
 def table(out: Path) -> list[dict[str, Any]]:
@@ -87,7 +86,7 @@ def same(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> bool:
 @pytest.mark.long
 @pytest.mark.parametrize("version", ["v3", "v21"])
 def test_an_episode_of_a_data_set_is_the_recording_of_a_bag(fleet: Path, version: str) -> None:
-    prepared = prepare(asked(fleet))
+    prepared = request_of(asked(fleet))
     for n, mass in enumerate(MASSES_KG):
         _, of_bag = read_for(prepared, [fleet / "data" / "bags" / f"{n}"])
         _, of_set = read_for(prepared, [f"{fleet / 'data' / version}#{n}"])
@@ -112,7 +111,7 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
 
 @pytest.mark.parametrize("source", ["bags/1", "v3#1", "v21#1"])
 def test_a_span_is_that_part_of_the_whole(fleet: Path, source: str) -> None:
-    prepared = prepare(asked(fleet))
+    prepared = request_of(asked(fleet))
     path = str(fleet / "data" / source)
     (whole,) = read_for(prepared, [path])[1].motions
     span = 3_000_000_000, 9_000_000_000
@@ -259,7 +258,7 @@ def test_ray_gives_the_same_rows(fleet: Path, tmp_path: Path) -> None:
 def test_grasps_are_found_with_their_masses(fleet: Path) -> None:
     """Nothing, 150 g from 8 s on, 60 g from 16 s on as if one of two things had fallen."""
     motion = Arm(3).record(77, 24.0, 0.0, changes=((8.0, 0.15), (16.0, 0.06)))
-    prepared = prepare(asked(fleet))
+    prepared = request_of(asked(fleet))
     grasps = Grasps(prepared, prepared.robot, motion)
     grasps.add(motion)
     found = grasps.found()
@@ -273,7 +272,7 @@ def test_grasps_are_found_with_their_masses(fleet: Path) -> None:
 def test_what_the_gripper_did_tells_what_was_put_down_from_what_fell(fleet: Path) -> None:
     """150 g from 8 s on, nothing from 16 s on; the gripper closes on it at 8 s, and opens at 16 s or does not."""
     motion = Arm(3).record(78, 24.0, 0.0, changes=((8.0, 0.15), (16.0, 0.0)))
-    prepared = prepare(asked(fleet))
+    prepared = request_of(asked(fleet))
     closed = np.interp(motion.times_s, (7.8, 8.0), (0.04, 0.01))
     opened = np.where(motion.times_s < 12.0, closed, np.interp(motion.times_s, (15.8, 16.0), (0.01, 0.04)))
     for beside, codes in (
@@ -366,7 +365,7 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp
         arm = Arm(3, drift=1.8 if n >= 4 else 1.0)
         motion = arm.record(200 + n, 24.0, 0.0, changes=((6.0, mass),))
         write_bag(tmp_path / "bags" / f"{n}", motion, BEGIN_NS + (n // 2) * week_ns)
-    options = ReplayOptions(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
+    options = Options(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
     out, said = tmp_path / "out", list[str]()
     cut = write_bag(tmp_path / "bags" / "cut", motion)
     storage = next(cut.glob("*.mcap"))
@@ -417,7 +416,7 @@ def test_an_arm_calibrates_itself_with_the_episodes_that_are_known_to_be_empty(t
     marks = {"hand_empty": [float(mass == 0.0) for mass in masses]}
     write_data_set(tmp_path / "set", motions, FOUR.constants, rate_hz=50.0, extra=marks)
     (tmp_path / "units.yaml").write_text(PROFILE)
-    options = ReplayOptions(robot=str(robot), driver=tmp_path / "units.yaml", settings=SETTINGS)
+    options = Options(robot=str(robot), driver=tmp_path / "units.yaml", settings=SETTINGS)
     said: list[str] = []
     given: dict[str, Any] = {"processes": 1, "empty": "hand_empty"}
     outcome = run_batch([tmp_path / "set"], Job(options), tmp_path / "out", said.append, **given)

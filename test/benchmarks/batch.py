@@ -35,7 +35,8 @@ from support.lerobot_layout import write_data_set
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 
 SECONDS, BAGS_SHARE, BROKEN = 12.0, 0.1, 10
 MASSES_KG = [0.005 * n for n in range(41)]
@@ -57,9 +58,9 @@ def options(folder: Path) -> list[str]:
     ]
 
 
-def asked(folder: Path) -> ReplayOptions:
+def asked(folder: Path) -> Options:
     """The same for `replay`."""
-    return ReplayOptions(
+    return Options(
         calibration=folder / "arm.yaml", effort_unit="N.m", settings=SETTINGS, driver=folder / "lerobot_any.yaml"
     )
 
@@ -72,7 +73,7 @@ def make(folder: Path, count: int, jobs: int, seconds: float = SECONDS) -> None:
     (folder / "lerobot_any.yaml").write_text("title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n")
     arm, robot = Arm(3), write_robot(folder, build=FOUR)
     empty = [write_bag(folder / f"empty_{n}", arm.record(10**6 + n, 20.0)) for n in range(3)]
-    plain = ReplayOptions(robot=str(robot), effort_unit="N.m")
+    plain = Options(robot=str(robot), effort_unit="N.m")
     calibrate_from_bags(empty, {}, plain, folder / "arm.yaml", lambda words: None)
     masses = [float(mass) for mass in np.random.default_rng(1).choice(MASSES_KG, count)]
     edges = [round(count * n / jobs) for n in range(jobs + 1)]

@@ -15,7 +15,8 @@ from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.pipeline.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import DEFAULT_ROBOT, Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -27,7 +28,7 @@ CALIBRATION_S, WEIGHING_S, GOAL = 5.0, 0.1, 20.0
 def empty_runs(robot: Robot) -> list[LoadedRun]:
     """The sixteen empty-hand runs that come with the package."""
     folders = sorted(BAGS.glob("realistic_s00_empty_*"))
-    return [LoadedRun(run) for path in folders for run in bag_runs(path / "bag_mcap", robot, ReplayOptions(), {})]
+    return [LoadedRun(run) for path in folders for run in bag_runs(path / "bag_mcap", Request(robot))]
 
 
 def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
@@ -67,7 +68,7 @@ def rows(case: Case) -> list[Row]:
     estimate = calibrate(robot, known)
     assert estimate.calibration is not None
     calibrated = robot.with_calibration(estimate.calibration)
-    (run,) = bag_runs(BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", robot, ReplayOptions(), {})
+    (run,) = bag_runs(BAGS / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot))
     weighing = measure(lambda: weigh(calibrated, [run]), repeats=20, warm_up=2)
     prepared = [prepare_run(robot, loaded.run, loaded.load) for loaded in known]
     once = measure(lambda: fit(robot, prepared), repeats=3, warm_up=0)

@@ -17,7 +17,7 @@ from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.replay import DEFAULT_ROBOT
+from proprio_ros.pipeline.request import DEFAULT_ROBOT
 from proprio_ros.probes.payload.facts import payload_facts
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
@@ -33,18 +33,6 @@ BALL = {"com": [0.0, 0.0, 0.0], "com_std": [0.0, 0.0, 0.0], "shape": "sphere", "
 AGREEMENT_KG = 3e-4
 """Methods that find masses further apart than this do not solve the same problem, and their times are not compared."""
 REPEATS = 7
-_most_repeats = 1_000
-
-
-def time_once() -> None:
-    """From now on everything is timed once: enough to see that it runs."""
-    global _most_repeats
-    _most_repeats = 1
-
-
-def repeated(times: int) -> int:
-    """How often something is timed that wants to be timed so often."""
-    return min(times, _most_repeats)
 
 
 @dataclass(frozen=True)
@@ -67,12 +55,12 @@ def measure(function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1,
     for _ in range(warm_up):
         function()
     times = []
-    for _ in range(repeated(repeats)):
+    for _ in range(repeats):
         started = time.perf_counter()
         for _ in range(calls):
             function()
         times.append((time.perf_counter() - started) / calls)
-    return Timing(statistics.median(times), min(times), len(times))
+    return Timing(statistics.median(times), min(times), repeats)
 
 
 def measure_in_turn(
@@ -86,9 +74,9 @@ def measure_in_turn(
     """
     turns = [
         [measure(f, repeats=1, calls=n, warm_up=warm_up).median for f, n in zip(functions, calls, strict=True)]
-        for _ in range(repeated(repeats))
+        for _ in range(repeats)
     ]
-    return [Timing(statistics.median(times), min(times), len(times)) for times in zip(*turns, strict=True)]
+    return [Timing(statistics.median(times), min(times), repeats) for times in zip(*turns, strict=True)]
 
 
 @dataclass(frozen=True)

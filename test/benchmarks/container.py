@@ -25,7 +25,8 @@ from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import DEFAULT_ROBOT, ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import DEFAULT_ROBOT, Request
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import (
@@ -536,7 +537,7 @@ def _whole_rows() -> list[Row]:
 
     def runs(pattern: str) -> list[Run]:
         found = sorted(bags.glob(f"realistic_s00_{pattern}"))
-        return [run for path in found for run in bag_runs(path / "bag_mcap", robot, ReplayOptions(), {})]
+        return [run for path in found for run in bag_runs(path / "bag_mcap", Request(robot))]
 
     calibrated = calibrate(robot, [LoadedRun(run) for run in runs("empty_*")]).calibration
     assert calibrated is not None

@@ -22,7 +22,8 @@ from support.machines import REAL
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.regression.motion_prior import fit_empty
-from proprio_ros.pipeline.replay import ReplayOptions, bag_motion
+from proprio_ros.pipeline.loading import bag_motion
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
@@ -127,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         path = ur10e_file(options.recordings, Path(folder))
         robot = load_robot(path)
         loaded, empty, other = (
-            bag_motion(options.recordings / bag, robot, ReplayOptions(robot=str(path), effort_unit="A"), {})
+            bag_motion(options.recordings / bag, Request(robot, Options(robot=str(path), effort_unit="A")))
             for bag in ("ur10e_loaded_14", "ur10e_empty_14", "ur10e_empty_15")
         )
     calibrated = replace(robot, motion_calibration=fit_empty(robot, [empty]))

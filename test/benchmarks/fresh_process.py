@@ -8,7 +8,7 @@ import subprocess
 import sys
 from statistics import median
 
-from case import AGREEMENT_KG, BAG, REPOSITORY, Case, Row, Timing, measure, repeated
+from case import AGREEMENT_KG, BAG, REPOSITORY, Case, Row, Timing, measure
 
 GOAL_S = 0.6
 COMMAND = ("-m", "proprio_ros.cli", "replay", str(BAG), "--probe", "payload", "--json")
@@ -48,11 +48,11 @@ def rows(case: Case, repeats: int = 9) -> list[Row]:
         return [Row("proprio replay, fresh process", None, "void", False, f"{answer['verdict']}, {mass} kg")]
     whole = measure(lambda: python(*COMMAND), repeats=repeats)
     bare = measure(lambda: python("-c", "import numpy"), repeats=repeats)
-    parts = [json.loads(python("-c", PARTS)) for _ in range(repeated(repeats))]
+    parts = [json.loads(python("-c", PARTS)) for _ in range(repeats)]
 
     def part(name: str) -> Timing:
         times = [one[name] for one in parts]
-        return Timing(median(times), min(times), len(times))
+        return Timing(median(times), min(times), repeats)
 
     return [
         Row(

@@ -26,7 +26,8 @@ from support.servo_bag import write
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 
 ARM_M, ROD_KG, GRAVITY = 0.1, 0.01, 9.80665
 KNOWN_KG = (0.3, 0.7, 1.1)
@@ -132,7 +133,7 @@ def asked(
             write(folder / f"known{number}", servo.moved(kg, random, rate_hz)): kg
             for number, kg in enumerate((*KNOWN_KG, *KNOWN_KG))
         }
-        options = ReplayOptions(robot=str(folder / "servo.yaml"), settings=POINT)
+        options = Options(robot=str(folder / "servo.yaml"), settings=POINT)
         output, answers = folder / "known.yaml", []
         truths = random.uniform(0.2, 1.2, questions)
         try:
@@ -143,7 +144,7 @@ def asked(
             answer: tuple[float, float | None, float, tuple[float, float]] = (kg, None, np.nan, (np.nan, np.nan))
             if learnt is not None and learnt.verdict is Verdict.ACCEPTED:
                 bag = write(folder / f"asked{number}", servo.moved(kg, random, rate_hz))
-                estimate = replay(bag, ReplayOptions(calibration=output, settings=POINT))
+                estimate = replay(bag, Options(calibration=output, settings=POINT))
                 mass = estimate.values[0]
                 if estimate.verdict is Verdict.ACCEPTED:
                     answer = (kg, mass.value, mass.std, tuple(mass.ci95))

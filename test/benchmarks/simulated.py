@@ -23,7 +23,8 @@ from support import simulated
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95, Quantity
 from proprio_ros.robot import Robot, load_robot
@@ -218,7 +219,7 @@ def paper(results: Results, levels: Sequence[str]) -> None:
     }
     results.table("paper", columns)
     for profile in ("default", "paper"):
-        estimate = replay([RECORDINGS / "paper_heavy_ball"], ReplayOptions(profile=profile))
+        estimate = replay([RECORDINGS / "paper_heavy_ball"], Options(profile=profile))
         paths = estimate.solver.paths if profile == "paper" else ()
         results.row(
             "paper", profile=profile, verdict=estimate.verdict.value, reason=str(estimate.reasons[0]),

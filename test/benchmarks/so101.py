@@ -23,7 +23,8 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.writer import write_messages
@@ -139,13 +140,13 @@ def weighed(
             return write(folder / label, arm.moved(kg, random, rate_hz, seconds))
 
         output = folder / "calibrated.yaml"
-        options = ReplayOptions(robot="so101", settings=SETTINGS)
+        options = Options(robot="so101", settings=SETTINGS)
         learnt = calibrate_from_bags(
             [bag("a", 0.0), bag("b", 0.0)], {bag("known", KNOWN_KG): KNOWN_KG}, options, output
         )
         if learnt.verdict is not Verdict.ACCEPTED:
             raise RecordingError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
-        options = ReplayOptions(calibration=output, settings=SETTINGS)
+        options = Options(calibration=output, settings=SETTINGS)
         return [(kg, replay(bag(f"asked{number}", kg), options)) for number, kg in enumerate(asked_kg)]
 
 

@@ -15,7 +15,8 @@ from proprio_ros.calibration_files.drift import Drift, aged, said
 from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.recordings.contents import read_temperatures
 from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.topics import FLOAT_ARRAYS
@@ -186,7 +187,7 @@ def bag_of(name: str) -> Path:
 @pytest.mark.long
 def test_yesterdays_calibration_weighs_with_a_wider_interval_and_says_so(yesterday: Path, tmp_path: Path) -> None:
     def weighed(path: Path) -> tuple[float, float, str]:
-        estimate = replay(bag_of("fixed_light_ball_20g_joint3"), ReplayOptions(calibration=path))
+        estimate = replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path))
         value = estimate.values[0]
         assert isinstance(value.value, float) and value.std is not None
         return value.value, value.std, " ".join(estimate.notes)
@@ -204,11 +205,11 @@ def test_yesterdays_calibration_weighs_with_a_wider_interval_and_says_so(yesterd
 @pytest.mark.long
 def test_a_refresh_brings_a_calibration_up_to_date(yesterday: Path, tmp_path: Path) -> None:
     output = tmp_path / "new.yaml"
-    options = ReplayOptions(calibration=yesterday)
+    options = Options(calibration=yesterday)
     with pytest.raises(ConfigurationError, match="one of the runs that the calibration was made of"):
         refresh_from_bags(bag_of("empty_04_joint3"), options)
     with pytest.raises(ConfigurationError, match="name the old calibration"):
-        refresh_from_bags(bag_of("empty_03_joint3"), ReplayOptions())
+        refresh_from_bags(bag_of("empty_03_joint3"), Options())
     estimate = refresh_from_bags(bag_of("empty_03_joint3"), options, output)
     assert estimate.verdict.value == "accepted" and estimate.origin["refreshed"] == str(yesterday)
     old, new = load_robot(yesterday), load_robot(output)
@@ -220,7 +221,7 @@ def test_a_refresh_brings_a_calibration_up_to_date(yesterday: Path, tmp_path: Pa
     for key in (("coulomb", "joint3"), ("torque_constant", "joint3")):
         assert new.calibration.quantities[key].std < before[key].std
     stds = [
-        replay(bag_of("fixed_light_ball_20g_joint3"), ReplayOptions(calibration=path)).values[0].std
+        replay(bag_of("fixed_light_ball_20g_joint3"), Options(calibration=path)).values[0].std
         for path in (output, yesterday)
     ]
     assert all(isinstance(std, float) for std in stds) and stds[0] < 0.97 * stds[1]  # type: ignore[operator]
@@ -234,7 +235,7 @@ def test_a_calibration_that_no_longer_fits_is_said(yesterday: Path, tmp_path: Pa
     content["calibration"]["unknowns"]["coulomb[joint3]"]["std"] = 1e-4
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(yaml.safe_dump(content))
-    estimate = refresh_from_bags(bag_of("empty_03_joint3"), ReplayOptions(calibration=wrong), tmp_path / "new.yaml")
+    estimate = refresh_from_bags(bag_of("empty_03_joint3"), Options(calibration=wrong), tmp_path / "new.yaml")
     assert estimate.verdict.value == "rejected" and not (tmp_path / "new.yaml").exists()
     assert "no longer fits, not even with the drift" in " ".join(estimate.reasons)
 

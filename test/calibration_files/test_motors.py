@@ -14,7 +14,8 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.live.session import check_input
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
-from proprio_ros.pipeline.replay import ReplayOptions, check_motors
+from proprio_ros.pipeline.loading import check_motors
+from proprio_ros.pipeline.request import Request
 from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.topics import STATUS
@@ -103,7 +104,7 @@ def test_another_arm_is_refused(tmp_path: Path, calibrated: Robot, change: dict[
         check_motors(path, calibrated, None)
     assert "arm.yaml" in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(RecordingError, match=words):  # live, before anything moves
-        check_input(tmp_path / "session", [*states(), told(other)], calibrated, ReplayOptions())
+        check_input(tmp_path / "session", [*states(), told(other)], Request(calibrated))
     assert check_motors(path, load_robot("open_manipulator_x"), None) == ()  # nothing is claimed of any arm
 
 

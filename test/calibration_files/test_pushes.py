@@ -19,7 +19,8 @@ from proprio_ros.kinds import key_of
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.pipeline.api import calibrate
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
-from proprio_ros.pipeline.replay import ReplayOptions, replay, robot_of
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, robot_of
 from proprio_ros.robot import load_robot
 
 NAMES = (
@@ -268,14 +269,14 @@ def test_another_urdf_is_refused(tmp_path: Path) -> None:
 
 
 def test_calibration_and_robot_must_belong_together(written: Path) -> None:
-    assert robot_of("open_manipulator_x", written).calibration is not None
-    assert robot_of(None, written).calibration is not None
+    assert robot_of(Options(robot="open_manipulator_x", calibration=written)).calibration is not None
+    assert robot_of(Options(calibration=written)).calibration is not None
     with pytest.raises(RobotError, match="whose URDF is not that of --robot pendulum"):
-        robot_of("pendulum", written)
+        robot_of(Options(robot="pendulum", calibration=written))
     with pytest.raises(RobotError, match="holds no calibration"):
-        robot_of(None, resource("robots", "pendulum"))
+        robot_of(Options(calibration=resource("robots", "pendulum")))
     with pytest.raises(RobotError, match="expected the"):
-        robot_of(None, "open_manipulator_x")
+        robot_of(Options(calibration="open_manipulator_x"))
 
 
 @pytest.mark.long
@@ -355,13 +356,13 @@ def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
         [f / "bag_mcap" for f in sorted(bags.glob("realistic_s00_empty_*")) if "04" not in f.name], {}, output=path
     )
     bag = bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
-    alone = replay([bag], ReplayOptions(calibration=path))
+    alone = replay([bag], Options(calibration=path))
     empty = bags / "realistic_s00_empty_04_joint3" / "bag_mcap"
-    fine = replay([bag], ReplayOptions(calibration=path, baseline=(empty,)))
+    fine = replay([bag], Options(calibration=path, baseline=(empty,)))
     a, b = (estimate.value("payload_mass") for estimate in (alone, fine))
     assert fine.verdict.value == "accepted" and abs(a.value - b.value) < a.std and b.std <= 1.02 * a.std
     loaded = bags / "realistic_s00_fixed_light_cube_10g_joint3" / "bag_mcap"
-    drifted = replay([bag], ReplayOptions(calibration=path, baseline=(loaded,)))
+    drifted = replay([bag], Options(calibration=path, baseline=(loaded,)))
     assert drifted.verdict.value == "rejected" and drifted.value("payload_mass").value is None
     assert (
         drifted.reasons[0].startswith("drift: the empty hand now weighs +1") and "calibrate again" in drifted.reasons[0]
@@ -395,9 +396,9 @@ def test_what_it_weighs_is_said_first(bags: Path, tmp_path: Path, capsys: pytest
     estimate = calibrate(empty).estimate
     assert estimate.weighable is not None and headline == estimate.weighable.sentence()
     assert estimate.as_json()["can_weigh"]["joints"] == ["joint3", "joint2"]
-    ball = replay(
-        [bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"], ReplayOptions(calibration=path)
-    ).value("payload_mass")
+    ball = replay([bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"], Options(calibration=path)).value(
+        "payload_mass"
+    )
     assert 0.3 * ball.std < estimate.weighable.std_kg < 1.2 * ball.std
 
 
@@ -421,9 +422,7 @@ def test_a_joint_that_was_not_separated_stays_uncalibrated(bags: Path, tmp_path:
     estimate = calibrate_from_bags(given, {}, output=path)
     assert estimate.verdict.value == "accepted" and "joint2 stays uncalibrated" in estimate.reasons[0]
     assert load_robot(path).is_calibrated(["joint3"]) and not load_robot(path).is_calibrated(["joint2"])
-    shoulder = replay(
-        [bags / "realistic_s00_fixed_light_cube_10g_joint2" / "bag_mcap"], ReplayOptions(calibration=path)
-    )
+    shoulder = replay([bags / "realistic_s00_fixed_light_cube_10g_joint2" / "bag_mcap"], Options(calibration=path))
     assert "not_calibrated" in [getattr(reason, "code", "") for reason in shoulder.reasons]
 
 

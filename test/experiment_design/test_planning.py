@@ -25,7 +25,8 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate,
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import Robot, load_robot
@@ -41,7 +42,7 @@ def estimate(bags: Path) -> CalibrationEstimate:
     known = [
         LoadedRun(run)
         for folder in sorted(bags.glob("realistic_s00_empty_*"))
-        for run in bag_runs(folder / "bag_mcap", robot, ReplayOptions(), {})
+        for run in bag_runs(folder / "bag_mcap", Request(robot))
     ]
     return calibrate(robot, known)
 

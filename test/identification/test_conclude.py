@@ -17,7 +17,8 @@ from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, s
 from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import prepare_run
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.schema import reason_codes
 from proprio_ros.sim.payload import PayloadFacts
@@ -73,7 +74,7 @@ class Weighed(Conclusion):
 
 
 def fits_of(robot: Robot, bags: Path, *names: str) -> tuple[FitResult, FitResult]:
-    runs = [prepare_run(robot, *bag_runs(bags / name / "bag_mcap", robot, ReplayOptions(), {})) for name in names]
+    runs = [prepare_run(robot, *bag_runs(bags / name / "bag_mcap", Request(robot))) for name in names]
     return fit_both(partial(solve_load, robot, runs, PayloadFacts(), OPTIONS), unexplained)
 
 

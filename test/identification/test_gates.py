@@ -15,7 +15,8 @@ from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
@@ -23,7 +24,7 @@ from proprio_ros.sim.payload import PayloadFacts
 
 
 def run_of(bags: Path, name: str, robot: Robot) -> Run:
-    (run,) = bag_runs(bags / name / "bag_mcap", robot, ReplayOptions(), {})
+    (run,) = bag_runs(bags / name / "bag_mcap", Request(robot))
     return run
 
 

@@ -28,7 +28,8 @@ from proprio_ros.identification.judge import (
 )
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
@@ -49,7 +50,7 @@ def robot() -> Robot:
 @pytest.fixture(scope="module")
 def lift(bags: Path, robot: Robot) -> Run:
     """50 g, by an arm that was never calibrated."""
-    (run,) = bag_runs(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", robot, ReplayOptions(), {})
+    (run,) = bag_runs(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap", Request(robot))
     return run
 
 

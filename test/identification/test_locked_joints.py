@@ -18,7 +18,8 @@ from proprio_ros.identification.locked_joints import (
     loads_of_yielding,
     smooth,
 )
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape, payload_parameters, pseudo_inertia_basis
 
@@ -69,7 +70,7 @@ def test_a_joint_that_stands_still_is_left_alone() -> None:
 
 def test_the_driven_joint_too(bags: Path) -> None:
     robot = load_robot("open_manipulator_x")
-    (run,) = bag_runs(bags / "realistic_s00_empty_03_joint3" / "bag_mcap", robot, ReplayOptions(), {})
+    (run,) = bag_runs(bags / "realistic_s00_empty_03_joint3" / "bag_mcap", Request(robot))
     times = np.concatenate([run.before_times_s, run.times_s])
     position = np.concatenate([run.before_position, run.position])
     motion = smooth(times, position, SIGMA, DRIVEN_SCALES)
@@ -136,7 +137,7 @@ def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
 def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(mujoco_arm, bags: Path) -> None:
     """What the driven joint feels, at the recorded motion: moving joints less the same joints at rest."""
     robot = load_robot("open_manipulator_x")
-    (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", robot, ReplayOptions(), {})
+    (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", Request(robot))
     motions = held_motions(robot, run, ("joint1", "joint2", "joint4"))
     assert "joint2" in motions  # the shoulder gives way by 8 mrad
     begins, loads = loads_of_yielding(robot, run, motions, LOAD, SIGMA)

@@ -14,7 +14,8 @@ from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.request import Request
 from proprio_ros.robot import load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -25,9 +26,7 @@ def fitted(recordings: Path):
     robot = load_robot("open_manipulator_x")
     prepared = []
     for folder in sorted((recordings / "realistic_s00").glob("empty_0[0-5]_joint3")):
-        prepared += [
-            prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder / "bag_mcap", robot, ReplayOptions(), {})
-        ]
+        prepared += [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder / "bag_mcap", Request(robot))]
     problem = Problem(robot, prepared, PayloadFacts(), robot_unknowns(robot, prepared, Role.FREE))
     start = problem.coordinates.internal(problem.base[problem.free])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
@@ -71,7 +70,7 @@ def _moved(problem: Problem, small: Problem, values: np.ndarray, out: int) -> np
 def test_a_run_with_something_in_the_hand_is_predicted_badly(fitted, recordings: Path) -> None:
     robot, prepared, _, _ = fitted
     folder = recordings / "realistic_s00" / "fixed_heavy_cube_23g_joint3" / "bag_mcap"
-    outlier = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, robot, ReplayOptions(), {})]
+    outlier = [prepare_run(robot, run, KnownLoad()) for run in bag_runs(folder, Request(robot))]
     runs = [*prepared, *outlier]
     problem = Problem(robot, runs, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
     start = problem.coordinates.internal(problem.base[problem.free])[None]

@@ -17,14 +17,16 @@ from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
 
 def weighed(robot: Robot, bag: Path) -> FitResult:
-    [run] = bag_runs(bag / "bag_mcap", robot, ReplayOptions(), {})
+    [run] = bag_runs(bag / "bag_mcap", Request(robot))
     prepared, facts = [prepare_run(robot, run)], PayloadFacts()
     nominal = solve_load(robot, prepared, facts, SearchOptions(), Role.FROZEN)
     return solve_load(robot, prepared, facts, SearchOptions(), Role.FREE, start=nominal)
@@ -47,7 +49,7 @@ def arm(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def calibrated(bags: Path, arm: Path) -> Estimate:
     bag = bags / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
-    return replay([bag], ReplayOptions(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}))
+    return replay([bag], Options(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}))
 
 
 def profile_of(fit: FitResult, inflation: float = 1.0, std: float = 0.02) -> tuple[np.ndarray, np.ndarray]:

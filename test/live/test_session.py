@@ -24,12 +24,13 @@ from proprio_ros.live.session import (
     check_input,
     check_settings,
     keep_result,
+    live_request,
     recover,
     replay_command,
-    setting_of,
     settings_for,
 )
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.payload.facts import inertia_tensor
 from proprio_ros.probes.softness import block_rotation, largest_squeeze
@@ -182,17 +183,17 @@ def heard(session: Session) -> list[RawMessage]:
 
 def test_what_can_be_read_is_not_refused_and_leaves_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "session"
-    assert check_input(folder, heard(filled(tmp_path)), ROBOT, ReplayOptions()) == ()
+    assert check_input(folder, heard(filled(tmp_path)), Request(ROBOT)) == ()
     assert not list(folder.iterdir())
     # wheels on the same topic
     both = [*heard(filled(tmp_path)), *heard(filled(tmp_path, joints=("wheel_left", "wheel_right")))]
-    check_input(folder, both, ROBOT, ReplayOptions())
+    check_input(folder, both, Request(ROBOT))
 
 
 def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) -> None:
-    def refusal(messages: list[RawMessage], options: ReplayOptions | None = None) -> str:
+    def refusal(messages: list[RawMessage], options: Options | None = None) -> str:
         with pytest.raises(RecordingError) as caught:
-            check_input(tmp_path / "session", messages, ROBOT, options or ReplayOptions())
+            check_input(tmp_path / "session", messages, Request(ROBOT, options or Options()))
         return as_parameters(str(caught.value))
 
     told = refusal(heard(filled(tmp_path, joints=("a1", "a2"))))
@@ -209,14 +210,14 @@ def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) 
         for n in range(20)
     ]
     assert "degrees" in refusal(degrees)
-    other = ReplayOptions(state_topic="/arm/joint_states")
+    other = Options(state_topic="/arm/joint_states")
     assert "the parameter state_topic /arm/joint_states is not in the bag" in refusal(heard(filled(tmp_path)), other)
 
 
 def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> None:
     read = recording(bags / BAG)
     assert read.inputs is not None
-    live = LiveEstimate(setting_of(ReplayOptions()))
+    live = LiveEstimate(live_request(Options()))
     assert live.estimate() is None
     inputs = list(zip(read.inputs.times_ns, read.inputs.current_A, strict=True))
     effort = np.array([CONSTANTS[name] for name in read.inputs.names])
@@ -241,7 +242,7 @@ def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> No
 
 
 def test_samples_that_are_no_use_are_passed_over() -> None:
-    live = LiveEstimate(setting_of(ReplayOptions()))
+    live = LiveEstimate(live_request(Options()))
     live.add_state(1_000, ["joint3"], [0.1])
     live.add_state(900, ["joint3"], [0.2])  # out of order
     live.add_state(2_000, ["joint3"], [float("nan")])
@@ -257,7 +258,7 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
     effort = np.array([CONSTANTS[name] for name in read.inputs.names])
 
     def fed(foreign: bool) -> tuple[float, float]:
-        live = LiveEstimate(setting_of(ReplayOptions()))
+        live = LiveEstimate(live_request(Options()))
         for stamp, current in zip(read.inputs.times_ns, read.inputs.current_A, strict=True):
             if not foreign:
                 live.add_input(int(stamp), read.inputs.names, current * effort)
@@ -283,13 +284,13 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
 
 def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
     with pytest.raises(ConfigurationError, match=r"payload\.siz"):
-        setting_of(ReplayOptions(settings={"payload.siz": 0.03}))
-    stated = setting_of(ReplayOptions(settings={"payload.shape": "cube", "payload.size": 0.03}))
+        live_request(Options(settings={"payload.siz": 0.03}))
+    stated = live_request(Options(settings={"payload.shape": "cube", "payload.size": 0.03}))
     # a cube: m a^2 / 6 about every axis
     assert inertia_tensor(stated.facts.payload, 0.06) == pytest.approx(np.eye(3) * 0.06 * 0.03**2 / 6.0)
     assert stated.probe.load(stated.facts, 0.06).inertia_is == "stated"
     # whoever takes a load cannot take a load without a tensor
-    assumed = setting_of(ReplayOptions())
+    assumed = live_request(Options())
     load = assumed.probe.load(assumed.facts, 0.06)
     assert load.inertia_is == "assumed" and np.linalg.eigvalsh(load.inertia_kg_m2).min() > 0.0
 
@@ -297,7 +298,7 @@ def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
 def test_the_command_beside_a_result_gives_it_again(
     bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ReplayOptions(settings={"payload.size": 0.03, "payload.shape": "cube"})
+    options = Options(settings={"payload.size": 0.03, "payload.shape": "cube"})
     estimate = replay([bags / BAG], options)
     bag = tmp_path / "bag"
     keep_result(bag, estimate, replay_command(bags / BAG, options))
@@ -308,7 +309,7 @@ def test_the_command_beside_a_result_gives_it_again(
 
 
 def test_the_command_names_the_topics_that_were_stated() -> None:
-    options = ReplayOptions(state_topic="/a/states", command_topic="/a/drive", effort_unit="mA")
+    options = Options(state_topic="/a/states", command_topic="/a/drive", effort_unit="mA")
     words = shlex.split(replay_command(Path("bag"), options))
     for flag, value in (("--state-topic", "/a/states"), ("--command-topic", "/a/drive"), ("--effort-unit", "mA")):
         assert words[words.index(flag) + 1] == value
@@ -320,10 +321,10 @@ SHELL_KG = 0.03
 ABOUT_IT = {"container.inner_size": [0.06, 0.04, 0.04], "container.centre": [0.035, 0.0, 0.0], "sphere.radius": 0.01}
 
 
-def container_options(bags: Path) -> ReplayOptions:
+def container_options(bags: Path) -> Options:
     baseline = sorted(bags.glob("realistic_s00_container_no_sphere_*/bag_*"))
     assert len(baseline) == 3
-    return ReplayOptions(probe="container", settings=ABOUT_IT, baseline=tuple(baseline))
+    return Options(probe="container", settings=ABOUT_IT, baseline=tuple(baseline))
 
 
 def test_a_probe_hears_only_of_its_own_object() -> None:
@@ -343,22 +344,22 @@ def test_a_probe_hears_only_of_its_own_object() -> None:
         "container.mass",
         "held.joint1",
     }
-    check_settings(ReplayOptions(settings=stated))
+    check_settings(Options(settings=stated))
     with pytest.raises(
         ConfigurationError, match=r"sphere\.radios: unknown; valid keys: sphere\.radius.*block\.contact"
     ):
-        check_settings(ReplayOptions(settings={**stated, "sphere.radios": 0.01}))
+        check_settings(Options(settings={**stated, "sphere.radios": 0.01}))
     with pytest.raises(ConfigurationError, match="does not fit"):
-        check_settings(ReplayOptions(settings={"sphere.radius": 0.03}))
+        check_settings(Options(settings={"sphere.radius": 0.03}))
     with pytest.raises(ConfigurationError, match="records no camera"):
-        check_settings(ReplayOptions(settings={"sphere.camera": "/sphere"}))
+        check_settings(Options(settings={"sphere.camera": "/sphere"}))
     with pytest.raises(ConfigurationError, match="lengths in m"):
-        check_settings(ReplayOptions(settings={"block.size": 30}))
+        check_settings(Options(settings={"block.size": 30}))
 
 
 def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> None:
     options = replace(container_options(bags), settings={**ABOUT_IT, "held.joint1": 0.0, "solver.starts_kg": [0.01]})
-    weighing = baseline_options(setting_of(options))
+    weighing = baseline_options(live_request(options))
     assert weighing.probe == "payload" and not weighing.baseline and weighing.settings["held.joint1"] == 0.0
     assert weighing.settings["payload.com"] == ABOUT_IT["container.centre"]
     # thin walls: the two across z are 6 x 4 cm, those across y 6 x 4, those across x 4 x 4; moments of a plate and Steiner
@@ -375,10 +376,10 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
 
 
 def test_a_container_stated_to_be_turned_has_its_inertia_turned() -> None:
-    upright = ReplayOptions(probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]})
-    level = ReplayOptions(probe="container", settings=ABOUT_IT)
+    upright = Options(probe="container", settings={**ABOUT_IT, "container.rpy": [0.0, 0.0, math.pi / 2.0]})
+    level = Options(probe="container", settings=ABOUT_IT)
     turned, straight = (
-        baseline_options(setting_of(options)).settings["payload.inertia_per_mass"] for options in (upright, level)
+        baseline_options(live_request(options)).settings["payload.inertia_per_mass"] for options in (upright, level)
     )
     xx, yy, zz = straight[:3]
     assert xx != pytest.approx(yy, rel=0.1)
@@ -398,8 +399,8 @@ def test_the_command_of_a_container_names_its_baseline_and_gives_the_result_agai
     assert json.loads(capsys.readouterr().out)["estimates"] == estimate.as_json()["estimates"]
 
 
-def prepare(options: ReplayOptions) -> None:
-    setting = setting_of(options)
+def prepare(options: Options) -> None:
+    setting = live_request(options)
     setting.probe.prepare(setting.robot, setting.facts)
 
 
@@ -408,7 +409,7 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     options = container_options(bags)
     full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
 
-    def compiled_in_replay(prepared: ReplayOptions) -> int:
+    def compiled_in_replay(prepared: Options) -> int:
         sphere.tangent_kernel.cache_clear()
         prepare(prepared)
         before = sphere.tangent_kernel.cache_info().misses
@@ -422,7 +423,7 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
 
 @pytest.mark.long
 def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
-    options = ReplayOptions(probe="softness", settings={"block.size": 0.03})
+    options = Options(probe="softness", settings={"block.size": 0.03})
     squeeze.squeeze_law.cache_clear()
     prepare(options)
     before = squeeze.squeeze_law.cache_info().misses
@@ -432,11 +433,11 @@ def test_nothing_is_compiled_after_a_squeeze_is_prepared(bags: Path) -> None:
 
 def test_how_far_a_block_may_be_squeezed() -> None:
     """Two fingers; where their linkage was measured to close faster than the ratio says, by that much more."""
-    setting = setting_of(ReplayOptions(probe="softness", settings={"block.size": [0.02, 0.03, 0.03]}))
+    setting = live_request(Options(probe="softness", settings={"block.size": [0.02, 0.03, 0.03]}))
     robot, facts = setting.robot, setting.facts.block
     gripper = "gripper_left_joint"
     assert largest_squeeze(robot, gripper, 0.005, facts) == pytest.approx(0.5)
-    one = setting_of(ReplayOptions(probe="softness", settings={"block.size": 0.02, "block.fingers": 1})).facts.block
+    one = live_request(Options(probe="softness", settings={"block.size": 0.02, "block.fingers": 1})).facts.block
     assert largest_squeeze(robot, gripper, 0.005, one) == pytest.approx(0.25)
     drive = robot.drive_trains[gripper]
     faster = replace(drive, finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)))

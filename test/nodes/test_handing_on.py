@@ -23,10 +23,11 @@ from support.message_packages import build
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.live.payload_export import CONTROLLERS
-from proprio_ros.live.session import setting_of
+from proprio_ros.live.session import live_request
 from proprio_ros.nodes import identifier
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.base import Carried
 
 pytestmark = pytest.mark.long
@@ -147,10 +148,10 @@ def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(stage: S
     # bags of this repository, an arm that weighed itself and a cube
     stated = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "cube", "payload.size": 0.03}
     empty = [bag for joint in (2, 3) for bag in sorted(BAGS.glob(f"realistic_s00_empty_*_joint{joint}/bag*"))]
-    learnt = calibrate_from_bags(empty, {}, ReplayOptions(), tmp_path / "arm.yaml")
+    learnt = calibrate_from_bags(empty, {}, Options(), tmp_path / "arm.yaml")
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
-    options = ReplayOptions(probe="payload", calibration=tmp_path / "arm.yaml", settings=stated)
-    setting = setting_of(options)
+    options = Options(probe="payload", calibration=tmp_path / "arm.yaml", settings=stated)
+    setting = live_request(options)
     estimate = replay(BAGS / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap", options)
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     stage.node._results.publish(setting, estimate)

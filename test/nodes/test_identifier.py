@@ -29,10 +29,10 @@ from proprio_ros.experiment_design.sequential import Push
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.inputs.resources import resource
 from proprio_ros.live.online_estimator import current_A
-from proprio_ros.live.session import Session, setting_of
+from proprio_ros.live.session import Session, live_request
 from proprio_ros.nodes import driver, identifier, jobs, messages
 from proprio_ros.nodes.job import WEIGH, Job, JobError
-from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Sought
 from proprio_ros.recordings.contents import read_motors, read_temperatures
@@ -108,7 +108,7 @@ def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> No
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node._results.withdraw()
     assert not any(node._results._numbers.values()) and not node._results._load, "nothing stands at the beginning"
-    node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    node._results.publish(live_request(Options()), answer("payload", 0.05))
     assert node._results._numbers["mass"][-1].data == 0.05 and node._results._load[-1].inertia.m == 0.05
     assert node._results._load[-1].inertia.ixx > 0.0 and entries_of(node)["inertia"] == "assumed"
     assert not node._results._numbers["sphere_mass"]
@@ -117,10 +117,10 @@ def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> No
     load = node._results._load[-1].inertia
     assert all(math.isnan(value) for value in (load.m, load.com.x, load.ixx, load.iyz))
     assert [marker.action for marker in node._results._markers[-1].markers] == [Marker.DELETEALL]
-    node._results.publish(setting_of(ReplayOptions()), answer("payload", None, Verdict.REJECTED))
+    node._results.publish(live_request(Options()), answer("payload", None, Verdict.REJECTED))
     assert len(node._results._numbers["mass"]) == 2, "what is not accepted puts nothing in its place"
     # a sphere's mass is told from a payload's by its topic
-    node._results.publish(setting_of(ReplayOptions(probe="container", settings=BOX)), answer("container", 0.012))
+    node._results.publish(live_request(Options(probe="container", settings=BOX)), answer("container", 0.012))
     assert node._results._numbers["mass"][-1].data == node._results._numbers["sphere_mass"][-1].data == 0.012
     node._results.withdraw()
     assert all(math.isnan(node._results._numbers[name][-1].data) for name in ("mass", "sphere_mass"))
@@ -132,16 +132,16 @@ def test_the_load_has_the_inertia_that_a_motion_identified_or_else_what_is_state
     entries = [1e-3, 1e-5, 2e-5, 2e-3, 3e-5, 3e-3]
     for found, source, ixx in ((entries, "identified", 1e-3), ([None, *entries[1:]], "stated", 0.05 * 0.03**2 / 6.0)):
         both = replace(weighed, values=(*weighed.values, Value("payload_inertia", "kg m^2", found, None)))
-        node._results.publish(setting_of(ReplayOptions(settings={"payload.shape": "cube", "payload.size": 0.03})), both)
+        node._results.publish(live_request(Options(settings={"payload.shape": "cube", "payload.size": 0.03})), both)
         assert entries_of(node)["inertia"] == source and node._results._load[-1].inertia.ixx == pytest.approx(ixx)
-    node._results.publish(setting_of(ReplayOptions()), answer("payload", None, Verdict.REJECTED))
+    node._results.publish(live_request(Options()), answer("payload", None, Verdict.REJECTED))
     assert "inertia" not in entries_of(node)
 
 
 def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node.active = True
-    node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    node._results.publish(live_request(Options()), answer("payload", 0.05))
     node._jobs.make = lambda job: (_ for _ in ()).throw(JobError("no object"))
     answers: list[Any] = []
     node._work(Job("payload", "calibrate_payload"), lambda *given: answers.append(given))
@@ -155,7 +155,7 @@ def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(nodes: Nodes
     (tmp_path / "open_manipulator_x_calibration.yaml").write_text("no calibration, and of another arm")
     node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
     assert node._keeping.calibration is None and node._keeping.data == tmp_path / "arm1"
-    node._results.publish(setting_of(ReplayOptions()), answer("payload", 0.05))
+    node._results.publish(live_request(Options()), answer("payload", 0.05))
     assert node._results._load[-1].header.frame_id == "arm1/end_effector_link"
     assert node._results._markers[-1].markers[-1].header.frame_id == "arm1/end_effector_link"
     arm = nodes.make(driver.DriverNode, "arm1", port=tmp_path / "port")
@@ -240,13 +240,13 @@ def test_what_cannot_be_recorded_is_said_before_anything_moves(
     asked: list[str] = []
     node._excitation.make = lambda job, sequence, begun: asked.append(sequence)
     job = Job("payload", "calibrate_payload")
-    robot, options = load_robot("open_manipulator_x"), ReplayOptions()
+    request = Request(load_robot("open_manipulator_x"))
     with pytest.raises(JobError, match=r"not begun: .*blocked cannot be written .*the parameter data_directory"):
-        node._jobs.record(job, "payload", "payload_elbow", robot, options)
+        node._jobs.record(job, "payload", "payload_elbow", request)
     node._keeping.data = tmp_path / "data"
     monkeypatch.setattr(jobs, "LONGEST_CHECK_S", 0.0)
     with pytest.raises(JobError, match="not begun: "):
-        node._jobs.record(job, "payload", "payload_elbow", robot, options)
+        node._jobs.record(job, "payload", "payload_elbow", request)
     assert not asked and not list(node._keeping.data.iterdir())
 
 

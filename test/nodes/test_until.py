@@ -28,7 +28,7 @@ from proprio_ros.nodes import jobs, refreshing
 from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.messages import labelled
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.pipeline.request import Request
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth
 
@@ -53,7 +53,7 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     path = tmp_path / "empty.yaml"
     section = {"hand": "empty", "runs": [{"joint": "joint3", "current_A": -0.3, "duration_s": 0.6}]}
     path.write_text(json.dumps({"excitation": section}))
-    asked = (Job("robot", "calibrate_robot"), str(path), robot, ReplayOptions(), [tmp_path], 0.0)
+    asked = (Job("robot", "calibrate_robot"), str(path), Request(robot), [tmp_path], 0.0)
     assert work._chosen(*asked) == "" and not made
     section["until"] = {"half_interval": 5e-4, "unit": "kg", "at_most_s": 40}
     path.write_text(json.dumps({"excitation": section}))

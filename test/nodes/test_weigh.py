@@ -20,7 +20,7 @@ from support.virtual_pick_and_place import HIGHEST, LOWEST
 
 from proprio_ros.nodes.messages import labelled, time_ns
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.pipeline.request import Options
 from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import JointRecord, Recording
 from proprio_ros.robot import load_robot
@@ -99,7 +99,7 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(
             client.states.clear()
             time.sleep(22.0)
             empty, calibration = bag_of(client, tmp_path / "empty"), tmp_path / "motions.yaml"
-            calibrated = calibrate_from_bags([empty], {}, ReplayOptions(effort_unit="N.m"), calibration)
+            calibrated = calibrate_from_bags([empty], {}, Options(effort_unit="N.m"), calibration)
             assert calibration.exists(), calibrated.reasons
             graph.start(
                 "identifier",

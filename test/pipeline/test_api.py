@@ -21,7 +21,8 @@ from proprio_ros.identification.estimate import Estimate, Verdict, no_answer
 from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.pipeline.api import CalibrationResult, Weighing
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, Recording
@@ -102,7 +103,7 @@ def test_the_numbers_are_those_of_the_command_line(result: Weighing, capsys: pyt
 @pytest.mark.parametrize("bags", [BAG, str(BAG), [BAG], (str(BAG),)], ids=["Path", "str", "list", "tuple"])
 def test_one_path_may_stand_alone(bags: object, result: Weighing) -> None:
     assert weigh(bags, payload=BALL_FACTS).mass == result.mass
-    assert replay(bags, ReplayOptions(settings={"payload.size": 0.043})).values[0].value == result.mass
+    assert replay(bags, Options(settings={"payload.size": 0.043})).values[0].value == result.mass
     assert len(check(bags)) == 1
 
 
@@ -179,7 +180,7 @@ def test_a_calibration_is_used_as_an_object_or_as_its_file(calibration: Calibrat
     used = by_file.as_json()["calibration"]
     assert used == written.as_json()["calibration"] and used["name"] == "arm.yaml"
     assert used["fingerprint"] != by_object.as_json()["calibration"]["fingerprint"] or len(used["fingerprint"]) == 64
-    named = replay([BALL], ReplayOptions(robot=str(path))).as_json()["calibration"]
+    named = replay([BALL], Options(robot=str(path))).as_json()["calibration"]
     assert named == used  # also where the calibrated robot was named as the robot
     assert {"name", "value", "std", "prior"} <= set(calibration.to_frame().columns)
     assert len(calibration.to_frame()) == len(calibration.estimate.unknowns)

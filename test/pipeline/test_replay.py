@@ -15,7 +15,9 @@ from support.simulated import bag_in, fixed, known_drive_train, stated, truth_of
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
@@ -115,7 +117,7 @@ def test_an_empty_hand_reads_zero(recordings: Path) -> None:
 def test_both_storages_give_the_same_numbers(recordings: Path) -> None:
     folder = recordings / "friction_s00" / "fixed_heavy_cube_23g_joint3"
     one, other = (
-        replay([folder / storage], ReplayOptions(settings=stated(truth_of(folder))))
+        replay([folder / storage], Options(settings=stated(truth_of(folder))))
         for storage in ("bag_mcap", "bag_sqlite3")
     )
     assert one.values == other.values and one.fit == other.fit
@@ -124,7 +126,7 @@ def test_both_storages_give_the_same_numbers(recordings: Path) -> None:
 def test_the_papers_recording(recordings: Path) -> None:
     """The least error of the authors' setting is at 42.4 g from every start; their schedule stops near 56 g; no weighing."""
     folder = recordings / "paper_heavy_ball"
-    paper = replay([folder], ReplayOptions(profile="paper"))
+    paper = replay([folder], Options(profile="paper"))
     assert paper.verdict is Verdict.REJECTED
     assert [path.start for path in paper.solver.paths] == [0.000477, 0.001, 0.005, 0.095, 0.191]
     np.testing.assert_allclose([path.end for path in paper.solver.paths], 0.0424, atol=1e-4)
@@ -202,8 +204,8 @@ def test_several_bags_of_one_object_are_pooled(recordings: Path) -> None:
     ]
     truth = truth_of(folders[0])
     settings = {**stated(truth), **known_drive_train(truth)}
-    alone = [replay([bag_in(folder)], ReplayOptions(settings=settings)).value("payload_mass").std for folder in folders]
-    pooled = replay([bag_in(folder) for folder in folders], ReplayOptions(settings=settings))
+    alone = [replay([bag_in(folder)], Options(settings=settings)).value("payload_mass").std for folder in folders]
+    pooled = replay([bag_in(folder) for folder in folders], Options(settings=settings))
     assert pooled.runs == 3 and len(pooled.run_fits) == 3 and pooled.verdict is Verdict.ACCEPTED
     assert pooled.value("payload_mass").std < min(alone)
     assert abs(error_and_hit(pooled, truth)[0]) < 3e-4
@@ -276,7 +278,7 @@ def test_no_command_topic(bags: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="--effort-unit"):
         replay([tmp_path / "bag"])
     truth = truth_of(folder)
-    options = ReplayOptions(
+    options = Options(
         settings={**stated(truth), **known_drive_train(truth), "robot.delay_s": {"value": 0.0, "std": 0.0}}
     )
     estimate = replay([tmp_path / "bag"], replace(options, effort_unit="N.m"))
@@ -301,7 +303,7 @@ def test_joints_in_another_order_and_more_of_them(bags: Path, tmp_path: Path) ->
         reported_effort=None,
     )
     write_recording(tmp_path / "bag", replace(original, joints=shuffled))
-    settings = ReplayOptions(settings=stated(truth_of(folder)))
+    settings = Options(settings=stated(truth_of(folder)))
     assert replay([tmp_path / "bag"], settings).values == replay([bag_in(folder)], settings).values
 
 
@@ -316,7 +318,7 @@ def test_a_held_joint_that_is_missing_must_be_stated(bags: Path, tmp_path: Path)
     write_recording(tmp_path / "bag", replace(original, joints=without))
     with pytest.raises(RecordingError, match=r"gripper_left_joint.*--set held\.gripper_left_joint"):
         replay([tmp_path / "bag"])
-    estimate = replay([tmp_path / "bag"], ReplayOptions(settings={"held.gripper_left_joint": 0.0}))
+    estimate = replay([tmp_path / "bag"], Options(settings={"held.gripper_left_joint": 0.0}))
     assert abs(estimate.value("payload_mass").value - 0.05) < 1e-3
 
 
@@ -359,21 +361,21 @@ def test_a_probe_that_starts_in_motion_is_rejected(bags: Path, tmp_path: Path) -
 )
 def test_settings_that_cannot_be_meant(bags: Path, settings: dict[str, Any], words: str) -> None:
     with pytest.raises(ProprioError, match=words) as caught:
-        replay([bag_in(bags / LOADED)], ReplayOptions(settings=settings))
+        replay([bag_in(bags / LOADED)], Options(settings=settings))
     assert "\n" not in str(caught.value)
 
 
 def test_unknown_words_list_the_choices(bags: Path) -> None:
     bag = bag_in(bags / LOADED)
     for options, words in (
-        (ReplayOptions(probe="liquid"), "choose one of: payload"),
-        (ReplayOptions(profile="fast"), "default, paper"),
-        (ReplayOptions(solver="newton"), "lm, adam, cma"),
+        (Options(probe="liquid"), "choose one of: payload"),
+        (Options(profile="fast"), "default, paper"),
+        (Options(solver="newton"), "lm, adam, cma"),
     ):
         with pytest.raises(ConfigurationError, match=words):
             replay([bag], options)
     with pytest.raises(ConfigurationError, match="profile paper fits one run"):
-        replay([bag, bag_in(bags / "quantised_s00_fixed_light_cube_10g_joint2")], ReplayOptions(profile="paper"))
+        replay([bag, bag_in(bags / "quantised_s00_fixed_light_cube_10g_joint2")], Options(profile="paper"))
 
 
 def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
@@ -394,7 +396,7 @@ def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
         InputRecord(stamps, ("pivot",), np.where(times_s < 0.0, 0.0, current)[:, None], "/current_command"),
     )
     write_recording(tmp_path / "swing", recording, storage="sqlite3")
-    estimate = replay([tmp_path / "swing"], ReplayOptions(robot="pendulum", settings={"payload.shape": "point"}))
+    estimate = replay([tmp_path / "swing"], Options(robot="pendulum", settings={"payload.shape": "point"}))
     value = estimate.value("payload_mass")
     assert estimate.verdict is Verdict.ACCEPTED and estimate.robot == "pendulum"
     assert value.ci95[0] < mass < value.ci95[1] and value.std < 2e-3
@@ -423,7 +425,7 @@ def test_a_recording_counts_once(bags: Path, tmp_path: Path, way: str) -> None:
         other = tmp_path / "again"
     given = [bag] if baseline else [bag, other]
     with pytest.raises(ConfigurationError, match=r"was given twice|are the same recording"):
-        replay(given, ReplayOptions(baseline=baseline))
+        replay(given, Options(baseline=baseline))
 
 
 def test_a_damaged_number_is_left_out(bags: Path, tmp_path: Path) -> None:
@@ -431,13 +433,13 @@ def test_a_damaged_number_is_left_out(bags: Path, tmp_path: Path) -> None:
     bag = bags / "realistic_s00_fixed_heavy_cube_23g_joint3" / "bag_mcap"
     robot = load_robot("open_manipulator_x")
     recording = read_recording(bag, nominal_torque_constants={}, joint_order=JOINTS)
-    (run,) = bag_runs(bag, robot, ReplayOptions(), {})
+    (run,) = bag_runs(bag, Request(robot))
     hit = int(np.searchsorted(recording.joints.times_ns, run.onset_ns)) + 8
     position = recording.joints.position.copy()
     position[hit, recording.joints.column("joint3")] += 2.0
     damaged = replace(recording, joints=replace(recording.joints, position=position))
     write_recording(tmp_path / "damaged", damaged, "sqlite3")
-    (cleaned,) = bag_runs(tmp_path / "damaged", robot, ReplayOptions(), {})
+    (cleaned,) = bag_runs(tmp_path / "damaged", Request(robot))
     assert len(cleaned.times_s) == len(run.times_s) - 1 and np.isin(cleaned.position, run.position).all()
     assert any("in 1 of " in note and "jumps there and back" in note for note in cleaned.notes)
     assert not any("jumps" in note for note in run.notes)

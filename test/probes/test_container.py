@@ -18,7 +18,8 @@ from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, replay
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import (
@@ -138,9 +139,7 @@ def test_replay_and_what_it_prints(bags: Path, realistic: Boxes, tmp_path: Path)
     """The same through `replay`, with bags and settings as a user gives them; three bags of one sphere are one estimate."""
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     empty = [bag_in(path) for path in realistic.folders("container_no_sphere_*")]
-    options = ReplayOptions(
-        probe="container", settings={**stated_of_box(folder), "container.mass": 0.03}, baseline=empty
-    )
+    options = Options(probe="container", settings={**stated_of_box(folder), "container.mass": 0.03}, baseline=empty)
     estimate = replay([bag_in(folder)], options)
     record = estimate.as_json()
     assert record["probe"] == "container" and [e["name"] for e in record["estimates"]] == [
@@ -255,7 +254,7 @@ def test_bad_facts_get_one_line(realistic: Boxes, settings: dict[str, Any], word
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     empty = [bag_in(path) for path in realistic.folders("container_no_sphere_*")]
     with pytest.raises(ProprioError) as caught:
-        replay([bag_in(folder)], ReplayOptions(probe="container", settings=settings, baseline=empty))
+        replay([bag_in(folder)], Options(probe="container", settings=settings, baseline=empty))
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -263,7 +262,7 @@ def test_other_solvers_are_refused(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     for given in ({"solver": "adam"}, {"profile": "paper"}):
         with pytest.raises(ConfigurationError, match="only there for --probe payload"):
-            replay([bag_in(folder)], ReplayOptions(probe="container", **given))
+            replay([bag_in(folder)], Options(probe="container", **given))
 
 
 # --- the problem itself ----------------------------------------------------------------------------------------------
@@ -390,7 +389,7 @@ def test_tracks_are_read(tmp_path: Path, realistic: Boxes) -> None:
         return file
 
     settings = {**stated_of_box(folder), "sphere.camera": str(written(0)), "container.mass": 0.03}
-    options = ReplayOptions(probe="container", settings=settings, baseline=empty)
+    options = Options(probe="container", settings=settings, baseline=empty)
     noted = replay([bag_in(folder)], options).notes
     assert any("from where the camera saw it" in note for note in noted)
     written(10**12)

@@ -16,7 +16,8 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.kinds import KINDS
-from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import PROBES, all_probes, probe_named, virtual_object
 
 TEST = Path(__file__).resolve().parents[1]
@@ -113,7 +114,7 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
 
 @pytest.mark.long
 def test_its_part_is_in_the_report(registered: None, bags: Path, tmp_path: Path) -> None:
-    estimate = replay([bags / BAGS[0]], ReplayOptions(probe="spring"))
+    estimate = replay([bags / BAGS[0]], Options(probe="spring"))
     write_report(estimate, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert "<h2>The spring</h2>" in page and "stiffness of the spring" in page

@@ -13,7 +13,8 @@ from support.pages import read
 
 from proprio_ros.cli import _as_text
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
 
@@ -214,7 +215,7 @@ def test_long_runs_are_thinned_and_keep_their_ends() -> None:
 def estimate() -> Estimate:
     """A container with three rolling runs and three of the baseline, about the plots of a weighing."""
     root = Path(__file__).resolve().parents[2] / "bags"
-    weighed = replay([root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"], ReplayOptions())
+    weighed = replay([root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"], Options())
     return replace(
         weighed,
         verdict=Verdict.ACCEPTED,

@@ -20,7 +20,8 @@ from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.softness.facts import block_facts
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
@@ -183,7 +184,7 @@ def test_only_fingers_squeeze(recordings: Path, calibrated: Callable[[str], Robo
 def test_bad_facts_get_one_line(recordings: Path, settings: dict[str, Any], words: str) -> None:
     folder = recordings / "friction_s00" / "squeeze_heavy"
     with pytest.raises(ProprioError) as caught:
-        replay([bag_in(folder)], ReplayOptions(probe="softness", settings=settings))
+        replay([bag_in(folder)], Options(probe="softness", settings=settings))
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -239,7 +240,7 @@ def test_starts_over_two_orders_of_magnitude(of_heavy: Estimate) -> None:
 def test_replay_is_the_same(recordings: Path, tmp_path: Path) -> None:
     """Through `replay`, uncalibrated: the same number as by hand."""
     folder = recordings / "friction_s00" / "squeeze_heavy"
-    estimate = replay([bag_in(folder)], ReplayOptions(probe="softness", settings={"block.size": [0.03, 0.03, 0.03]}))
+    estimate = replay([bag_in(folder)], Options(probe="softness", settings={"block.size": [0.03, 0.03, 0.03]}))
     own = squeezed(load_robot("open_manipulator_x"), folder)
     assert replace(estimate.values[0]) == own.values[0]
     assert estimate.as_json()["probe"] == "softness"
@@ -268,14 +269,13 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     bag = bag_in(bags / "realistic_s00_squeeze_heavy")  # not squeezed beyond 60 %, where the table of a mesh ends
     settings = {"block.mesh": str(path), "block.mesh_scale": 0.001}
     told, boxed = (
-        replay([bag], ReplayOptions(probe="softness", settings=given)).values[0]
-        for given in (settings, {"block.size": 0.03})
+        replay([bag], Options(probe="softness", settings=given)).values[0] for given in (settings, {"block.size": 0.03})
     )
     assert told.value == pytest.approx(boxed.value, rel=1e-3)
     with pytest.raises(ProprioError, match=r"block\.mesh_scale=0\.001"):
-        replay([bag], ReplayOptions(probe="softness", settings={"block.mesh": str(path)}))
+        replay([bag], Options(probe="softness", settings={"block.mesh": str(path)}))
     with pytest.raises(ProprioError, match="no such mesh file"):
-        replay([bag], ReplayOptions(probe="softness", settings={"block.mesh": "nowhere.msh"}))
+        replay([bag], Options(probe="softness", settings={"block.mesh": "nowhere.msh"}))
 
 
 def test_the_modulus_goes_with_the_fingers_travel(

@@ -29,8 +29,11 @@ from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.live.session import as_parameters, check_input, replay_command
 from proprio_ros.pipeline import api
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.check import BagCheck, check_bags
-from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs, replay
+from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.loading import bag_recording, bag_runs
+from proprio_ros.pipeline.looked_into import BagCheck
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.drivers import FORMS, INPUT, drivers_of, load_driver
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A
 from proprio_ros.recordings.messages import RawMessage
@@ -140,7 +143,7 @@ def push(
 
 
 def read(path: Path, robot: Robot = ARM, **options: Any) -> Recording:
-    return bag_recording(path, robot, ReplayOptions(**options))
+    return bag_recording(path, Request(robot, Options(**options)))
 
 
 def elbow_A(recording: Recording, joint: str = "joint3") -> np.ndarray:
@@ -177,8 +180,8 @@ def test_every_profile_loads_says_where_it_is_from_and_is_documented(name: str) 
 
 
 def test_what_holds_without_a_profile_is_that_of_our_driver() -> None:
-    assert replace(load_driver("proprio").conventions, driver="") == OUR_DRIVER == ReplayOptions().conventions
-    assert ReplayOptions().stated_unit is None
+    assert replace(load_driver("proprio").conventions, driver="") == OUR_DRIVER == Request(ARM).conventions
+    assert Request(ARM).unit is None
 
 
 @pytest.mark.parametrize(
@@ -253,10 +256,10 @@ def test_ros2_control_with_an_effort_controller(tmp_path: Path, storage: str) ->
     np.testing.assert_allclose(elbow_A(recording), PUSHED_A)
     assert recording.joints.velocity is None and "wheel" in recording.joints.names
     assert any("is unlabelled; it was read as the recorded joints joint1, joint2" in note for note in recording.notes)
-    (run,) = bag_runs(bag, ARM, ReplayOptions(driver="ros2_control"), {})
+    (run,) = bag_runs(bag, Request(ARM, Options(driver="ros2_control")))
     assert run.joint == "joint3" and run.duration_s == pytest.approx(0.6)
     with refused("no input current", RecordingError):  # and is not looked for where nobody says which driver it is
-        bag_runs(bag, ARM, ReplayOptions(), {})
+        bag_runs(bag, Request(ARM))
 
 
 def test_lerobot_states_degrees_and_names_of_its_own(tmp_path: Path) -> None:
@@ -277,14 +280,14 @@ def test_lerobot_states_degrees_and_names_of_its_own(tmp_path: Path) -> None:
                 said.append(state(t, columns, topic))
         return write_bag(tmp_path / name, said)
 
-    ours = bag_recording(bag("ours", "{}", 1.0), arm, ReplayOptions())
-    theirs = bag_recording(bag("theirs", "{}.pos", 180.0 / np.pi), arm, ReplayOptions(driver="lerobot"))
+    ours = bag_recording(bag("ours", "{}", 1.0), Request(arm))
+    theirs = bag_recording(bag("theirs", "{}.pos", 180.0 / np.pi), Request(arm, Options(driver="lerobot")))
     assert theirs.joints.names == ours.joints.names
     np.testing.assert_allclose(theirs.joints.position, ours.joints.position, atol=1e-12)
     assert ours.inputs is not None and theirs.inputs is not None and ours.inputs.current_A.any()
     np.testing.assert_allclose(theirs.inputs.current_A, ours.inputs.current_A, atol=1e-9)
     with refused("seems to use degrees", RecordingError):  # a profile that says rad
-        bag_recording(bag("wrong", "{}", 1000.0 * 180.0 / np.pi), arm, ReplayOptions())
+        bag_recording(bag("wrong", "{}", 1000.0 * 180.0 / np.pi), Request(arm))
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -386,7 +389,7 @@ def test_ur_with_currents(tmp_path: Path, ur: Robot, storage: str) -> None:
 @pytest.mark.parametrize("storage", STORAGES)
 def test_ur_with_torques_without_gravity_is_refused(tmp_path: Path, ur: Robot, storage: str) -> None:
     bag = write_bag(tmp_path / "bag", push(names=lambda name: NAMED[name]), storage)
-    options = ReplayOptions(robot=str(ur.source), driver="ur_torque")
+    options = Options(robot=str(ur.source), driver="ur_torque")
     why = "ur_torque: this effort lacks what holds the arm .*use_currents_as_efforts:=true, and state ur_current"
     with refused(why):
         replay(bag, options)
@@ -395,7 +398,7 @@ def test_ur_with_torques_without_gravity_is_refused(tmp_path: Path, ur: Robot, s
     # an effort unit does not make it another thing
     with refused(why):
         api.weigh(bag, robot=ur.source, driver="ur_torque", effort_unit="N.m")
-    (check,) = check_bags(bag, ur.source, driver="ur_torque")[1]
+    (check,) = check_bags(bag, Options(robot=str(ur.source), driver="ur_torque"))[1]
     assert (
         "this effort lacks what holds the arm" in check.problem and not check.usable and check.moves == ("elbow_joint",)
     )
@@ -441,7 +444,7 @@ def test_openarm(tmp_path: Path, storage: str) -> None:
 def test_feetech(tmp_path: Path, storage: str) -> None:
     without = push(effort=lambda given: dict.fromkeys(given, np.nan))
     with refused("no input current", RecordingError):
-        bag_runs(write_bag(tmp_path / "without", without, storage), ARM, ReplayOptions(driver="feetech"), {})
+        bag_runs(write_bag(tmp_path / "without", without, storage), Request(ARM, Options(driver="feetech")))
     load = write_bag(tmp_path / "load", push(effort=lambda given: {k: v / 3.0 for k, v in given.items()}), storage)
     with refused("no input in the bag, and what the effort of /joint_states means is not stated", RecordingError):
         read(load, driver="feetech")
@@ -471,7 +474,7 @@ MARKED = {
 
 
 def looked_at(bag: Path, **options: Any) -> BagCheck:
-    (check,) = check_bags(bag, **options)[1]
+    (check,) = check_bags(bag, Options(**options))[1]
     return check
 
 
@@ -551,7 +554,7 @@ def test_the_command_line_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_live_it_is_a_parameter_and_stands_in_the_command_that_gives_the_answer_again(tmp_path: Path) -> None:
-    options = ReplayOptions(driver="ros2_control")
+    options = Options(driver="ros2_control")
     assert "--driver ros2_control" in replay_command(tmp_path / "bag", options)
     assert as_parameters("--driver ur_torque: no") == "the parameter driver ur_torque: no"
     raw = [
@@ -559,9 +562,9 @@ def test_live_it_is_a_parameter_and_stands_in_the_command_that_gives_the_answer_
         for m in push(names=lambda name: f"left_{name}")
     ]
     with refused("the robot has a nominal torque constant for none of left_", RecordingError):
-        check_input(tmp_path, raw, ARM, options)
+        check_input(tmp_path, raw, Request(ARM, options))
     (tmp_path / "left.yaml").write_text("extends: ros2_control\njoint_prefix: left_\n")
-    assert check_input(tmp_path, raw, ARM, ReplayOptions(driver=tmp_path / "left.yaml")) is not None
+    assert check_input(tmp_path, raw, Request(ARM, Options(driver=tmp_path / "left.yaml"))) is not None
 
 
 # --- joint states of every make --------------------------------------------------------------------------------------

@@ -15,7 +15,8 @@ from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.motion_prior import fit_calibrated, fit_empty
-from proprio_ros.pipeline.replay import ReplayOptions, bag_motion, runs_or_motion
+from proprio_ros.pipeline.loading import bag_motion, runs_or_motion
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload import moving
 from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.recordings.motions import Motion, motion_of
@@ -51,9 +52,9 @@ def test_what_a_controller_moves_without_any_command_is_a_motion() -> None:
     held = InputRecord(record.times_ns, names[:2], silent, "/applied_effort")
     bag = replace(whole, joints=record, inputs=held)
     with pytest.raises(RecordingError, match="joint1 was not recorded"):  # a motion, but not of all joints
-        runs_or_motion(bag, robot, {})
+        runs_or_motion(bag, Request(robot))
     with pytest.raises(RecordingError, match="zero throughout"):
-        runs_or_motion(replace(bag, joints=replace(record, current=None)), robot, {})
+        runs_or_motion(replace(bag, joints=replace(record, current=None)), Request(robot))
 
 
 @pytest.mark.parametrize(
@@ -189,8 +190,8 @@ def test_torque_constants_that_are_wrong_give_no_wrong_mass(
 @pytest.mark.parametrize("factors", [[0.8] * 6, [1.2] * 6, [2.0] * 6, [1.0, 0.7, 1.0, 1.0, 1.0, 1.0]])
 def test_a_real_arm_whose_two_recordings_differ_in_their_unit_is_refused(ur10e: Path, factors: list[float]) -> None:
     robot = load_robot(ur10e)
-    options = ReplayOptions(robot=str(ur10e), effort_unit="A")
-    loaded, empty = (bag_motion(REAL / bag, robot, options, {}) for bag in ("ur10e_loaded_14", "ur10e_empty_14"))
+    options = Options(robot=str(ur10e), effort_unit="A")
+    loaded, empty = (bag_motion(REAL / bag, Request(robot, options)) for bag in ("ur10e_loaded_14", "ur10e_empty_14"))
     loaded = replace(loaded, current_A=loaded.current_A * np.array(factors))
     estimate = weigh_in_motion(robot, [loaded], [empty], PayloadFacts())
     assert estimate.verdict is Verdict.REJECTED and estimate.reasons[0].code in ("misfit", "other_torque")
@@ -312,13 +313,15 @@ def slow() -> Motion:
     """Twenty seconds of a small arm in slow motion."""
     if not (REAL / "omx_empty_1").exists():
         pytest.skip("needs the real recordings")
-    options = ReplayOptions(effort_unit="raw")
-    return bag_motion(REAL / "omx_empty_1", load_robot("open_manipulator_x"), options, {"gripper_left_joint": 0.0})
+    options = Options(effort_unit="raw")
+    return bag_motion(
+        REAL / "omx_empty_1", Request(load_robot("open_manipulator_x"), options, locked={"gripper_left_joint": 0.0})
+    )
 
 
 def test_fingers_that_were_not_recorded_are_taken_to_stand_somewhere(slow: Motion) -> None:
     """They are light and move by centimetres; a joint that turns must be known."""
-    motion = bag_motion(REAL / "omx_empty_1", load_robot("open_manipulator_x"), ReplayOptions(effort_unit="raw"), {})
+    motion = bag_motion(REAL / "omx_empty_1", Request(load_robot("open_manipulator_x"), Options(effort_unit="raw")))
     assert motion.held == slow.held
     assert any("gripper_left_joint was not recorded" in note and "--set held." in note for note in motion.notes)
 

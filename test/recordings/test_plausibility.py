@@ -12,7 +12,8 @@ import pytest
 
 from proprio_ros.cli import main
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
-from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs
+from proprio_ros.pipeline.loading import bag_recording, bag_runs
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.motions import motion_of
 from proprio_ros.recordings.plausibility import (
     effort_per_torque,
@@ -247,7 +248,7 @@ def test_a_motion_tells_about_what_came_out_of_it(tmp_path: Path) -> None:
     """Real answers from these motions had half intervals of 56 to 250 g."""
     urdf = REAL / "models" / "ur10e.urdf"
     robot = load_robot(urdf, with_recorded_torque(urdf, {}))
-    recorded = bag_recording(REAL / "ur10e_loaded_14", robot, ReplayOptions(effort_unit="A"))
+    recorded = bag_recording(REAL / "ur10e_loaded_14", Request(robot, Options(effort_unit="A")))
     whole = motion_of(recorded, joints=list(robot.drive_trains))
     width_kg, per_kg = mass_from_motion(robot, whole)
     assert 0.05 < width_kg < 0.25 and per_kg == pytest.approx(1.96 * 0.1, rel=0.01)
@@ -263,7 +264,7 @@ def test_a_run_tells_about_what_comes_out_of_it() -> None:
     """Uncalibrated, these two give 0 to 131 g and 0 to 133 g."""
     robot = load_robot("open_manipulator_x")
     for name in ("quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_fixed_light_ball_20g_joint3"):
-        (run,) = bag_runs(ROOT / "bags" / name / "bag_mcap", robot, ReplayOptions(), {})
+        (run,) = bag_runs(ROOT / "bags" / name / "bag_mcap", Request(robot))
         width_kg = mass_from_run(robot, run)
         assert width_kg is not None and 0.065 < width_kg < 0.15
     # a controller's current is no push

@@ -16,7 +16,9 @@ from proprio_ros.identification.regression.one_joint_estimate import best_delay
 from proprio_ros.identification.regression.one_joint_known import SPREADS, spread_of, spread_posterior
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
-from proprio_ros.pipeline.replay import ReplayOptions, bag_recording, bag_runs_or_motion, replay
+from proprio_ros.pipeline.loading import bag_recording, bag_runs_or_motion
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drives import DutyCycle, Goal, PositionServo
@@ -142,7 +144,7 @@ def rows() -> dict[str, np.ndarray]:
 def test_the_stall_current_follows_from_goal_position_and_voltage(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     bag = write(tmp_path / "bag", rows)
     robot = load_robot(robot_file(tmp_path, delay="{value: 0.025, std: 0.0}"))
-    motion: Any = bag_runs_or_motion(bag, robot, ReplayOptions(), {})
+    motion: Any = bag_runs_or_motion(bag, Request(robot))
     assert "stall current, from goal" in motion.source
     true = rows["duty"] * (12.0 - 0.2 * np.sin(3.0 * rows["t"])) / 2.0
     assert np.sqrt(np.mean(np.square(motion.current_A[:, 0] - true))) < 0.05 * np.std(true)
@@ -151,11 +153,11 @@ def test_the_stall_current_follows_from_goal_position_and_voltage(tmp_path: Path
 def test_a_duty_cycle_needs_no_goal_and_no_unit(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     counts = np.round(1000.0 * rows["duty"])
     bag = write(tmp_path / "bag", rows, np.where(counts < 0.0, counts + 65536.0, counts), ("voltage",))
-    motion: Any = bag_runs_or_motion(bag, load_robot(robot_file(tmp_path, DUTY)), ReplayOptions(), {})
+    motion: Any = bag_runs_or_motion(bag, Request(load_robot(robot_file(tmp_path, DUTY))))
     np.testing.assert_allclose(motion.current_A[:, 0], rows["duty"] * 6.0, atol=0.15)
     stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
     without = write(tmp_path / "no_voltage", rows, counts, ())
-    motion = bag_runs_or_motion(without, stated, ReplayOptions(), {})
+    motion = bag_runs_or_motion(without, Request(stated))
     np.testing.assert_allclose(motion.current_A[:, 0], 6e-3 * counts)
     assert "12 V as stated" in motion.source
 
@@ -163,21 +165,21 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(tmp_path: Path, rows: dict[str, 
 def test_what_is_missing_is_said_in_one_line(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     servo = load_robot(robot_file(tmp_path))
     with pytest.raises(RecordingError, match="/joint_command"):
-        bag_recording(write(tmp_path / "a", rows, None, ("voltage",)), servo, ReplayOptions())
+        bag_recording(write(tmp_path / "a", rows, None, ("voltage",)), Request(servo))
     with pytest.raises(RecordingError, match="state supply_voltage_V"):
-        bag_recording(write(tmp_path / "b", rows, None, ("goal",)), servo, ReplayOptions())
+        bag_recording(write(tmp_path / "b", rows, None, ("goal",)), Request(servo))
     with pytest.raises(ConfigurationError, match="no torque and no current"):
-        bag_recording(tmp_path / "a", servo, ReplayOptions(effort_unit="A"))
+        bag_recording(tmp_path / "a", Request(servo, Options(effort_unit="A")))
     duty = load_robot(robot_file(tmp_path, DUTY))
     with pytest.raises(RecordingError, match="its duty cycle, and none was recorded"):
-        bag_recording(tmp_path / "a", duty, ReplayOptions())
+        bag_recording(tmp_path / "a", Request(duty))
 
 
 def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     # a magnitude of the current, without sign and stale, does not matter to what follows from goal and position
     stale = np.repeat(np.abs(rows["duty"])[::25], 25)[: len(rows["t"])]
     bag = write(tmp_path / "bag", rows, stale)
-    _, (check,) = check_bags(bag, robot_file(tmp_path))
+    _, (check,) = check_bags(bag, Options(robot=str(robot_file(tmp_path))))
     assert check.usable == 1 and check.input is not None and check.input.startswith("stall current, from goal")
     assert [finding.code for finding in check.findings] == ["voltage_driven"]
     assert "a voltage drives pendulum (position_servo in servo.yaml)" in check.as_text()
@@ -185,10 +187,10 @@ def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.nda
 
 def test_without_known_loads_no_mass_is_said(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     bag = write(tmp_path / "bag", rows)
-    estimate = replay(bag, ReplayOptions(robot=str(robot_file(tmp_path))))
+    estimate = replay(bag, Options(robot=str(robot_file(tmp_path))))
     assert estimate.values[0].value is None and estimate.verdict is not Verdict.ACCEPTED
     with pytest.raises(RecordingError, match="3 at least"):
-        calibrate_from_bags([], {bag: 0.45}, ReplayOptions(robot=str(robot_file(tmp_path)), settings=POINT))
+        calibrate_from_bags([], {bag: 0.45}, Options(robot=str(robot_file(tmp_path)), settings=POINT))
 
 
 # --- weighing ----------------------------------------------------------------------------------------------------------
@@ -223,7 +225,7 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     references = {
         write(tmp_path / f"known{seed}", driven(kg, seed)): kg for seed, kg in enumerate((*LOADS_KG, *LOADS_KG))
     }
-    options = ReplayOptions(robot=str(robot), settings=POINT)
+    options = Options(robot=str(robot), settings=POINT)
     learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
     read = load_robot(tmp_path / "known.yaml")
@@ -234,7 +236,7 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(0.01, abs=0.004)
     for seed, kg in ((10, 0.35), (11, 0.55)):
         bag = write(tmp_path / f"asked{seed}", driven(kg, seed))
-        estimate = replay(bag, ReplayOptions(calibration=tmp_path / "known.yaml", settings=POINT))
+        estimate = replay(bag, Options(calibration=tmp_path / "known.yaml", settings=POINT))
         mass = estimate.values[0]
         assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
         assert mass.ci95[0] < kg < mass.ci95[1] and mass.value == pytest.approx(kg, rel=0.08)
@@ -248,7 +250,7 @@ def test_known_loads_do_not_make_a_torque_of_a_stale_magnitude(tmp_path: Path) -
     robot.write_text(robot.read_text().replace(f"      driven_by: {SERVO}\n", ""))
     references = {REAL / f"sts3215_{motion}_1.168kg": 1.168 for motion in STS}
     references |= {REAL / f"sts3215_{motion}_0.535kg": 0.535 for motion in STS}
-    options = ReplayOptions(robot=str(robot), settings=STS_OBJECT, effort_unit="mA")
+    options = Options(robot=str(robot), settings=STS_OBJECT, effort_unit="mA")
     learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
     assert learnt.verdict is Verdict.REJECTED and "what drives the motor" in learnt.reasons[0]
     assert not (tmp_path / "known.yaml").exists()
@@ -263,11 +265,9 @@ STS_OBJECT = {"payload.com": [0.0, 0.0, 0.0], "payload.inertia_per_mass": [0.002
 def weighed(
     robot: Path, references: dict[Path, float], asked: Path, settings: dict[str, Any], output: Path
 ) -> Estimate:
-    learnt = calibrate_from_bags(
-        [], dict(references), ReplayOptions(robot=str(robot), settings=settings), output, force=True
-    )
+    learnt = calibrate_from_bags([], dict(references), Options(robot=str(robot), settings=settings), output, force=True)
     assert learnt.verdict is Verdict.ACCEPTED, learnt.reasons
-    return replay(asked, ReplayOptions(calibration=output, settings=settings))
+    return replay(asked, Options(calibration=output, settings=settings))
 
 
 def checked(estimate: Estimate, truth_kg: float, within: float) -> None:

@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
-from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.html import POLICY
 
@@ -94,7 +95,7 @@ def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     fit, run = weighed.run_fits[0], weighed.recorded[0]
     named = replace(weighed, run_fits=(replace(fit, name=LONG_NAME),), recorded=(replace(run, name=LONG_NAME), run))
     write_report(named, folder / "payload.html", command=f"proprio replay {LONG_NAME}", sources=[LONG_NAME])
-    options = ReplayOptions(
+    options = Options(
         probe="softness",
         settings={"block.size": 0.03},
         baseline=[bags / f"realistic_s00_squeeze_empty_{n}" / "bag_mcap" for n in (0, 1)],

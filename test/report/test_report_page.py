@@ -20,7 +20,8 @@ from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import HeldOutRun
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.pipeline.replay import ReplayOptions, replay, write_report
+from proprio_ros.pipeline.replay import replay, write_report
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.softness.detail import SqueezeCurve
 from proprio_ros.probes.softness.figures import squeeze_figure
 from proprio_ros.report.calibration_figures import held_out_figure
@@ -32,7 +33,7 @@ from proprio_ros.report.pictures import paired
 @pytest.fixture(scope="module")
 def estimate() -> Estimate:
     root = Path(__file__).resolve().parents[2] / "bags"
-    return replay([root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"], ReplayOptions())
+    return replay([root / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"], Options())
 
 
 def test_a_result(estimate: Estimate, tmp_path: Path) -> None:
@@ -151,7 +152,7 @@ def test_runs_with_and_without_a_fit_find_each_other(estimate: Estimate) -> None
 @pytest.mark.long
 def test_the_search_is_drawn_as_far_as_the_answer(bags: Path, tmp_path: Path) -> None:
     """A block on a gripper that is not calibrated: with the gripper as its file states it the search ends far away."""
-    options = ReplayOptions(
+    options = Options(
         probe="softness",
         settings={"block.size": 0.03},
         baseline=[bags / f"realistic_s00_squeeze_empty_{n}" / "bag_mcap" for n in (0, 1)],

@@ -9,10 +9,8 @@ from support.small_urdf import LIMIT, THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource
-from proprio_ros.inputs.settings import Settings
-from proprio_ros.live.session import robot_of_settings
 from proprio_ros.live.workspace import Keeping
-from proprio_ros.pipeline.replay import ReplayOptions
+from proprio_ros.pipeline.request import Options, robot_of
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
 
@@ -39,7 +37,7 @@ def test_the_robot_is_that_of_the_same_text_as_a_file(tmp_path: Path) -> None:
     assert heard.path is not None and heard.path.is_relative_to(tmp_path / "data")
     live = Keeping(tmp_path, str(heard.path), TORQUE).configured({})
     (tmp_path / "arm.urdf").write_text(ARM)
-    file = robot_of_settings(ReplayOptions(robot=str(tmp_path / "arm.urdf"), effort_unit="N.m"), Settings({}))
+    file = robot_of(Options(robot=str(tmp_path / "arm.urdf"), effort_unit="N.m"))
     assert live.model.fingerprint() == file.model.fingerprint()
     assert live.drive_trains == file.drive_trains and list(live.drive_trains) == [
         "joint1",

@@ -12,6 +12,7 @@ from support.moved_arm import record_arm
 from proprio_ros.cli import main
 from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.request import Options
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drives import DutyCycle, PositionServo
 
@@ -141,7 +142,7 @@ def test_a_ready_robot_reads_a_recording_of_its_driver(name: str, driver: str, u
         middle=middle,
         friction_N_m=0.02,
     )
-    _, (found,) = check_bags([bag], name, driver=driver)
+    _, (found,) = check_bags([bag], Options(robot=name, driver=driver))
     assert not found.problem and set(found.moves) == set(constants)
     ratios = {each.unit: each.ratio for each in found.effort_units}[unit]
     assert ratios and all(0.8 < ratio < 1.25 for ratio in ratios.values()), ratios

@@ -14,7 +14,8 @@ import warp as wp
 
 from proprio_ros import progress
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.pipeline.replay import ReplayOptions, compile_for, replay
+from proprio_ros.pipeline.replay import compile_for, replay
+from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import all_probes
 from proprio_ros.sim import runtime
 
@@ -112,7 +113,7 @@ def kernels_loaded(monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], reall
 
 
 def compiled_for(monkeypatch: pytest.MonkeyPatch, probe: str, robot: str = "open_manipulator_x") -> set[str]:
-    return kernels_loaded(monkeypatch, lambda: compile_for(ReplayOptions(probe=probe, robot=robot)), really=False)
+    return kernels_loaded(monkeypatch, lambda: compile_for(Options(probe=probe, robot=robot)), really=False)
 
 
 def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,6 +138,6 @@ def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPa
 def test_nothing_is_left_to_compile_after_a_warmup(
     probe: str, bag: str, baseline: str, bags: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = ReplayOptions(probe=probe, baseline=(bags / baseline / "bag_mcap",))
+    options = Options(probe=probe, baseline=(bags / baseline / "bag_mcap",))
     needed = kernels_loaded(monkeypatch, lambda: replay(bags / bag / "bag_mcap", options))
     assert needed and needed <= compiled_for(monkeypatch, probe)

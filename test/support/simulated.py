@@ -14,7 +14,9 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun
 from proprio_ros.inputs.settings import Settings, probe_file
-from proprio_ros.pipeline.replay import ReplayOptions, bag_runs, replay
+from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.container.facts import container_facts
 from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.payload.facts import payload_facts
@@ -38,7 +40,7 @@ def bag_in(folder: Path) -> Path:
 
 
 def runs_of(folder: Path, robot: Robot) -> tuple[Run, ...]:
-    return bag_runs(bag_in(folder), robot, ReplayOptions(), {})
+    return bag_runs(bag_in(folder), Request(robot))
 
 
 def fixed(recordings: Path, level: str) -> list[Path]:
@@ -107,7 +109,7 @@ def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
 
 def weighed(folder: Path, extra: Mapping[str, Any] | None = None, **options: Any) -> Estimate:
     settings = {**stated(truth_of(folder)), **(extra or {})}
-    return replay([bag_in(folder)], ReplayOptions(settings=settings, **options))
+    return replay([bag_in(folder)], Options(settings=settings, **options))
 
 
 # --- spheres and blocks -------------------------------------------------------------------------------------------------

@@ -1,0 +1,301 @@
+"""What was found in a bag before any fit, as JSON and for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from proprio_ros.identification.estimate import plain
+from proprio_ros.quantity import shown
+from proprio_ros.recordings.drivers import Driver
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.recordings.plausibility import EffortUnit, Finding
+from proprio_ros.records import STALL_CURRENT
+from proprio_ros.schema import header, reason_codes
+
+FREE_SWING = (
+    "it tells gravity moment over inertia, without any torque constant: a mass with a calibration from swings with two known loads "
+    "(calibrate --reference BAG=KG --reference BAG=KG)"
+)
+"""What a free swing is good for."""
+
+
+@dataclass(frozen=True)
+class RunCheck:
+    """One run as it was found.
+
+    Attributes:
+        duration_s: How long the joint was driven [s].
+        travel: From the first to the last sample [rad or m, as ``unit`` says]; of a free swing its whole span.
+        current_A: The largest of its currents, with its sign [A]; 0 in a free swing.
+        samples: Joint states while it was driven.
+        problem: Why it is not usable, or an empty string.
+        notes: What else a reader should know.
+        mass_half_width_kg: About half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing.
+        free: Whether it is a free swing: torque was off.
+    """
+
+    name: str
+    joint: str
+    duration_s: float
+    travel: float
+    unit: str
+    current_A: float
+    samples: int
+    problem: str = ""
+    notes: tuple[str, ...] = ()
+    mass_half_width_kg: float | None = None
+    free: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "joint": self.joint,
+            "duration_s": self.duration_s,
+            "travel": self.travel,
+            "unit": self.unit,
+            "current_A": self.current_A,
+            "samples": self.samples,
+            "free_swing": self.free,
+            "usable": not self.problem,
+            "problem": self.problem or None,
+            "problem_code": reason_codes([self.problem])[0] if self.problem else None,
+            "notes": list(self.notes),
+            "mass_half_width_kg": self.mass_half_width_kg,
+        }
+
+
+@dataclass(frozen=True)
+class MotionCheck:
+    """What a motion of several joints determines, were it made once more with an empty hand.
+
+    Attributes:
+        joints: That moved.
+        mass_half_width_kg: About half the 95 % interval of a light object's mass.
+        mass_half_width_per_kg: What every kg of the object adds to it, since torque constants are not known better; None where
+            nobody stated them.
+    """
+
+    joints: tuple[str, ...]
+    duration_s: float
+    mass_half_width_kg: float
+    mass_half_width_per_kg: float | None
+
+    def sentence(self) -> str:
+        """For the terminal."""
+        if self.mass_half_width_per_kg is None:
+            more = "as much of the mass as the torque constants are uncertain"
+        else:
+            more = f"{100.0 * self.mass_half_width_per_kg:.0f} % of the mass, which is how well the torque constants are known"
+        return (
+            "beside the same motion with an empty hand it tells a light object's mass to about "
+            f"+-{_grams(self.mass_half_width_kg)} (95 %), and {more}"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "joints": self.joints,
+            "duration_s": self.duration_s,
+            "mass_half_width_kg": self.mass_half_width_kg,
+            "mass_half_width_per_kg": self.mass_half_width_per_kg,
+        }
+
+
+@dataclass(frozen=True)
+class BagCheck:
+    """One bag as it was found.
+
+    Attributes:
+        joints: Joints whose positions were recorded.
+        duration_s: From the first to the last joint state [s].
+        rate_Hz: Of the joint states, by their median interval [1/s]; NaN where none could be read.
+        gaps: Intervals of more than 2.5 periods; longest_gap_s: the longest interval [s].
+        topics: Name, type and number of messages of each.
+        state_topic: Topic of the joint states.
+        input: Where the current that drove the joints would be taken from: a topic, or ``measured effort``.
+        input_unit: What its numbers are.
+        problem: Why no run could be looked for, or an empty string.
+        notes: Every repair made while reading.
+        motion: What was recorded where several joints were driven at once; then there are no runs.
+        moves, still: The joints that move, and those that do not.
+        findings: What the recording shows of itself.
+        effort_units: How the effort would compare with what gravity needs if it were in one unit or another.
+        effort_per_N_m: The effort over what gravity needs, by joint, in the publisher's unit.
+        tells: What a motion determines.
+        record: What to record instead, or beside it.
+        driver: Profile by which it was read; None where nobody stated one.
+        fitting: Names of the profiles that its topics identify; none of them is used before it is stated.
+    """
+
+    bag: str
+    joints: tuple[str, ...] = ()
+    duration_s: float = 0.0
+    rate_Hz: float = float("nan")
+    gaps: int = 0
+    longest_gap_s: float = float("nan")
+    topics: tuple[tuple[str, str, int], ...] = ()
+    state_topic: str | None = None
+    input: str | None = None
+    input_unit: str | None = None
+    runs: tuple[RunCheck, ...] = ()
+    problem: str = ""
+    notes: tuple[str, ...] = ()
+    motion: Motion | None = None
+    moves: tuple[str, ...] = ()
+    still: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    effort_units: tuple[EffortUnit, ...] = ()
+    effort_per_N_m: Mapping[str, float] = field(default_factory=dict)
+    tells: MotionCheck | None = None
+    record: tuple[str, ...] = ()
+    driver: Driver | None = None
+    fitting: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> int:
+        """Number of runs that a fit could use; a motion counts as one."""
+        return sum(not run.problem for run in self.runs) + (self.motion is not None)
+
+    def as_json(self) -> dict[str, Any]:
+        record = plain(
+            {
+                "bag": self.bag,
+                "joints": self.joints,
+                "duration_s": self.duration_s,
+                "rate_Hz": self.rate_Hz,
+                "gaps": self.gaps,
+                "longest_gap_s": self.longest_gap_s,
+                "topics": [{"name": name, "type": kind, "messages": count} for name, kind, count in self.topics],
+                "state_topic": self.state_topic,
+                "input": self.input,
+                "input_unit": self.input_unit,
+                "runs": [run.as_json() for run in self.runs],
+                "motion": None
+                if self.motion is None
+                else {"joints": self.motion.moved, "duration_s": float(self.motion.times_s[-1])},
+                "usable_runs": self.usable,
+                "problem": self.problem or None,
+                "notes": self.notes,
+                "moves": self.moves,
+                "still": self.still,
+                "findings": [finding.as_json() for finding in self.findings],
+                "effort_units": [unit.as_json() for unit in self.effort_units],
+                "effort_per_N_m": dict(self.effort_per_N_m),
+                "tells": None if self.tells is None else self.tells.as_json(),
+                "record": self.record,
+                "driver": None if self.driver is None else self.driver.name,
+                "fitting_drivers": self.fitting,
+            }
+        )
+        return dict(record)
+
+    def as_text(self) -> str:
+        """For the terminal."""
+        found = len(self.runs) + (self.motion is not None)
+        lines = [f"{self.bag}: {self.usable} of {found} run{'s' * (found != 1)} usable"]
+        if self.joints:
+            lost = (
+                f"{self.gaps} gap{'s' * (self.gaps != 1)}, the longest {1e3 * self.longest_gap_s:.0f} ms"
+                if self.gaps
+                else "no gaps"
+            )
+            states = f"{self.state_topic or 'in a text file'}, {', '.join(self.joints)}"
+            lines.append(f"  joint states: {states}; {self.duration_s:.2f} s at {self.rate_Hz:.1f} Hz, {lost}")
+        if self.input:
+            lines.append(f"  input: {self.input}" + (f" ({self.input_unit})" if self.input_unit else ""))
+        lines += [f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics]
+        lines += self._driver_lines()
+        for run in self.runs:
+            moved = f"{1e3 * run.current_A:+.0f} mA for {run.duration_s:.2f} s, travel {run.travel:+.3f} {run.unit}"
+            judged = f"not usable, {run.problem}" if run.problem else "usable"
+            if not run.problem and run.mass_half_width_kg is not None:
+                judged += f"; alone it tells a light object's mass to about +-{_grams(run.mass_half_width_kg)}"
+            if run.free:
+                lines.append(
+                    f"  a free swing of {run.joint}: torque off, {run.duration_s:.2f} s until it hangs still, "
+                    f"over {run.travel:.2f} {run.unit}, {run.samples} samples: {judged}"
+                )
+                if not run.problem:
+                    lines.append(f"    {FREE_SWING}")
+            else:
+                lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
+            lines += [f"    note: {note}" for note in run.notes]
+        if self.motion is not None and self.input is not None and self.input.startswith(STALL_CURRENT):
+            lines.append(f"  a motion under a controller, {self.motion.times_s[-1]:.1f} s, driven by a voltage")
+        elif self.motion is not None and len(self.motion.joints) == 1:
+            lines.append(
+                f"  a motion of one joint under a controller, {self.motion.times_s[-1]:.1f} s: tells how it swings (`replay "
+                "--probe payload`), and the mass where the torque is known and one with an empty hand is beside it "
+                "(`--baseline EMPTY`)"
+            )
+        elif self.motion is not None:
+            lines.append(
+                f"  a motion of {len(self.motion.moved)} joints at once, {self.motion.times_s[-1]:.1f} s: tells the payload's mass "
+                "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`, or `calibrate EMPTY`)"
+            )
+        if self.tells is not None:
+            lines.append(f"  {self.tells.sentence()}")
+        if self.moves or self.still:
+            still = f"; still: {', '.join(self.still)}" if self.still else ""
+            lines.append(f"  moves: {', '.join(self.moves) or 'nothing'}{still}")
+        lines += [f"  seen: {finding.sentence}" for finding in self.findings]
+        lines += self._effort_lines()
+        lines += [f"  problem: {self.problem}"] * bool(self.problem)
+        lines += [f"  record: {advice}" for advice in self.record]
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    def _driver_lines(self) -> list[str]:
+        stated = self.driver
+        lines = []
+        if stated is not None:
+            lines = [f"  driver: {stated.name}, {stated.title}", *(f"    {note}" for note in stated.notes)]
+        if not self.fitting or (stated is not None and {stated.name, *stated.extends} & set(self.fitting)):
+            return lines
+        words = f"its topics are those of {' or '.join(self.fitting)}"
+        if stated is not None:
+            return [*lines, f"  problem: {words}, not of {stated.name}"]
+        which = "one" if len(self.fitting) > 1 else "it"
+        return [*lines, f"  driver: {words}; state {which} with --driver, none is used before"]
+
+    def _effort_lines(self) -> list[str]:
+        if not self.effort_per_N_m:
+            return []
+        joints = ", ".join(self.effort_per_N_m)
+        parts = []
+        for unit in self.effort_units:
+            ends = [_short(edge) for edge in (min(unit.ratio.values()), max(unit.ratio.values()))]
+            parts.append(
+                f"{' to '.join(dict.fromkeys(ends))} in {unit.unit}" + (" (plausible)" if unit.plausible else "")
+            )
+        lines = [
+            f"  effort over the torque that gravity needs by the URDF, of {joints}: {'; '.join(parts)}; an empty hand gives 1, a "
+            "load more; nothing is chosen by it"
+        ]
+        if len(self.effort_units) == 1:
+            constants = ", ".join(_short(1.0 / abs(value)) for value in self.effort_per_N_m.values())
+            lines.append(
+                f"  were it a current and the hand empty, the torque constants would be {constants} N m per unit of it"
+            )
+        if all(value < 0.0 for value in self.effort_per_N_m.values()):
+            lines.append("  the effort has the sign of the torque that gravity makes, not of what holds against it")
+        return lines
+
+
+def _short(value: float) -> str:
+    """Two digits, without an exponent where people would write none."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _grams(mass_kg: float) -> str:
+    return shown("kg", float(f"{mass_kg:.2g}"), spec="g")
+
+
+def as_json(robot: str, checks: Sequence[BagCheck]) -> dict[str, Any]:
+    """What ``proprio check --json`` prints."""
+    return {
+        **header("check"),
+        "robot": robot,
+        "usable_runs": sum(check.usable for check in checks),
+        "bags": [check.as_json() for check in checks],
+    }
