@@ -27,7 +27,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.graph import Graph, Patience
 from proprio_ros.nodes.runtime import LATCHED
-from proprio_ros.probes.base import HasBaseline, Probe
+from proprio_ros.probes.base import Example, HasBaseline, Probe
 
 SILENCE_S = 600.0
 """Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang;
@@ -94,40 +94,16 @@ def demo(
     # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
     domain = os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    link = folder / "bus"
     _interrupted.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     with Graph(folder / "logs") as graph:
-        sequences = {} if full else {"reference_sequence": "reference_elbow", **example.sequences}
-        reference: dict[str, Any] = {}
-        if full or example.reference:
-            reference = {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
-        held = example.held.format(truth=truth)
-        graph.start("virtual", {"robot": robot, "link": link, "object": held, "seed": seed})
-        graph.start("driver", {"robot": robot, "port": link})
-        graph.start("excitation", {"robot": robot})
-        stated = {"settings": list(example.stated)} if example.stated else {}
-        own = {"robot": robot, "data_directory": folder, "calibration": "none"}
-        graph.start("identifier", {**own, **stated, **sequences, **reference})
+        weighs = _start(graph, example, {"robot": robot, "seed": seed}, truth, folder, full)
         tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
         with _Client(graph, tell) as client:
             _obey_interrupt()
             client.wait_until_ready()
-            weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if reference else ""
-            tell(f"the robot {'weighs' if weight else 'learns'} itself: with nothing in its hand{weight}")
-            asked = time.monotonic()
-            accepted, sentence = client.call("/identifier/calibrate_robot")
-            while sentence.startswith("not ready") and time.monotonic() - asked < NOT_READY_S:  # a slow computer
-                accepted, sentence = client.call("/identifier/calibrate_robot")
-            tell(sentence)
-            if accepted and isinstance(probe, HasBaseline):
-                tell(f"now an {probe.baseline.noun} is in its hand")
-                accepted, sentence = client.call(f"/identifier/record_{probe.name}_baseline")
-                tell(sentence)
-            if accepted:
-                tell(example.now)
-                accepted, sentence = client.call(f"/identifier/calibrate_{probe.name}")
+            accepted, sentence = client.identify(probe, example, weighs)
             final = client.final_estimate(probe.name) if accepted else {}
             elapsed = time.monotonic() - started
             tell("done; the nodes are ending")
@@ -142,6 +118,24 @@ def demo(
         reports[-1] if accepted and reports else None,
         elapsed,
     )
+
+
+def _start(graph: Graph, example: Example, robot: dict[str, Any], truth: float, folder: Path, full: bool) -> bool:
+    """Start the nodes; whether the robot is calibrated with a weight, too."""
+    name, link = robot["robot"], folder / "bus"
+    weighs = full or example.reference
+    graph.start("virtual", {**robot, "link": link, "object": example.held.format(truth=truth)})
+    graph.start("driver", {"robot": name, "port": link})
+    graph.start("excitation", {"robot": name})
+    own: dict[str, Any] = {"robot": name, "data_directory": folder, "calibration": "none"}
+    if example.stated:
+        own["settings"] = list(example.stated)
+    if not full:
+        own |= {"reference_sequence": "reference_elbow", **example.sequences}
+    if weighs:
+        own |= {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}  # the virtual robot's helper is quick
+    graph.start("identifier", own)
+    return weighs
 
 
 def _interrupt(_number: int, _frame: Any) -> None:
@@ -239,6 +233,24 @@ class _Client:
             )
         answer = future.result()
         return bool(answer.success), str(answer.message)
+
+    def identify(self, probe: Probe[Any], example: Example, weighs: bool) -> tuple[bool, str]:
+        """Robot, baseline and object, one after the other; the last service's answer."""
+        weight = f", then with a weight of {1e3 * REFERENCE_KG:.0f} g" if weighs else ""
+        self._tell(f"the robot {'weighs' if weighs else 'learns'} itself: with nothing in its hand{weight}")
+        asked = time.monotonic()
+        accepted, sentence = self.call("/identifier/calibrate_robot")
+        while sentence.startswith("not ready") and time.monotonic() - asked < NOT_READY_S:  # a slow computer
+            accepted, sentence = self.call("/identifier/calibrate_robot")
+        self._tell(sentence)
+        if accepted and isinstance(probe, HasBaseline):
+            self._tell(f"now an {probe.baseline.noun} is in its hand")
+            accepted, sentence = self.call(f"/identifier/record_{probe.name}_baseline")
+            self._tell(sentence)
+        if accepted:
+            self._tell(example.now)
+            accepted, sentence = self.call(f"/identifier/calibrate_{probe.name}")
+        return accepted, sentence
 
     def final_estimate(self, probe: str) -> dict[str, str]:
         """The last word of the identifier on its topic, which may come a moment after the service's answer."""

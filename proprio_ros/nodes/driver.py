@@ -27,6 +27,7 @@ from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.topics import TEMPERATURES
 
 _D = DriverSettings()
+ENDS = ("hold", "zero")
 LATE_S = 0.005
 """A cycle that begins later than this is reported in the diagnostics."""
 CLOCK_JUMP_S = 0.05
@@ -43,8 +44,10 @@ class DriverNode(ManagedNode):
         Parameter("rate", 100.0, "Cycles per second [Hz]: 40 as in the paper, 100 or more where the bus allows.", 1.0, 1000.0),
         Parameter("joints", [], "Order of the joints in commands without labels; empty: the robot file's."),
         Parameter("command_timeout", _D.command_timeout_s, "`on_timeout` after so long without a current command [s].", 0.01, 5.0),
-        Parameter("on_timeout", _D.on_timeout, "hold: a driven joint is held where it is; zero: it is left without current."),
-        Parameter("on_shutdown", "zero", "zero: current zero and torque off at the end; hold: the servos keep their position."),
+        Parameter("on_timeout", _D.on_timeout, "hold: a driven joint is held where it is; zero: it is left without current.",
+                  choices=ENDS),
+        Parameter("on_shutdown", "zero", "zero: current zero and torque off at the end; hold: the servos keep their position.",
+                  choices=ENDS),
         Parameter("watchdog", _D.watchdog_s, "The servos stop after so much silence on the bus [s]; 0: never.", 0.0, 2.54),
         Parameter("limit_margin", _D.limit_margin_rad, "A joint is not driven nearer to its limit [rad].", 0.0, 0.5),
         Parameter("min_clearance", _D.min_clearance_m, "Nothing that can be lowered is brought nearer to the base's plane, the "
@@ -76,9 +79,6 @@ class DriverNode(ManagedNode):
 
     def configure(self) -> None:
         values = self.values
-        for name, choices in (("on_timeout", ("hold", "zero")), ("on_shutdown", ("hold", "zero"))):
-            if values[name] not in choices:
-                raise ConfigurationError(f"parameter {name}={values[name]!r}: choose one of {', '.join(choices)}")
         robot = robot_named(values["robot"])
         servos = servos_of(robot)
         self._order = tuple(values["joints"]) or tuple(servo.joint for servo in servos)

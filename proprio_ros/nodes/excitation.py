@@ -17,8 +17,7 @@ from std_srvs.srv import Trigger
 
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.effort_controller import UNITS, EffortController
-from proprio_ros.excitation.goal_controller import GoalController
+from proprio_ros.excitation.effort_controller import UNITS
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.joint_states import JointStates
@@ -79,7 +78,7 @@ class ExcitationNode(ManagedNode):
         Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
         Parameter("command_interface", "driver",
                   "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
-                  "then has hold the arm; position: a position controller, for servos that know no current."),
+                  "then has hold the arm; position: a position controller, for servos that know no current.", choices=INTERFACES),
         Parameter("input_topic", "",
                   "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
         Parameter("controller_joints", [], "That controller's `joints`, in its order."),
@@ -88,31 +87,30 @@ class ExcitationNode(ManagedNode):
                   "switches."),
         Parameter("activate_controller", "", "That controller; empty: as input_topic names it."),
         Parameter("deactivate_controllers", [], "Controllers that have the joints else; active again after each sequence."),
-        Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A."),
+        Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A.",
+                  choices=UNITS),
         Parameter("hold_frequency", _H.frequency_rad_s,
                   "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
                   "rate.", 3.0, 25.0),
         Parameter("on_end", "hold",
                   "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. "
-                  "Goals always hold."),
+                  "Goals always hold.", choices=ENDS),
     )  # fmt: skip
 
     real_time = True
 
     @property
     def pause_s(self) -> float:
-        if self._output is not None and self._output.holds:
-            return HOLD_PAUSE_S
-        return 0.0 if self._machine is not None and self._machine.busy else IDLE_PAUSE_S
+        if not self.active:
+            return IDLE_PAUSE_S
+        return HOLD_PAUSE_S if self._output.holds else 0.0 if self._machine.busy else IDLE_PAUSE_S
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("excitation", **kwargs)
-        self._machine: ExcitationMachine | None = None
         self._sample: JointSample | None = None
         self._leased_at_s: float | None = None
         self._driver_state = self._driver_words = ""
         self._driver_at_s = -math.inf
-        self._output: Output | None = None
         self._switched: SwitchedRuns | None = None
         self._unpushed_since_s: float | None = None
         self._torque_enabled: bool | None = None  # None: the driver does not say
@@ -122,9 +120,6 @@ class ExcitationNode(ManagedNode):
 
     def configure(self) -> None:
         self._robot = robot_named(self.values["robot"])
-        for name, choices in (("command_interface", INTERFACES), ("effort_unit", UNITS), ("on_end", ENDS)):
-            if self.values[name] not in choices:
-                raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
         interface = self.values["command_interface"]
         ours, by_effort = interface == "driver", interface == "effort"
         if ours and self.values["controller_manager"]:
@@ -145,20 +140,7 @@ class ExcitationNode(ManagedNode):
         if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
             load_sequence(value_of(self, "probe"), self._robot)
         self.add_on_set_parameters_callback(self._on_parameters)
-        if by_effort:
-            topic = self.values["input_topic"] or INPUT_TOPICS["effort"]
-            commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
-            applied = self.create_publisher(JointState, "applied_effort", STREAM)
-            self._output = self._controller_output(effort_controller(self, self._robot, topic), commands, applied)
-        elif not ours:
-            topic = self.values["input_topic"] or INPUT_TOPICS["position"]
-            commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
-            goals = self.create_publisher(JointState, "joint_command", STREAM)
-            self._output = self._controller_output(goal_controller(self, self._robot, topic), commands, goals)
-        else:
-            currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
-            positions = self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
-            self._output = DriverOutput(currents, positions)
+        self._output = self._driver_output() if ours else self._controller_output(interface)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self.listen(JointState, "joint_states", self._on_joint_state, STATES, together=lambda: not ours)
         if ours:  # else this node says itself what it commands
@@ -179,26 +161,31 @@ class ExcitationNode(ManagedNode):
 
     def deactivate(self) -> None:
         try:
-            if self._machine is not None and self._machine.busy:
-                self._abort(self._machine, "the excitation node was told to end")
+            if self._machine.busy:
+                self._abort("the excitation node was told to end")
                 # the process ends after this, and takes with it what was not yet sent
                 self._status.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
         finally:
             try:
-                if self._output is not None:
-                    self._output.finish()
+                self._output.finish()
             finally:
                 self._hand_back()
 
     def cleanup(self) -> None:
-        if self._output is not None:
-            self._output.close()
+        self._output.close()
         self._switched = None
         self.remove_on_set_parameters_callback(self._on_parameters)
 
-    def _controller_output(
-        self, controller: EffortController | GoalController, commands: Any, applied: Any
-    ) -> ControllerOutput:
+    def _driver_output(self) -> Output:
+        currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
+        return DriverOutput(currents, self.create_publisher(Float64MultiArray, "position_command", COMMANDS))
+
+    def _controller_output(self, interface: str) -> Output:
+        topic = self.values["input_topic"] or INPUT_TOPICS[interface]
+        commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
+        by_effort = interface == "effort"
+        applied = self.create_publisher(JointState, "applied_effort" if by_effort else "joint_command", STREAM)
+        controller = (effort_controller if by_effort else goal_controller)(self, self._robot, topic)
         switching = switching_of(self, commands.topic_name)
         speaker = LastWords(commands.topic_name, None if switching is None else switching.controllers)
         let_go = controller.can_let_go and self.values["on_end"] == "zero"
@@ -220,14 +207,11 @@ class ExcitationNode(ManagedNode):
     # --- the way of the data ------------------------------------------------------------------------------------------
 
     def _on_joint_state(self, message: JointState) -> None:
-        if self._machine is None:
-            return
         now = self.now_s()
         sample = self._joint_states.add(now, message.name, message.position, message.velocity)
         if sample is not None:
             self._sample = sample
             self._tick(now)
-        assert self._output is not None
         if self.active and any(name in self._machine.joints for name in message.name):
             lost = self._output.hear(message, now, whole=sample is not None)
             if lost:
@@ -235,7 +219,7 @@ class ExcitationNode(ManagedNode):
                     "error",
                     f"the arm is let go: {lost}; check sign and unit of the efforts, what it carries, and who else moves it",
                 )
-                self._abort(self._machine, f"the arm was let go: {lost}")
+                self._abort(f"the arm was let go: {lost}")
 
     def _on_lease(self, message: Bool) -> None:
         self._leased_at_s = time.monotonic() if message.data else None
@@ -246,7 +230,7 @@ class ExcitationNode(ManagedNode):
     def _on_applied_effort(self, message: JointState) -> None:
         """The driver may refuse to push, or end a push: a limit, a hot motor, a fault. Nobody else would notice here."""
         machine = self._machine
-        if machine is None or machine.sequence is None or machine.phase is not Phase.PROBE or any(message.effort):
+        if machine.sequence is None or machine.phase is not Phase.PROBE or any(message.effort):
             self._unpushed_since_s = None
             return
         run = machine.sequence.runs[machine.run_number - 1]
@@ -259,18 +243,15 @@ class ExcitationNode(ManagedNode):
         elif now - self._unpushed_since_s > UNPUSHED_S:
             does = "let go of" if run.free else "push"
             self._abort(
-                machine, f"the driver does not {does} {run.joint}, or has ended it: its log and /diagnostics say why"
+                f"the driver does not {does} {run.joint}, or has ended it: its log and /diagnostics say why", aloud=True
             )
-            self.say("error", f"aborted: {machine.abort_reason}")
 
     def _on_driver(self, message: DiagnosticStatus) -> None:
         """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
         self._driver_state, self._driver_words = messages.values_of(message).get("state", ""), message.message
         self._driver_at_s = time.monotonic()
-        machine = self._machine
-        if machine is not None and machine.busy and self._limp:
-            self._abort(machine, f"the driver was {self._limp}")
-            self.say("error", f"aborted: {machine.abort_reason}")
+        if self._machine.busy and self._limp:
+            self._abort(f"the driver was {self._limp}", aloud=True)
         self._tell_when_due()
 
     @property
@@ -282,23 +263,23 @@ class ExcitationNode(ManagedNode):
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming, or whoever asked for the sequence is gone."""
         now = self.now_s()
-        machine = self._machine
         # whoever asked runs in real time, whatever the simulation's does
         if self._leased_at_s is not None and time.monotonic() - self._leased_at_s > LEASE_S:
             self._leased_at_s = None
-            if machine is not None and machine.busy:
-                self._abort(machine, "whoever asked for the sequence has fallen silent: is the identifier node alive?")
-                self.say("error", f"aborted: {machine.abort_reason}")
+            if self._machine.busy:
+                self._abort(
+                    "whoever asked for the sequence has fallen silent: is the identifier node alive?", aloud=True
+                )
         late = self._sample is None or now - self._sample.time_s > 0.5 * self.values["stale_after"]
         if late:
             self._tick(now)
-        if self._output is not None and self.active and not self._fresh:
+        if self.active and not self._fresh:
             self._output.unheard()
         self._tell_when_due()
 
     def _tick(self, now: float) -> None:
         machine = self._machine
-        if machine is None or not machine.busy:
+        if not machine.busy:
             return
         command = machine.tick(now, self._sample)
         self._send(command)
@@ -310,15 +291,16 @@ class ExcitationNode(ManagedNode):
             self.say("info", machine.message)
         self._tell_when_due()
 
-    def _abort(self, machine: ExcitationMachine, reason: str) -> None:
-        machine.abort(reason)
-        self._send(machine.command)
+    def _abort(self, reason: str, aloud: bool = False) -> None:
+        self._machine.abort(reason)
+        self._send(self._machine.command)
         self._hand_back()
         self._tell()
+        if aloud:
+            self.say("error", f"aborted: {self._machine.abort_reason}")
 
     def _send(self, command: Command) -> None:
-        assert self._output is not None
-        self._output.send(command, slipped=self._machine is not None and self._machine.aborted_by == "jump")
+        self._output.send(command, slipped=self._machine.aborted_by == "jump")
 
     # --- services -----------------------------------------------------------------------------------------------------
 
@@ -330,13 +312,13 @@ class ExcitationNode(ManagedNode):
     @property
     def busy(self) -> bool:
         """Whether a sequence is under way."""
-        return self._machine is not None and self._machine.busy
+        return self._machine.busy
 
     def refused(self) -> str:
         """Why no sequence can begin now, or an empty string."""
-        machine = self._machine
-        if machine is None or not self.active:
+        if not self.active:
             return "the excitation node is not active"
+        machine = self._machine
         if machine.busy:
             assert machine.sequence is not None
             run = f"run {machine.run_number} of {machine.runs}"
@@ -350,7 +332,6 @@ class ExcitationNode(ManagedNode):
             return "no joint states are coming: start the driver, and check its bus and the topic joint_states"
         try:
             sequence = load_sequence(value_of(self, "probe"), self._robot)
-            assert self._output is not None
             self._output.check(sequence)
         except ProprioError as error:
             return str(error)
@@ -369,48 +350,38 @@ class ExcitationNode(ManagedNode):
         """Begin the sequence now; whether it has begun, and what there is to say."""
         if why := self.refused():
             return False, why
-        machine, output, sample = self._machine, self._output, self._sample
-        assert machine is not None and output is not None and sample is not None
+        assert self._sample is not None
         try:
             sequence = load_sequence(value_of(self, "probe"), self._robot)
-            machine.start(sequence, sample)
-            output.begin()
+            self._machine.start(sequence, self._sample)
+            self._output.begin()
         except ProprioError as error:
             return False, str(error)
         self._count += 1
         self._tell()
         # the count says to whoever listens to ~/status which sequence a status belongs to
-        return True, f"sequence {self._count}: {sequence.name}, {machine.runs} runs"
+        return True, f"sequence {self._count}: {sequence.name}, {self._machine.runs} runs"
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        machine = self._machine
-        response.success = True
-        if machine is None or not machine.busy:
-            response.message = "nothing was under way"
-            return response
-        self._abort(machine, "by ~/abort")
-        response.message = "aborted; the arm is held"
+        response.success, response.message = True, "nothing was under way"
+        if self._machine.busy:
+            self._abort("by ~/abort")
+            response.message = "aborted; the arm is held"
         return response
 
     def _on_release(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._machine is not None and self._machine.busy:
-            self._abort(self._machine, "by ~/release")
-        response.success = True
-        if self._switched is not None and self._switched.engaged:
-            response.message = self._switched.release()
-            return response
-        response.message = "nothing was held" if self._output is None else self._output.release()
+        if self._machine.busy:
+            self._abort("by ~/release")
+        held = self._switched if self._switched is not None and self._switched.engaged else self._output
+        response.success, response.message = True, held.release()
         return response
 
     # --- status -------------------------------------------------------------------------------------------------------
 
     def _tell_when_due(self) -> None:
         """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""
-        machine, now = self._machine, time.monotonic()
-        if machine is None or not self.active:
-            return
-        state = self._state(machine)
-        if state != self._published or (machine.busy and now - self._published_at_s >= STATUS_PERIOD_S):
+        due = self._machine.busy and time.monotonic() - self._published_at_s >= STATUS_PERIOD_S
+        if self.active and (due or self._state() != self._published):
             self._tell()
 
     @property
@@ -419,14 +390,14 @@ class ExcitationNode(ManagedNode):
         sample = self._sample
         return sample is not None and self.now_s() - sample.time_s <= self.values["stale_after"]
 
-    def _state(self, machine: ExcitationMachine) -> tuple[Any, ...]:
+    def _state(self) -> tuple[Any, ...]:
         """What is published as soon as it changes."""
+        machine = self._machine
         return machine.phase, machine.run_number, machine.attempt, self._count, self._fresh, self._limp
 
     def _tell(self) -> None:
         machine = self._machine
-        assert machine is not None
-        self._published = self._state(machine)
+        self._published = self._state()
         self._published_at_s = time.monotonic()
         sequence = machine.sequence
         values = {

@@ -9,8 +9,6 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
-
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.live.payload_export import CONTROLLERS, check_tool, load_at, together
 from proprio_ros.nodes.results import Results
@@ -102,33 +100,15 @@ class HandingOn:
         centre = ", ".join(f"{axis:.4f}" for axis in load.com_m)
         guess = ", a guess: state payload.com" if load.com_guessed else ""
         said = f"{standing.words}{tool}, centre of mass ({centre}) m in {link}{guess}"
-        return self._send(request, service, said, answer)
 
-    def _send(self, request: Any, service: str, said: str, answer: Answer) -> None:
-        """Whichever comes first, the controller's response or the end of patience, is answered; both in the executor's thread."""
-        future = self._client.call_async(request)
+        def answered(response: Any, why: str) -> None:
+            refusal = "" if why else self._controller.refusal(response)
+            if why:
+                answer(False, f"{why}; {NOT_KNOWN}")
+            elif refusal:
+                answer(False, f"{service} refused {said}: {refusal}")
+            else:
+                self._node.say("info", f"handed on to {service}: {said}")
+                answer(True, f"handed on to {service}: {said}")
 
-        def end() -> bool:
-            """Whether nothing was answered yet."""
-            first = not timer.is_canceled()
-            timer.cancel()
-            return first
-
-        def responded(_: Any) -> None:
-            if not end():
-                return None
-            if future.exception() is not None:
-                return answer(False, f"{service} failed: {future.exception()}; {NOT_KNOWN}")
-            refusal = self._controller.refusal(future.result())
-            if refusal:
-                return answer(False, f"{service} refused {said}: {refusal}")
-            self._node.say("info", f"handed on to {service}: {said}")
-            return answer(True, f"handed on to {service}: {said}")
-
-        def too_late() -> None:
-            end()
-            self._client.remove_pending_request(future)
-            answer(False, f"{service} does not answer within {ANSWER_S:g} s; {NOT_KNOWN}")
-
-        timer = self._node.create_timer(ANSWER_S, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        future.add_done_callback(responded)
+        return self._node.call(self._client, request, ANSWER_S, answered)

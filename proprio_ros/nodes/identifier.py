@@ -39,7 +39,6 @@ from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, Answer, LongService, ManagedNode, run_node
 from proprio_ros.nodes.weighing import Weighing
-from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
 
@@ -66,10 +65,6 @@ class IdentifierNode(ManagedNode):
     # --- lifecycle ----------------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
-        if self.values["effort_unit"] not in ("", *EFFORT_UNITS):
-            raise ConfigurationError(
-                f"parameter effort_unit={self.values['effort_unit']!r}: choose one of {', '.join(EFFORT_UNITS)}"
-            )
         # two arms on one network must not take each other's calibration for their own
         data = Path(self.values["data_directory"]).expanduser() / self.get_namespace().strip("/")
         recovered, problems = recover(data)

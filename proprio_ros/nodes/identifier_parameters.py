@@ -10,6 +10,7 @@ from proprio_ros.nodes.job import ROBOT as ROBOT_JOB
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Guards, HasBaseline, Probe
+from proprio_ros.recordings.effort import EFFORT_UNITS
 
 
 def services() -> dict[str, str]:
@@ -64,7 +65,8 @@ PARAMETERS = (
     Parameter("command_topic", "",
               "Topic of what drives the joints, as with --command-topic; empty: applied_effort, else current_command."),
     Parameter("effort_unit", "",
-              "What effort of the joint states means where nothing else says what drives the joints: N.m, A, mA or raw."),
+              "What effort of the joint states means where nothing else says what drives the joints: N.m, A, mA or raw.",
+              choices=EFFORT_UNITS),
     Parameter("frame_prefix", "", "Before the frame of payload and markers, as robot_state_publisher's: arm1/."),
     Parameter("report", True, "Write the result and an HTML report beside every recording."),
     Parameter("weigh_seconds", 15.0, "How much of the latest motion weigh takes [s].", 5.0, 120.0),

@@ -143,73 +143,73 @@ def no_markers() -> MarkerArray:
 KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
 
 
+def _marker(
+    header: tuple[str, int, str],
+    number_: int,
+    kind: int,
+    size: Sequence[float],
+    colour: Sequence[float],
+    place_m: Sequence[float] = (0.0, 0.0, 0.0),
+    rotation: np.ndarray | None = None,
+) -> Marker:
+    """One of several of a name space; the header is that, a stamp [ns] and a frame."""
+    marker = Marker(ns=header[0], id=number_, type=kind, action=Marker.ADD)
+    marker.header.stamp, marker.header.frame_id = time_message(header[1]), header[2]
+    position, turn, scale = marker.pose.position, marker.pose.orientation, marker.scale
+    position.x, position.y, position.z = (float(value) for value in place_m)
+    turn.x, turn.y, turn.z, turn.w = (0.0, 0.0, 0.0, 1.0) if rotation is None else quaternion(rotation)
+    scale.x, scale.y, scale.z = (float(value) for value in size)
+    marker.color.r, marker.color.g, marker.color.b, marker.color.a = colour
+    return marker
+
+
 def markers(
     stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str, accepted: bool = True
 ) -> MarkerArray:
     """Bodies at one place with the value in words above; whatever was shown before goes.
 
     Args:
-        stamp_ns: of the message.
-        frame: that ``shapes`` is given in.
-        shapes: the bodies.
-        value: in the SI unit ``unit``.
-        std: likewise.
+        stamp_ns: Of the message.
+        frame: That ``shapes`` is given in.
+        shapes: The bodies.
+        value: In the SI unit ``unit``.
+        std: Likewise.
         unit: SI.
-        accepted: blue bodies; otherwise the interval is too wide, and they are amber.
+        accepted: Blue bodies; otherwise the interval is too wide, and they are amber.
     """
-    colour = BLUE if accepted else AMBER
-    bodies = [(KINDS[body.kind], body.size_m, body.rotation, body.opacity) for body in shapes.bodies]
-    array = list(no_markers().markers)
-    written = (Marker.TEXT_VIEW_FACING, [0.0, 0.0, 0.03], np.eye(3), 1.0)
-    for number_, (kind, size, rotation, opacity) in enumerate((*bodies, written)):
-        marker = Marker(ns="proprio", id=number_, type=kind, action=Marker.ADD)
-        marker.header.stamp = time_message(stamp_ns)
-        marker.header.frame_id = frame
-        position, turn, scale = marker.pose.position, marker.pose.orientation, marker.scale
-        position.x, position.y, position.z = (float(value_) for value_ in shapes.place_m)
-        turn.x, turn.y, turn.z, turn.w = quaternion(rotation)
-        scale.x, scale.y, scale.z = (float(value_) for value_ in size)
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = *colour, opacity
-        if kind == Marker.TEXT_VIEW_FACING:
-            position.z += 0.06
-            marker.text = shown(unit, value, Z95 * std, spec=spec_for(unit, std), between=" +- ")
-            if not accepted:
-                spec = spec_for(unit, std)
-                marker.text = shown(unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to ")
-        array.append(marker)
-    return MarkerArray(markers=array)
+    header, colour, spec = ("proprio", stamp_ns, frame), BLUE if accepted else AMBER, spec_for(unit, std)
+    made = [
+        _marker(header, n, KINDS[body.kind], body.size_m, (*colour, body.opacity), shapes.place_m, body.rotation)
+        for n, body in enumerate(shapes.bodies)
+    ]
+    x, y, z = shapes.place_m
+    words = _marker(header, len(made), Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.03), (*colour, 1.0), (x, y, z + 0.06))
+    words.text = shown(unit, value, Z95 * std, spec=spec, between=" +- ")
+    if not accepted:
+        words.text = shown(unit, max(value - Z95 * std, 0.0), value + Z95 * std, spec=spec, between=" to ")
+    return MarkerArray(markers=[*no_markers().markers, *made, words])
 
 
 def planned(stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None) -> MarkerArray:
     """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
 
     Args:
-        stamp_ns: of the message.
-        frame: of the root link.
-        place_m: of the hand, shape (3,).
-        words: to be read.
-        path_m: of the hand, shape (N, 3); None: no push comes.
+        stamp_ns: Of the message.
+        frame: Of the root link.
+        place_m: Of the hand, shape (3,).
+        words: To be read.
+        path_m: Of the hand, shape (N, 3); None: no push comes.
     """
-    array = list(no_markers().markers)
-    kinds = [(Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.025))]
+    header, colour = ("next push", stamp_ns, frame), (*AMBER, 1.0)
+    x, y, z = (float(value) for value in place_m)
+    above = _marker(header, 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.025), colour, (x, y, z + 0.12))
+    above.text = words
+    array = [*no_markers().markers, above]
     if path_m is not None:
-        kinds += [(Marker.LINE_STRIP, (0.004, 0.0, 0.0)), (Marker.SPHERE, (0.012, 0.012, 0.012))]
-    for number_, (kind, size) in enumerate(kinds):
-        marker = Marker(ns="next push", id=number_, type=kind, action=Marker.ADD)
-        marker.header.stamp, marker.header.frame_id = time_message(stamp_ns), frame
-        marker.pose.orientation.w = 1.0
-        marker.scale.x, marker.scale.y, marker.scale.z = size
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = *AMBER, 1.0
-        if kind == Marker.LINE_STRIP and path_m is not None:
-            marker.points = [Point(x=x, y=y, z=z) for x, y, z in path_m.tolist()]
-        else:  # the words above where the hand is, a ball where the push ends
-            at = place_m if kind == Marker.TEXT_VIEW_FACING or path_m is None else path_m[-1]
-            x, y, z = (float(value) for value in at)
-            above = 0.12 if kind == Marker.TEXT_VIEW_FACING else 0.0
-            marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = x, y, z + above
-        if kind == Marker.TEXT_VIEW_FACING:
-            marker.text = words
-        array.append(marker)
+        way = _marker(header, 1, Marker.LINE_STRIP, (0.004, 0.0, 0.0), colour)
+        way.points = [Point(x=x, y=y, z=z) for x, y, z in path_m.tolist()]
+        # a ball where the push ends
+        array += [way, _marker(header, 2, Marker.SPHERE, (0.012, 0.012, 0.012), colour, path_m[-1])]
     return MarkerArray(markers=array)
 
 

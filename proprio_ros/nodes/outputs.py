@@ -7,8 +7,9 @@ at every joint state what holds the joints, and says what it can before it ends.
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from array import array
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
@@ -67,20 +68,34 @@ def _who_switches(node: ManagedNode) -> str:
     return "" if manager else "this node switches no controllers: activate that one first, and "
 
 
-class Output(Protocol):
-    """Takes what the state machine commands."""
+class Output(ABC):
+    """Takes what the state machine commands.
 
-    holds: bool
-    """Whether this node, and nobody else, holds the arm through it."""
+    Attributes:
+        holds: Whether this node, and nobody else, holds the arm through it.
+    """
 
+    holds = False
+
+    @abstractmethod
     def check(self, sequence: ProbeSequence) -> None:
         """Raises: ExcitationError: It cannot be made now."""
 
-    def begin(self) -> None:
-        """A sequence begins."""
-
+    @abstractmethod
     def send(self, command: Command, slipped: bool) -> None:
         """A command; ``slipped``: after an encoder has, positions from before are other places."""
+
+    @abstractmethod
+    def release(self) -> str:
+        """Let go, if it is this that holds the arm; says what was done."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Last words, after which the process may end."""
+
+    def begin(self) -> None:
+        """A sequence begins."""
+        return
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         """A joint state has come, and the commands for it; returns why the arm is not held any more, if so.
@@ -90,31 +105,27 @@ class Output(Protocol):
             now_s: When it came.
             whole: Whether all joints of the arm are seen.
         """
+        return ""
 
     def unheard(self) -> None:
         """No joint states come."""
-
-    def release(self) -> str:
-        """Let go, if it is this that holds the arm; says what was done."""
+        return
 
     def hand_over(self) -> None:
         """Others hold the arm from now on."""
-
-    def finish(self) -> None:
-        """Last words, after which the process may end."""
+        return
 
     def close(self) -> None:
         """What it has opened is not needed any more."""
+        return
 
 
-class DriverOutput:
+class DriverOutput(Output):
     """Currents and positions to this package's driver.
 
     Args:
         currents, positions: Publishers of labelled numbers.
     """
-
-    holds = False
 
     def __init__(self, currents: Any, positions: Any) -> None:
         self._currents, self._positions = currents, positions
@@ -128,9 +139,6 @@ class DriverOutput:
                 "with currents"
             )
 
-    def begin(self) -> None:
-        pass
-
     def send(self, command: Command, slipped: bool) -> None:
         """Currents first: an empty one ends the push at once, and what is not driven is held."""
         if command.current_A or self._driving:
@@ -140,26 +148,14 @@ class DriverOutput:
         if command.position and not slipped:
             self._positions.publish(messages.labelled(command.position))
 
-    def hear(self, message: JointState, now_s: float, whole: bool) -> str:
-        return ""
-
-    def unheard(self) -> None:
-        pass
-
     def release(self) -> str:
         return "the driver holds the arm: /driver/torque lets go of it"
-
-    def hand_over(self) -> None:
-        pass
 
     def finish(self) -> None:
         self._currents.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
 
-    def close(self) -> None:
-        pass
 
-
-class ControllerOutput:
+class ControllerOutput(Output):
     """Efforts or goals to a `forward_command_controller`, or another that takes the same.
 
     Args:

@@ -10,6 +10,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
 
+from proprio_ros.errors import ConfigurationError
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -21,6 +23,7 @@ class Parameter:
         lowest, highest: Range of a number, ends included.
         dynamic: Whether it may be changed while the node runs.
         loose: A text that may look like a number: ``-p object:=0.05`` comes as one.
+        choices: All values that there are, beside the default; empty: any.
     """
 
     name: str
@@ -30,6 +33,12 @@ class Parameter:
     highest: float | None = None
     dynamic: bool = False
     loose: bool = False
+    choices: tuple[str, ...] = ()
+
+    def check(self, value: Any) -> None:
+        """Raises: ConfigurationError: The value is none of the choices."""
+        if self.choices and value not in (self.default, *self.choices):
+            raise ConfigurationError(f"parameter {self.name}={value!r}: choose one of {', '.join(self.choices)}")
 
     def descriptor(self) -> ParameterDescriptor:
         message = ParameterDescriptor(

@@ -178,6 +178,38 @@ class ManagedNode(LifecycleNode):
         events = SubscriptionEventCallbacks(incompatible_qos=relax)
         subscriptions = [self.create_subscription(kind, topic, hear, quality, event_callbacks=events, raw=raw)]
 
+    def call(
+        self, client: Any, request: Any, patience_s: float, then: Callable[[Any, str], None], name: str = ""
+    ) -> None:
+        """Call a service without waiting for it.
+
+        Args:
+            client: Of the service.
+            request: For it.
+            patience_s: So long an answer is waited for.
+            then: Called later, once, with the response and an empty string, or with None and what went wrong.
+            name: Of the service, for words; empty: as the client has it.
+        """
+        future, named = client.call_async(request), name or client.srv_name
+
+        def end(response: Any, why: str) -> None:
+            if timer.is_canceled():
+                return
+            timer.cancel()
+            self.destroy_timer(timer)
+            then(response, why)
+
+        def responded(_: Any) -> None:
+            error = future.exception()
+            end(None if error else future.result(), f"{named} failed: {error}" if error else "")
+
+        def too_late() -> None:
+            client.remove_pending_request(future)
+            end(None, f"{named} does not answer within {patience_s:g} s")
+
+        timer = self.create_timer(patience_s, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        future.add_done_callback(responded)
+
     # --- the lifecycle ------------------------------------------------------------------------------------------------
 
     def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
@@ -198,6 +230,11 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
+    def _configure(self) -> None:
+        for parameter in self.parameters:
+            parameter.check(self.values[parameter.name])
+        self.configure()
+
     def _destroy_configured(self) -> None:
         """What `configure` made; a node that is configured again would otherwise publish and answer twice."""
         for entities, destroy in (
@@ -212,7 +249,7 @@ class ManagedNode(LifecycleNode):
                     destroy(entity)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        result = self._transition("configure", self.configure)
+        result = self._transition("configure", self._configure)
         if result != TransitionCallbackReturn.SUCCESS:
             self._destroy_configured()
         return result

@@ -12,12 +12,15 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
-
-from rclpy.clock import Clock, ClockType
+from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.runtime import Answer, ManagedNode
+
+if TYPE_CHECKING:
+    from proprio_ros.nodes.excitation import ExcitationNode
+    from proprio_ros.nodes.last_words import LastWords
+    from proprio_ros.nodes.outputs import Output
 
 PACKAGE = "controller_manager_msgs"
 STRICT = 2
@@ -103,32 +106,17 @@ class Switching:
             return then(f"{self.controllers.service} is not there: is controller_manager running?")
         # from now on ours may be active, whatever the answer
         self.pending, self.engaged = True, True
-        future = self._client.call_async(self.controllers.request(self._kind, engage))
 
-        def end(why: str, known: bool = True) -> None:
-            if timer.is_canceled():
-                return
-            timer.cancel()
-            self._node.destroy_timer(timer)
+        def answered(response: Any, why: str) -> None:
             self.pending = False
-            if known:
+            if response is not None:
+                said = getattr(response, "message", "") or "its log says why"
+                why = "" if response.ok else f"{self.controllers.service} refused: {said}"
                 self.engaged = engage != bool(why)
             then(why)
 
-        def responded(_: Any) -> None:
-            if future.exception() is not None:
-                return end(f"{self.controllers.service} failed: {future.exception()}", known=False)
-            response = future.result()
-            said = getattr(response, "message", "") or "its log says why"
-            return end("" if response.ok else f"{self.controllers.service} refused: {said}")
-
-        def too_late() -> None:
-            self._client.remove_pending_request(future)
-            end(f"{self.controllers.service} does not answer within {ANSWER_S:g} s", known=False)
-
-        timer = self._node.create_timer(ANSWER_S, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        future.add_done_callback(responded)
-        return None
+        request = self.controllers.request(self._kind, engage)
+        return self._node.call(self._client, request, ANSWER_S, answered, self.controllers.service)
 
 
 def switching_of(node: ManagedNode, topic: str) -> Switching | None:
@@ -161,39 +149,6 @@ def switching_of(node: ManagedNode, topic: str) -> Switching | None:
         return None
 
 
-class Excites(Protocol):
-    """A node that makes sequences."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether one is under way."""
-
-    def refused(self) -> str:
-        """Why none can begin now, or an empty string."""
-
-    def begin_run(self) -> tuple[bool, str]:
-        """Begin one now; whether it has begun, and what there is to say."""
-
-    def say(self, severity: str, message: str) -> None:
-        """Log."""
-
-
-class Holds(Protocol):
-    """What holds the arm meanwhile."""
-
-    def begin(self) -> None:
-        """From now on."""
-
-    def hand_over(self) -> None:
-        """No more."""
-
-
-class Speaks(Protocol):
-    """Who switches back where the node is gone."""
-
-    engaged: bool
-
-
 class SwitchedRuns:
     """Sequences between two switches.
 
@@ -204,7 +159,7 @@ class SwitchedRuns:
         output: Holds the arm.
     """
 
-    def __init__(self, node: Excites, switching: Switching, speaker: Speaks, output: Holds) -> None:
+    def __init__(self, node: ExcitationNode, switching: Switching, speaker: LastWords, output: Output) -> None:
         self._node, self._switching, self._speaker, self._output = node, switching, speaker, output
         self._waiting: list[Answer] = []  # for the end of a switch
         others = switching.controllers.others

@@ -58,12 +58,12 @@ class VirtualNode(ManagedNode):
         Parameter("link", DEFAULT_LINK, "Path under which the servo bus appears; the driver's `port`."),
         Parameter("interface", "bus",
                   "What drives the arm. bus: the servo bus; effort_controller: efforts on a topic, as ros2_control takes them, "
-                  "the last of which stays; position_controller: likewise goals, for position servos."),
+                  "the last of which stays; position_controller: likewise goals, for position servos.", choices=INTERFACES),
         Parameter("input_topic", "",
                   "Of the controller; empty: /forward_effort_controller/commands or /position_controller/commands."),
         Parameter("controller_joints", [], "Of the controller, in its order; empty: the robot file's."),
         Parameter("state_rate", 500.0, "Of the joint states that come with a controller [Hz].", 20.0, 1000.0),
-        Parameter("effort_unit", "N.m", "What an effort is: N.m (current x nominal torque constant), or A."),
+        Parameter("effort_unit", "N.m", "What an effort is: N.m (current x nominal torque constant), or A.", choices=UNITS),
         Parameter("object", "none",
                   ", ".join(["What the hand holds in a probe: 0.05 (kg)", *(f"{each.kind}:.." for each in virtual_objects())]),
                   dynamic=True, loose=True),
@@ -85,9 +85,6 @@ class VirtualNode(ManagedNode):
 
     def configure(self) -> None:
         import_mujoco()  # takes a second, which none of the nodes has once it is active
-        for name, choices in (("interface", INTERFACES), ("effort_unit", UNITS)):
-            if self.values[name] not in choices:
-                raise ConfigurationError(f"parameter {name}={self.values[name]!r}: choose one of {', '.join(choices)}")
         robot = robot_named(self.values["robot"])
         self._object = virtual_object(self.values["object"])
         self._reference = Payload(self.values["reference"])
