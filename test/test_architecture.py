@@ -122,14 +122,23 @@ def test_no_arrow_points_up(path: Path) -> None:
 
 def test_no_room_but_the_probes_names_a_probe() -> None:
     """Command line, services, report, demo and launch file ask the registry."""
-    # virtual objects, simulators and what a hand holds in a sequence are called the same
-    may = {"probes", "virtual", "sim", "excitation", "paper"}
+    # what a hand holds in a sequence is called the same
+    may = {"probes", "excitation", "paper"}
     for path in PACKAGE.rglob("*.py"):
         if room_of(path) in may:
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 assert node.value not in ("container", "softness"), f"{path}:{node.lineno} names a probe"
+
+
+def test_only_the_paper_looks_into_a_probe() -> None:
+    """All others ask the registry."""
+    inside = tuple(f"proprio_ros.probes.{name}" for name in PROBES)
+    for path in PACKAGE.rglob("*.py"):
+        if room_of(path) not in ("probes", "paper"):
+            looks = [name for name in imports(path) if name.startswith(inside)]
+            assert not looks, f"{path} looks at {looks}"
 
 
 def test_nodes_name_no_probe() -> None:

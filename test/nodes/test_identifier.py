@@ -68,7 +68,7 @@ class Nodes:
 
     def identifier(self, namespace: str = "", **parameters: Any) -> Any:
         node = self.make(identifier.IdentifierNode, namespace, **parameters)
-        node.configure()
+        node._configure()
         for name in ("_estimate", "_load", "_markers"):
             setattr(node._results, name, Published())
         node._results._numbers = {name: Published() for name in node._results._numbers}
