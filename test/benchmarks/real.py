@@ -299,6 +299,10 @@ def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
         errors.append(scale * (answer.value - answer.truth))
         halves.append(scale * max(answer.high - answer.value, answer.value - answer.low))
     words = "{:.1f} %" if relative else "{:.0f} g"
+    # of the answer that is farthest off in kg (or m)
+    far = max(
+        range(len(errors)), key=lambda row: abs(errors[row] * given[row].truth if relative else errors[row]), default=0
+    )
     return {
         "asked": name,
         "questions": len(answers),
@@ -308,7 +312,7 @@ def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
         "given": len(given),
         "hold": sum(answer.holds for answer in given),
         "held": f"{sum(answer.holds for answer in given)} of {len(given)}" if given else None,
-        "worst": words.format(max(map(abs, errors))) if errors else None if same else "",
+        "worst": words.format(abs(errors[far])) if errors else None if same else "",
         "farthest": max((answer.sigmas for answer in given), default=None),
         "errors": errors,
         "half_intervals": halves,
