@@ -78,50 +78,75 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         raise RecordingError(
             f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}"
         )
-    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
-    columns = [record.column(joint) for joint in joints]
-    others = [number for number, other in enumerate(record.names) if other not in joints]
-    beside = record.position[:, others]
-    notes = list(recording.notes)
-    measured = None if record.current is None else record.current[:, columns]
+    current, source, notes = _current(recording, joints)
+    complete = np.isfinite(current).all(axis=1)
+    if not complete.all():
+        notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
+    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)[complete]
+    _check_times(times_s, name)
+    recorded = record.position[complete]
+    position = _unwrapped(recorded[:, [record.column(joint) for joint in joints]], joints, name, notes)
+    others = [joint for joint in record.names if joint not in joints]
+    motion = Motion(
+        name=name,
+        joints=tuple(joints),
+        times_s=times_s - times_s[0],
+        position=position,
+        current_A=current[complete],
+        held={joint: float(record.position[:, record.column(joint)].mean()) for joint in others} | dict(held or {}),
+        source=source,
+        notes=(*recording.notes, *notes, *_repeats_command(recording, joints, source)),
+        begin_ns=int(record.times_ns[0]),
+        beside={joint: recorded[:, record.column(joint)] for joint in others},
+    )
+    if not motion.moved:
+        raise RecordingError(f"{name}: no joint moved by more than {MOVED_RAD} rad")
+    return motion
+
+
+def _current(recording: Recording, joints: Sequence[str]) -> tuple[FloatArray, str, list[str]]:
+    """Currents of the motors at the joint states [A], shape (T, J), NaN where unknown; where they come from, and notes."""
+    record, inputs, name = recording.joints, recording.inputs, recording.name
+    measured = None if record.current is None else record.current[:, [record.column(joint) for joint in joints]]
     if measured is not None and np.isfinite(measured).any(axis=0).all():
-        current, source = measured, "measured current"
-        if recording.inputs is not None and recording.inputs.computed:
-            source = recording.inputs.source
-        complete = np.isfinite(current).all(axis=1)
-        if not complete.all():
-            notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
-        times_s, position, current = times_s[complete], record.position[complete][:, columns], current[complete]
-        beside = beside[complete]
-    elif recording.inputs is not None:
-        inputs = recording.inputs
-        absent = [joint for joint in joints if joint not in inputs.names]
-        if absent:
-            raise RecordingError(
-                f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
-            )
-        row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
-        current = inputs.current_A[row][:, [inputs.column(joint) for joint in joints]]
-        source, position = inputs.source, record.position[:, columns]
-        notes.append(
-            f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
-            "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
-        )
-    else:
+        return measured, inputs.source if inputs is not None and inputs.computed else "measured current", []
+    if inputs is None:
         raise RecordingError(f"{name}: the recording holds no current; state the unit of its effort with --effort-unit")
-    if len(times_s) < 2 or times_s[-1] - times_s[0] < SHORTEST_S:
-        lasted = 0.0 if len(times_s) < 2 else times_s[-1] - times_s[0]
+    absent = [joint for joint in joints if joint not in inputs.names]
+    if absent:
+        raise RecordingError(
+            f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
+        )
+    row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
+    note = (
+        f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
+        "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
+    )
+    return inputs.current_A[row][:, [inputs.column(joint) for joint in joints]], inputs.source, [note]
+
+
+def _check_times(times_s: FloatArray, name: str) -> None:
+    """Raises: RecordingError: The samples are too few, too seldom, or lie too far apart."""
+    lasted = 0.0 if len(times_s) < 2 else times_s[-1] - times_s[0]
+    if lasted < SHORTEST_S:
         raise RecordingError(f"{name}: the motion lasts {lasted:.1f} s; record at least {SHORTEST_S:g} s, better 15")
     intervals = np.diff(times_s)
-    if 1.0 / float(np.median(intervals)) < SLOWEST_HZ:
+    rate_hz = 1.0 / float(np.median(intervals))
+    if rate_hz < SLOWEST_HZ:
         raise RecordingError(
-            f"{name}: joint states come at {1.0 / float(np.median(intervals)):.0f} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+            f"{name}: joint states come at {rate_hz:.0f} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
         )
     lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
     if lost_s > 0.5 * times_s[-1]:
-        raise RecordingError(
-            f"{name}: {lost_s:.0f} of {times_s[-1] - times_s[0]:.0f} s lie in gaps between joint states"
-        )
+        raise RecordingError(f"{name}: {lost_s:.0f} of {lasted:.0f} s lie in gaps between joint states")
+
+
+def _unwrapped(position: FloatArray, joints: Sequence[str], name: str, notes: list[str]) -> FloatArray:
+    """The same without jumps by full turns [rad], shape (T, J).
+
+    Raises:
+        RecordingError: A joint jumps otherwise.
+    """
     turned = np.unwrap(position, axis=0)
     wrapped = np.abs(turned - position).max(axis=0) > 1.0
     if wrapped.any() and np.abs(np.diff(turned, axis=0)).max() < LARGEST_STEP_RAD:
@@ -134,26 +159,7 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
             f"{name}: {joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples: angles that wrap around "
             "must be unwrapped first"
         )
-    motion = Motion(
-        name=name,
-        joints=tuple(joints),
-        times_s=times_s - times_s[0],
-        position=position,
-        current_A=current,
-        held={
-            joint: float(record.position[:, record.column(joint)].mean())
-            for joint in record.names
-            if joint not in joints
-        }
-        | dict(held or {}),
-        source=source,
-        notes=(*notes, *_repeats_command(recording, joints, source)),
-        begin_ns=int(record.times_ns[0]),
-        beside={record.names[number]: column for number, column in zip(others, beside.T, strict=True)},
-    )
-    if not motion.moved:
-        raise RecordingError(f"{name}: no joint moved by more than {MOVED_RAD} rad")
-    return motion
+    return position
 
 
 def _repeats_command(recording: Recording, joints: Sequence[str], source: str) -> tuple[str, ...]:
