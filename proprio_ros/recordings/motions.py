@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.records import FloatArray, Recording
+from proprio_ros.records import BoolArray, FloatArray, Recording
 
 MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
@@ -78,13 +78,11 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         raise RecordingError(
             f"{name}: the position of {missing[0]} was not recorded; recorded: {', '.join(record.names)}"
         )
-    current, source, notes = _current(recording, joints)
-    complete = np.isfinite(current).all(axis=1)
-    if not complete.all():
-        notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
-    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)[complete]
+    notes = list(recording.notes)
+    current, known, source = _current(recording, joints, notes)
+    times_s = 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)[known]
     _check_times(times_s, name)
-    recorded = record.position[complete]
+    recorded = record.position[known]
     position = _unwrapped(recorded[:, [record.column(joint) for joint in joints]], joints, name, notes)
     others = [joint for joint in record.names if joint not in joints]
     motion = Motion(
@@ -92,10 +90,10 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
         joints=tuple(joints),
         times_s=times_s - times_s[0],
         position=position,
-        current_A=current[complete],
+        current_A=current,
         held={joint: float(record.position[:, record.column(joint)].mean()) for joint in others} | dict(held or {}),
         source=source,
-        notes=(*recording.notes, *notes, *_repeats_command(recording, joints, source)),
+        notes=(*notes, *_repeats_command(recording, joints, source)),
         begin_ns=int(record.times_ns[0]),
         beside={joint: recorded[:, record.column(joint)] for joint in others},
     )
@@ -104,12 +102,18 @@ def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str,
     return motion
 
 
-def _current(recording: Recording, joints: Sequence[str]) -> tuple[FloatArray, str, list[str]]:
-    """Currents of the motors at the joint states [A], shape (T, J), NaN where unknown; where they come from, and notes."""
+def _current(
+    recording: Recording, joints: Sequence[str], notes: list[str]
+) -> tuple[FloatArray, BoolArray | slice, str]:
+    """Currents of the motors [A], shape (T, J); at which joint states they are known, T of them; and where they come from."""
     record, inputs, name = recording.joints, recording.inputs, recording.name
     measured = None if record.current is None else record.current[:, [record.column(joint) for joint in joints]]
     if measured is not None and np.isfinite(measured).any(axis=0).all():
-        return measured, inputs.source if inputs is not None and inputs.computed else "measured current", []
+        complete: BoolArray = np.isfinite(measured).all(axis=1)
+        if not complete.all():
+            notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
+        source = inputs.source if inputs is not None and inputs.computed else "measured current"
+        return measured[complete], complete, source
     if inputs is None:
         raise RecordingError(f"{name}: the recording holds no current; state the unit of its effort with --effort-unit")
     absent = [joint for joint in joints if joint not in inputs.names]
@@ -118,11 +122,11 @@ def _current(recording: Recording, joints: Sequence[str]) -> tuple[FloatArray, s
             f"{name}: {inputs.source} has no current of {absent[0]}; it has: {', '.join(inputs.names)}"
         )
     row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
-    note = (
+    notes.append(
         f"{name}: no measured current was recorded, so the commanded one counts as what flowed; what a controller commands "
         "and what flows differ by some percent (state --effort-unit if the effort is a measured one)"
     )
-    return inputs.current_A[row][:, [inputs.column(joint) for joint in joints]], inputs.source, [note]
+    return inputs.current_A[row][:, [inputs.column(joint) for joint in joints]], slice(None), inputs.source
 
 
 def _check_times(times_s: FloatArray, name: str) -> None:
