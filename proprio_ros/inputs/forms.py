@@ -7,10 +7,12 @@ Ranges are wider than any arm on a table needs: they are there to refuse what no
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from reprlib import Repr
 from typing import Any
 
@@ -31,12 +33,21 @@ class FormError(ValueError):
     """What is wrong with a value, in words that follow its key and a colon."""
 
 
+@contextmanager
+def under(*keys: object) -> Iterator[None]:
+    """What is wrong within is said with these keys before it."""
+    try:
+        yield
+    except FormError as error:
+        raise FormError(": ".join((*map(str, keys), str(error)))) from None
+
+
 @dataclass(frozen=True)
 class Form:
     """What a value may be.
 
     Attributes:
-        meaning: for the documentation.
+        meaning: For the documentation.
     """
 
     meaning: str = ""
@@ -45,7 +56,7 @@ class Form:
         """The value as the code takes it.
 
         Raises:
-            FormError: it is none of this form.
+            FormError: It is none of this form.
         """
         raise NotImplementedError
 
@@ -60,9 +71,9 @@ class Number(Form):
 
     Attributes:
         unit: SI unit, or nothing.
-        lowest, highest: the range.
-        open: whether the lowest is outside it.
-        hint: how a number outside comes about, such as ``lengths are in m``.
+        lowest, highest: The range.
+        open: Whether the lowest is outside it.
+        hint: How a number outside comes about, such as ``lengths are in m``.
     """
 
     unit: str = ""
@@ -118,11 +129,11 @@ class Numbers(Form):
     """A list of numbers.
 
     Attributes:
-        each: form of each.
-        count: how many; None: any number from ``least`` on.
-        least, most: how many there may be.
-        rising: whether each must be greater than the one before.
-        example: what a message shows, such as ``[x, y, z] in m``.
+        each: Form of each.
+        count: How many; None: any number from ``least`` on.
+        least, most: How many there may be.
+        rising: Whether each must be greater than the one before.
+        example: What a message shows, such as ``[x, y, z] in m``.
     """
 
     each: Number = Number()
@@ -168,8 +179,8 @@ class Text(Form):
     """A printable text of one line.
 
     Attributes:
-        what: it names.
-        longest: characters that it may have.
+        what: It names.
+        longest: Characters that it may have.
     """
 
     what: str = "a text"
@@ -214,3 +225,73 @@ class Perhaps(Form):
 
     def described(self) -> str:
         return f"{self.form.described()}, or null"
+
+
+@dataclass(frozen=True)
+class Part(Form):
+    """Keys and values, or whatever else a function of its own reads.
+
+    Attributes:
+        by: Reads the value; raises `FormError`.
+        kind: What the value is, for the documentation.
+    """
+
+    by: Callable[[Any], Any] = field(kw_only=True)
+    kind: str = "keys and values"
+
+    def read(self, value: Any) -> Any:
+        return self.by(value)
+
+    def described(self) -> str:
+        return self.kind
+
+
+REQUIRED: Any = object()
+"""The default of a key that must be there."""
+LEFT_OUT: Any = object()
+"""The default of a key that is left out of what is read where it is not there."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One key of a section: its form, and what holds when it is absent."""
+
+    form: Form
+    default: Any = REQUIRED
+
+
+def mapping(value: Any) -> Mapping[str, Any]:
+    """The same, which must be keys and values."""
+    if not isinstance(value, Mapping):
+        raise FormError(f"expected keys and values, got {shortly(value)}")
+    return value
+
+
+def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Raises: FormError: A key is not among those known, with the one that is nearest to it."""
+    for key in given:
+        if key not in known:
+            close = difflib.get_close_matches(str(key)[:100], known, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise FormError(f"unknown key {shortly(key)}; {hint}valid keys: {', '.join(known)}")
+
+
+def section(value: Any, fields: Mapping[str, Field] | Mapping[str, Form]) -> dict[str, Any]:
+    """Read keys and values; of bare forms only those that are there.
+
+    Raises:
+        FormError: A key is unknown or missing, or a value is none of its form.
+    """
+    given = mapping(value)
+    refuse_unknown(given, fields)
+    result = {}
+    for key, entry in fields.items():
+        form, default = (entry, LEFT_OUT) if isinstance(entry, Form) else (entry.form, entry.default)
+        if key in given:
+            with under(key):
+                result[key] = form.read(given[key])
+        elif default is REQUIRED:
+            raise FormError(f"{key} is missing; state it")
+        elif default is not LEFT_OUT:
+            result[key] = default
+    return result

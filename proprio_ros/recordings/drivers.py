@@ -8,13 +8,13 @@ from __future__ import annotations
 import difflib
 import functools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, one_line
-from proprio_ros.inputs.forms import Choice, Form, FormError, Perhaps, Text, shortly
+from proprio_ros.inputs.forms import Choice, Form, FormError, Part, Perhaps, Text, section, shortly
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.recordings.datasets import POSITION_UNITS, Columns
@@ -56,21 +56,16 @@ class _Topic(Text):
         return name
 
 
-@dataclass(frozen=True)
-class _Names(Form):
+def _names(value: Any) -> dict[str, str]:
     """Texts by texts."""
-
-    def read(self, value: Any) -> dict[str, str]:
-        if not isinstance(value, dict) or len(value) > 1000:
-            raise FormError(f"expected names by names, got {shortly(value)}")
-        names = {Text(what="a name").read(key): Text(what="a name").read(entry) for key, entry in value.items()}
-        twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
-        if twice is not None:
-            raise FormError(f"{twice} stands for two joints; each needs a name of its own")
-        return names
-
-    def described(self) -> str:
-        return "the robot's name by the driver's"
+    if not isinstance(value, dict) or len(value) > 1000:
+        raise FormError(f"expected names by names, got {shortly(value)}")
+    name = Text(what="a name")
+    names = {name.read(key): name.read(entry) for key, entry in value.items()}
+    twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
+    if twice is not None:
+        raise FormError(f"{twice} stands for two joints; each needs a name of its own")
+    return names
 
 
 INPUT: dict[str, Form] = {
@@ -82,27 +77,22 @@ INPUT: dict[str, Form] = {
 """Forms of one entry of ``inputs``."""
 
 
-@dataclass(frozen=True)
-class _Inputs(Form):
+def _inputs(value: Any) -> tuple[InputTopic, ...]:
     """Topics of what drives the joints."""
+    if not isinstance(value, list) or len(value) > 16:
+        raise FormError(f"expected a list of at most 16 topics, got {shortly(value)}")
+    return tuple(map(_input, value))
 
-    def read(self, value: Any) -> tuple[InputTopic, ...]:
-        if not isinstance(value, list) or len(value) > 16:
-            raise FormError(f"expected a list of at most 16 topics, got {shortly(value)}")
-        return tuple(self._one(entry) for entry in value)
 
-    def _one(self, value: Any) -> InputTopic:
-        given = _section(value, INPUT)
-        missing = [key for key in ("topic", "type", "unit") if key not in given]
-        if missing:
-            raise FormError(f"{missing[0]} is missing; state it")
-        joints = given.get("joints", ())
-        if len(set(joints)) != len(joints):
-            raise FormError("joints: a joint is named twice")
-        return InputTopic(given["topic"], _TYPES[given["type"]], given["unit"], joints)
-
-    def described(self) -> str:
-        return "a list of topic, type, unit and joints"
+def _input(value: Any) -> InputTopic:
+    given = section(value, INPUT)
+    missing = [key for key in ("topic", "type", "unit") if key not in given]
+    if missing:
+        raise FormError(f"{missing[0]} is missing; state it")
+    joints = given.get("joints", ())
+    if len(set(joints)) != len(joints):
+        raise FormError("joints: a joint is named twice")
+    return InputTopic(given["topic"], _TYPES[given["type"]], given["unit"], joints)
 
 
 COLUMNS: dict[str, Form] = {
@@ -120,18 +110,12 @@ COLUMNS: dict[str, Form] = {
 """Forms of the keys of ``columns``."""
 
 
-@dataclass(frozen=True)
-class _Columns(Form):
+def _columns(value: Any) -> Columns:
     """What the columns of a LeRobot data set are."""
-
-    def read(self, value: Any) -> Columns:
-        given = _section(value, COLUMNS)
-        if "position_unit" not in given:
-            raise FormError("position_unit is missing; a data set does not say it")
-        return Columns(**given)
-
-    def described(self) -> str:
-        return "keys of a data set's columns"
+    given = section(value, COLUMNS)
+    if "position_unit" not in given:
+        raise FormError("position_unit is missing; a data set does not say it")
+    return Columns(**given)
 
 
 FORMS: dict[str, Form] = {
@@ -146,12 +130,24 @@ FORMS: dict[str, Form] = {
         "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
         tuple(_RADIANS),
     ),
-    "inputs": _Inputs("what drives the joints: the first that a bag has, else measured effort; default none"),
+    "inputs": Part(
+        "what drives the joints: the first that a bag has, else measured effort; default none",
+        "a list of topic, type, unit and joints",
+        by=_inputs,
+    ),
     "joint_prefix": Text("before the names of this robot's joints; it is taken off"),
-    "joint_names": _Names("of joints that the driver calls otherwise than the URDF, once the prefix is off"),
+    "joint_names": Part(
+        "of joints that the driver calls otherwise than the URDF, once the prefix is off",
+        "the robot's name by the driver's",
+        by=_names,
+    ),
     "refused": Text("why nothing can be weighed with such recordings; they are then refused with it", longest=200),
     "notes": _Texts("what to know about it; `proprio check` says it", Text(longest=_SENTENCE)),
-    "columns": _Columns("what the columns of a LeRobot data set are; without it none can be read"),
+    "columns": Part(
+        "what the columns of a LeRobot data set are; without it none can be read",
+        "keys of a data set's columns",
+        by=_columns,
+    ),
     "recognised_by": _Texts(
         "topics, or types of messages, of which any identifies the driver; `proprio check` names it then"
     ),
@@ -274,7 +270,7 @@ def _settings(name: str, folder: Path, above: tuple[str, ...]) -> tuple[dict[str
     path = _located(name, folder)
     content = yaml_file(path, ConfigurationError, _called(name))
     try:
-        own = _section(content, FORMS)
+        own = section(content, FORMS)
     except FormError as error:
         raise ConfigurationError(f"{_called(name)}: {error}") from None
     if "extends" not in own:
@@ -282,25 +278,3 @@ def _settings(name: str, folder: Path, above: tuple[str, ...]) -> tuple[dict[str
     parent = own.pop("extends")
     inherited, parents = _settings(parent, path.parent, (*above, name))
     return inherited | own, (parent, *parents)
-
-
-def _section(value: Any, forms: Mapping[str, Form]) -> dict[str, Any]:
-    """Read keys and values.
-
-    Raises:
-        FormError: One of them is unknown, or its value is none of its form.
-    """
-    if not isinstance(value, Mapping):
-        raise FormError(f"expected keys and values, got {shortly(value)}")
-    for key in value:
-        if key not in forms:
-            close = difflib.get_close_matches(str(key)[:100], forms, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            raise FormError(f"unknown key {shortly(key)}; {hint}valid keys: {', '.join(forms)}")
-    result = {}
-    for key, given in value.items():
-        try:
-            result[key] = forms[key].read(given)
-        except FormError as error:
-            raise FormError(f"{key}: {error}") from None
-    return result

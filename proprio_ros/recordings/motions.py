@@ -109,7 +109,7 @@ def _current(
     record, inputs, name = recording.joints, recording.inputs, recording.name
     measured = None if record.current is None else record.current[:, [record.column(joint) for joint in joints]]
     if measured is not None and np.isfinite(measured).any(axis=0).all():
-        complete: BoolArray = np.isfinite(measured).all(axis=1)
+        complete = np.asarray(np.isfinite(measured).all(axis=1))
         if not complete.all():
             notes.append(f"{name}: {int((~complete).sum())} samples without a measured current were left out")
         source = inputs.source if inputs is not None and inputs.computed else "measured current"
