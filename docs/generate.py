@@ -395,6 +395,7 @@ def settings() -> str:
     """The page about settings, robot files, calibrations and limits."""
     from proprio_ros.calibration_files.pushes import NOISE, RANGES
     from proprio_ros.inputs import reading
+    from proprio_ros.inputs.forms import REQUIRED
     from proprio_ros.inputs.settings import SEARCH, probe_file
     from proprio_ros.kinds import KINDS
     from proprio_ros.probes.container.facts import FORMS as OF_CONTAINER
@@ -402,7 +403,8 @@ def settings() -> str:
     from proprio_ros.probes.softness.facts import FORMS as OF_BLOCK
     from proprio_ros.recordings import reader, text
     from proprio_ros.recordings.drivers import COLUMNS, FORMS, INPUT
-    from proprio_ros.robot import robot_file, urdf
+    from proprio_ros.robot import fields as robot_fields
+    from proprio_ros.robot import urdf
 
     parts = [
         NOTE,
@@ -433,13 +435,13 @@ def settings() -> str:
         "drive train's is stated.",
     ]
     for title, fields in (
-        ("The robot", robot_file._ROBOT),
-        ("joints: JOINT", robot_file._JOINT),
-        ("joints: JOINT: motor", robot_file._MOTOR),
-        ("joints: JOINT: drive_train", robot_file._DRIVE_TRAIN),
+        ("The robot", robot_fields.ROBOT),
+        ("joints: JOINT", robot_fields.JOINT),
+        ("joints: JOINT: motor", robot_fields.MOTOR),
+        ("joints: JOINT: drive_train", robot_fields.DRIVE_TRAIN),
     ):
         rows = [
-            (f"`{key}`", _default(field.default, robot_file._REQUIRED), field.form.described(), field.form.meaning)
+            (f"`{key}`", _default(field.default, REQUIRED), field.form.described(), field.form.meaning)
             for key, field in fields.items()
         ]
         parts += [f"### {title}", _table(("key", "default", "value", "meaning"), rows)]

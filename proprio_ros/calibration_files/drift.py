@@ -18,8 +18,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from proprio_ros.calibration_files.pushes import Calibration, FloatArray, Moment
+from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.inputs.forms import Number
+from proprio_ros.records import FloatArray
 
 FRICTION = ("coulomb", "viscous", "load_friction")
 WALL_S = 1e9

@@ -23,24 +23,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from proprio_ros.calibration_files.pushes import (
+from proprio_ros.calibration_files.section import (
     check_section,
     correlation_of,
+    exactly,
+    lines_of,
     numbers_of,
     part_of,
-    read_as,
-    read_forms,
+    read_under,
     runs_of,
     short,
     triangle_of,
 )
-from proprio_ros.errors import RobotError
-from proprio_ros.inputs.forms import Form, Number, Text, shortly
+from proprio_ros.inputs.forms import Form, FormError, Number, Text, shortly, under
 from proprio_ros.kinds import name_of
-
-FloatArray = NDArray[np.float64]
+from proprio_ros.records import FloatArray
 
 BODY_TERMS: Mapping[str, str] = {
     "body_mass": "kg",
@@ -170,74 +168,73 @@ class MotionCalibration:
             ],
             "unknowns": unknowns,
             "correlation": triangle_of(self.covariance / std[:, None] / std),
-            "deviations": "".join(" ".join(f"{c:.9g}" for c in row) + "\n" for row in self.deviations / std),
+            "deviations": lines_of(self.deviations / std, 9),
         }
 
     @classmethod
-    def from_settings(cls, section: Any, where: str) -> MotionCalibration:
+    def from_settings(cls, section: Any) -> MotionCalibration:
         """Read the section of a robot file; the fingerprint stands elsewhere in the file.
 
         Raises:
-            RobotError: It is of another version, a key is missing, a number is none, or the correlations belong to no covariance.
+            FormError: It is of another version, a key is missing, a number is none, or the correlations belong to no covariance.
         """
-        check_section(section, where)
+        check_section(section)
         if section.get("version", 1) != VERSION:
-            raise RobotError(
-                f"{where}: version {shortly(section.get('version', 1))} is of another release, this one reads {VERSION}: calibrate "
+            raise FormError(
+                f"version {shortly(section.get('version', 1))} is of another release, this one reads {VERSION}: calibrate "
                 "again with the same recordings (`proprio calibrate`), which takes seconds"
             )
-        runs = runs_of(section, _RUN, where)
-        stated = part_of(section, "joints", list, where)
-        entries = [read_forms(entry, _JOINT, f"{where}: joints: {n}") for n, entry in enumerate(stated, 1)]
+        runs, entries = runs_of(section, _RUN), []
+        for number, entry in enumerate(part_of(section, "joints", list), 1):
+            with under("joints", number):
+                entries.append(exactly(entry, _JOINT))
         joints = tuple(entry[0] for entry in entries)
         numbers = np.array([entry[1:] for entry in entries]).reshape(-1, 3)
-        keys = term_keys(joints)
-        unknowns = part_of(section, "unknowns", Mapping, where)
+        keys, unknowns = term_keys(joints), part_of(section, "unknowns", Mapping)
         names = [name_of(key) for key in keys]
         if not joints or set(unknowns) != set(names):
             wrong = sorted(set(names) ^ {str(name) for name in unknowns}) or ["no joints"]
-            raise RobotError(f"{where}: unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again")
+            raise FormError(f"unknowns: {shortly(wrong[0])} is missing or of no joint of it; calibrate again")
         # a file may have been written again in another order: its correlations follow that
         place = [list(unknowns).index(name) for name in names]
-        values, stds, spread = [], [], []
+        read = []
         for key, name in zip(keys, names, strict=True):
-            unit, at = UNITS[key[0]], f"{where}: unknowns: {name}"
-            forms: dict[str, Form] = {
-                "value": Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST),
-                "std": Number(unit=unit, lowest=_LEAST_STD, highest=_LARGEST),
-            }
-            if key[0] in FRICTION_TERMS:
-                forms["run_to_run"] = Number(unit=unit, lowest=0.0, highest=_LARGEST)
-            entry = unknowns[name]
-            if isinstance(entry, Mapping) and entry.get("unit") != unit:
-                raise RobotError(f"{at}: unit must be {unit!r}, got {shortly(entry.get('unit'))}")
-            value, std, *more = read_forms(entry, forms, at, ("unit",))
-            values.append(value)
-            stds.append(std)
-            spread += more
-        scale = np.array(stds)
-        correlation = correlation_of(part_of(section, "correlation", str, where), len(keys), f"{where}: correlation")
-        correlation = correlation[np.ix_(place, place)]
-        if np.linalg.eigvalsh(correlation)[0] < -1e-9:
-            raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
-        rows = numbers_of(part_of(section, "deviations", str, where), f"{where}: deviations")
+            with under("unknowns", name):
+                read.append(_read_term(unknowns[name], key[0]))
+        scale = np.array([term[1] for term in read])
+        correlation = correlation_of(section, len(keys), -1e-9)[np.ix_(place, place)]
+        rows = numbers_of(section, "deviations")
         if not rows or any(len(row) != len(keys) for row in rows) or not np.all(np.isfinite(rows)):
-            raise RobotError(f"{where}: deviations must be rows of {len(keys)} finite numbers; calibrate again")
-        torque_scale, torque_scale_std = read_forms(
-            part_of(section, "torque_scale", Mapping, where), _SCALE, f"{where}: torque_scale"
-        )
+            raise FormError(f"deviations must be rows of {len(keys)} finite numbers; calibrate again")
+        stated = part_of(section, "torque_scale", Mapping)
+        with under("torque_scale"):
+            torque_scale, torque_scale_std = exactly(stated, _SCALE)
         return cls(
             joints,
             numbers[:, 0],
-            np.array(values),
+            np.array([term[0] for term in read]),
             correlation * scale[:, None] * scale,
             np.array(rows)[:, place] * scale,
-            np.array(spread),
+            np.array([spread for term in read for spread in term[2:]]),
             numbers[:, 1],
             numbers[:, 2],
             torque_scale,
             torque_scale_std,
-            read_as(section.get("arm_over_urdf"), Number("", "", -100.0, 100.0), f"{where}: arm_over_urdf"),
+            read_under(section, "arm_over_urdf", Number("", "", -100.0, 100.0)),
             "",
-            tuple(runs),
+            runs,
         )
+
+
+def _read_term(entry: Any, kind: str) -> list[float]:
+    """Value, standard deviation and, of friction, the spread from run to run."""
+    unit = UNITS[kind]
+    forms: dict[str, Form] = {
+        "value": Number(unit=unit, lowest=-_LARGEST, highest=_LARGEST),
+        "std": Number(unit=unit, lowest=_LEAST_STD, highest=_LARGEST),
+    }
+    if kind in FRICTION_TERMS:
+        forms["run_to_run"] = Number(unit=unit, lowest=0.0, highest=_LARGEST)
+    if isinstance(entry, Mapping) and entry.get("unit") != unit:
+        raise FormError(f"unit must be {unit!r}, got {shortly(entry.get('unit'))}")
+    return exactly(entry, forms, ("unit",))

@@ -21,9 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration_files.pushes import check_section, numbers_of, part_of, read_as, runs_of, short
-from proprio_ros.errors import RobotError
-from proprio_ros.inputs.forms import Form, Number, Text
+from proprio_ros.calibration_files.section import (
+    check_section,
+    lines_of,
+    numbers_of,
+    part_of,
+    read_under,
+    runs_of,
+    short,
+)
+from proprio_ros.inputs.forms import Form, FormError, Number, Text
 from proprio_ros.records import FloatArray
 
 TERMS: Mapping[str, str] = {
@@ -96,30 +103,28 @@ class JointCalibration:
             "spread": short(self.spread),
             "residual_N_m": short(self.residual),
             "runs": [dict(run) for run in self.runs],
-            "without": "".join(" ".join(f"{value:.15g}" for value in row) + "\n" for row in self.without),
+            "without": lines_of(self.without, 15),
         }
 
     @classmethod
-    def from_settings(cls, section: Any, where: str) -> JointCalibration:
+    def from_settings(cls, section: Any) -> JointCalibration:
         """Read the section of a robot file.
 
         Raises:
-            RobotError: A key is missing, or a number is none.
+            FormError: A key is missing, or a number is none.
         """
-        check_section(section, where)
-        runs = runs_of(section, _RUN, where)
-        joint = part_of(section, "joint", str, where)
-        numbers = [read_as(section.get(key), form, f"{where}: {key}") for key, form in _FORMS.items()]
-        rows = numbers_of(part_of(section, "without", str, where), f"{where}: without")
+        check_section(section)
+        runs, joint = runs_of(section, _RUN), part_of(section, "joint", str)
+        constant, *terms, spread, residual = (read_under(section, key, form) for key, form in _FORMS.items())
+        rows = numbers_of(section, "without")
         if (
             len(runs) < FEWEST_RUNS
             or len(rows) != len(runs)
             or any(len(row) != len(TERMS) for row in rows)
             or not np.all(np.isfinite(rows))
         ):
-            raise RobotError(
-                f"{where}: without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; "
+            raise FormError(
+                f"without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; "
                 "calibrate again"
             )
-        constant, *terms, spread, residual = numbers
-        return cls(joint, constant, np.array(terms), np.array(rows), spread, residual, tuple(runs))
+        return cls(joint, constant, np.array(terms), np.array(rows), spread, residual, runs)

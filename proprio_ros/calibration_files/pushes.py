@@ -28,15 +28,23 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motors import MotorIdentity, Motors
-from proprio_ros.errors import RobotError, one_line
-from proprio_ros.inputs.forms import Form, FormError, Number, Text, Whole, shortly
+from proprio_ros.calibration_files.section import (
+    check_section,
+    correlation_of,
+    part_of,
+    read_under,
+    runs_of,
+    short,
+    triangle_of,
+)
+from proprio_ros.errors import one_line
+from proprio_ros.inputs.forms import Form, FormError, Number, Text, Whole, shortly, under
 from proprio_ros.kinds import KINDS, Key, key_of, name_of
 from proprio_ros.quantity import Quantity
+from proprio_ros.records import FloatArray
 
-FloatArray = NDArray[np.float64]
 RANGES: dict[str, Number] = {
     "torque_constant": Number("at the output shaft", "N m/A", 0.0, 1e3, open=True),
     "coulomb": Number("dry friction", "N m", 0.0, 1e3),
@@ -102,19 +110,19 @@ class Moment:
         return {"time_s": round(self.time_s, 1), **({"temperature_C": warmth} if warmth else {})}
 
     @classmethod
-    def from_settings(cls, given: Any, where: str) -> Moment:
+    def from_settings(cls, given: Any) -> Moment:
         """The reverse of ``as_settings``.
 
         Raises:
-            RobotError: It is none.
+            FormError: It is none.
         """
         if not isinstance(given, Mapping) or not {"time_s"} <= set(given) <= {"time_s", "temperature_C"}:
-            raise RobotError(f"{where}: expected time_s and perhaps temperature_C, got {shortly(given)}")
-        warmth = part_of(given, "temperature_C", Mapping, where) if "temperature_C" in given else {}
-        return cls(
-            read_as(given["time_s"], _TIME, f"{where}: time_s"),
-            {str(j): read_as(t, _TEMPERATURE, f"{where}: temperature_C: {shortly(j)}") for j, t in warmth.items()},
-        )
+            raise FormError(f"expected time_s and perhaps temperature_C, got {shortly(given)}")
+        time_s, warmth = read_under(given, "time_s", _TIME), {}
+        for joint, value in (part_of(given, "temperature_C", Mapping) if "temperature_C" in given else {}).items():
+            with under("temperature_C", shortly(joint)):
+                warmth[str(joint)] = _TEMPERATURE.read(value)
+        return cls(time_s, warmth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,57 +232,40 @@ class Calibration:
         }  # fmt: skip
 
     @classmethod
-    def from_settings(cls, section: Any, where: str) -> Calibration:
+    def from_settings(cls, section: Any) -> Calibration:
         """Read the section of a robot file.
 
         Raises:
-            RobotError: A key is missing, a number is none, or the correlations belong to no covariance.
+            FormError: A key is missing, a number is none, or the correlations belong to no covariance.
         """
-        check_section(section, where)
-        unknowns = part_of(section, "unknowns", Mapping, where)
-        correlation = part_of(section, "correlation", str, where)
-        runs = runs_of(section, _RUN, where)
-        motors = {}
-        for joint, entry in (part_of(section, "motors", Mapping, where) if "motors" in section else {}).items():
-            at = f"{where}: motors: {one_line(str(joint), 80)}"
-            try:
+        check_section(section)
+        unknowns, runs, motors, made = part_of(section, "unknowns", Mapping), runs_of(section, _RUN), {}, None
+        for joint, entry in (part_of(section, "motors", Mapping) if "motors" in section else {}).items():
+            with under("motors", one_line(str(joint), 80)):
                 motors[str(joint)] = MotorIdentity.from_settings(entry)
-            except FormError as error:
-                raise RobotError(f"{at}: {error}") from None
         keys, values, stds = [], [], []
         for name, entry in unknowns.items():
-            at = f"{where}: unknowns: {one_line(str(name), 80)}"
-            if not isinstance(entry, Mapping):
-                raise RobotError(f"{at}: expected value, std and unit, got {shortly(entry)}")
-            keys.append(_key(name, at))
-            form = RANGES[_kind(keys[-1])]
-            values.append(read_as(entry.get("value"), form, f"{at}: value"))
-            spread = Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)
-            stds.append(read_as(entry.get("std"), spread, f"{at}: std"))
-            if entry.get("unit", _unit(keys[-1])) != _unit(keys[-1]):
-                raise RobotError(f"{at}: unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
-        matrix = correlation_of(correlation, len(keys), f"{where}: correlation")
-        if np.linalg.eigvalsh(matrix)[0] < _SMALLEST_EIGENVALUE:
-            raise RobotError(f"{where}: correlation is not one of any covariance; calibrate again")
+            with under("unknowns", one_line(str(name), 80)):
+                if not isinstance(entry, Mapping):
+                    raise FormError(f"expected value, std and unit, got {shortly(entry)}")
+                keys.append(_key(name))
+                form = RANGES[_kind(keys[-1])]
+                values.append(read_under(entry, "value", form))
+                stds.append(read_under(entry, "std", Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)))
+                if entry.get("unit", _unit(keys[-1])) != _unit(keys[-1]):
+                    raise FormError(f"unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
         scale = np.array(stds)
-        residual_scale, stamp_jitter_s, torque_disturbance, start_velocity, friction_spread, swing_error = (
-            read_as(section.get(name, default), NOISE[name], f"{where}: {name}")
-            for name, default in zip(NOISE, (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
-        )
-        return cls(
-            tuple(keys),
-            np.array(values),
-            matrix * scale[:, None] * scale[None, :],
-            residual_scale,
-            stamp_jitter_s,
-            torque_disturbance,
-            start_velocity,
-            tuple(runs),
-            motors,
-            friction_spread,
-            swing_error,
-            Moment.from_settings(section["made"], f"{where}: made") if "made" in section else None,
-        )
+        covariance = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE) * scale[:, None] * scale[None, :]
+        noise = {
+            name.removesuffix("_N_m").removesuffix("_rad_s").removesuffix("_rad"): read_under(
+                section, name, form, default
+            )
+            for (name, form), default in zip(NOISE.items(), (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
+        }
+        if "made" in section:
+            with under("made"):
+                made = Moment.from_settings(section["made"])
+        return cls(tuple(keys), np.array(values), covariance, runs=runs, motors=motors, made=made, **noise)
 
 
 def check_complete(
@@ -282,19 +273,17 @@ def check_complete(
     links: Sequence[str],
     drive_trains: Mapping[str, Any],
     spreads: Mapping[str, float],
-    where: str,
 ) -> None:
     """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
 
     Args:
-        calibration: as the file has it.
-        links: of the robot, by name.
-        drive_trains: of the robot file, by joint; each a ``DriveTrain``.
-        spreads: standard deviations that the robot file gives to what it takes for zero, by kind of unknown.
-        where: for the message.
+        calibration: As the file has it.
+        links: Of the robot, by name.
+        drive_trains: Of the robot file, by joint; each a ``DriveTrain``.
+        spreads: Standard deviations that the robot file gives to what it takes for zero, by kind of unknown.
 
     Raises:
-        RobotError: an unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a
+        FormError: An unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a
             torque constant is far from the motor's nominal one.
     """
     there = set(calibration.keys)
@@ -302,11 +291,11 @@ def check_complete(
         of, scope = KINDS[_kind(key)].of, "" if isinstance(key, str) else str(key[1])
         names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
         if of and scope not in names:
-            raise RobotError(f"{where}: {name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
+            raise FormError(f"{name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
         value, spread = calibration.quantities[key].value, spreads.get(_kind(key), 0.0)
         if spread > 0.0 and abs(value) > _MOST_STDS * spread:
-            raise RobotError(
-                f"{where}: {name_of(key)}: {value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({spread:g}) "
+            raise FormError(
+                f"{name_of(key)}: {value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({spread:g}) "
                 "from zero: calibrate again"
             )
     # of a joint that was only held, its zero is known and nothing else
@@ -316,116 +305,27 @@ def check_complete(
         open_terms = [t for t in TERMS if getattr(drive, t).std > 0.0 and (t != "zero" or drive.transmission == 1.0)]
         lost = [name_of((t, joint)) for t in open_terms if (t, joint) not in there]
         if lost:
-            raise RobotError(f"{where}: unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`")
+            raise FormError(f"unknowns: {', '.join(lost)} missing; write it again with `proprio calibrate`")
         found = calibration.quantities.get(("torque_constant", joint), drive.torque_constant).value
         if not 1.0 / _FARTHEST <= found / drive.nominal_torque_constant <= _FARTHEST:
-            raise RobotError(
-                f"{where}: torque_constant[{joint}]: {found:g} N m/A is over {_FARTHEST:g} times or under a fifth of the motor's "
+            raise FormError(
+                f"torque_constant[{joint}]: {found:g} N m/A is over {_FARTHEST:g} times or under a fifth of the motor's "
                 f"nominal {drive.nominal_torque_constant:g}: calibrate again"
             )
-
-
-def triangle_of(correlation: FloatArray) -> str:
-    """The lower triangle as text, a line per unknown."""
-    return "".join(" ".join(f"{c:.12g}" for c in row[: n + 1]) + "\n" for n, row in enumerate(correlation))
-
-
-def correlation_of(text: str, count: int, where: str) -> FloatArray:
-    """The correlation matrix of such a text, shape (count, count).
-
-    Raises:
-        RobotError: It is none of so many unknowns.
-    """
-    rows = numbers_of(text, where)
-    if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
-        raise RobotError(f"{where} must be the lower triangle of {count} unknowns, one row each; calibrate again")
-    matrix = np.zeros((count, count))
-    for n, row in enumerate(rows):
-        matrix[n, : n + 1] = row
-    matrix = matrix + np.tril(matrix, -1).T
-    if not np.all(np.isfinite(matrix)) or np.abs(np.diag(matrix) - 1.0).max() > 1e-9:
-        raise RobotError(f"{where} must be finite, with ones on its diagonal; calibrate again")
-    return matrix
-
-
-def numbers_of(text: str, where: str) -> list[list[float]]:
-    """Lines of numbers.
-
-    Raises:
-        RobotError: A word is none.
-    """
-    rows = []
-    for n, line in enumerate(text.splitlines(), start=1):
-        try:
-            rows.append([float(word) for word in line.split()])
-        except ValueError as error:
-            raise RobotError(f"{where}, line {n}: {error}; calibrate again") from error
-    return rows
 
 
 def _kind(key: Key) -> str:
     return key if isinstance(key, str) else key[0]
 
 
-def _key(name: Any, where: str) -> Key:
+def _key(name: Any) -> Key:
     """The key of an unknown that a calibration may hold."""
     kind, _, scope = str(name).partition("[")
     if kind not in RANGES or bool(KINDS[kind].of) != bool(scope) or (scope and not scope.endswith("]")):
-        raise RobotError(f"{where}: no such unknown; valid are {', '.join(RANGES)}, of joints and links as kind[name]")
+        raise FormError(f"no such unknown; valid are {', '.join(RANGES)}, of joints and links as kind[name]")
     return key_of(str(name))
 
 
 def _unit(key: Key) -> str:
     kind = key if isinstance(key, str) else key[0]
     return KINDS[kind].unit if kind in KINDS else ""
-
-
-def read_forms(entry: Any, forms: Mapping[str, Form], where: str, beside: tuple[str, ...] = ()) -> list[Any]:
-    """The values of a mapping that has exactly these keys, in their order."""
-    if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
-        raise RobotError(f"{where}: expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
-    return [read_as(entry[key], form, f"{where}: {key}") for key, form in forms.items()]
-
-
-def check_section(section: Any, where: str) -> None:
-    """Raises: RobotError: What a robot file has as a calibration is no mapping."""
-    if not isinstance(section, Mapping):
-        raise RobotError(
-            f"{where}: expected keys and values, got {shortly(section)}; write it with `proprio calibrate`"
-        )
-
-
-def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form], where: str) -> list[Any]:
-    """The runs of a calibration, each a mapping that has exactly these keys."""
-    runs: list[Any] = part_of(section, "runs", list, where)
-    for number, run in enumerate(runs, 1):
-        read_forms(run, forms, f"{where}: runs: {number}")
-    return runs
-
-
-def part_of(section: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
-    """A part of a section that must be there.
-
-    Raises:
-        RobotError: It is not, or is something else.
-    """
-    if not isinstance(section.get(key), kind):
-        raise RobotError(f"{where}: {key} is missing or no {kind.__name__}; write it with `proprio calibrate`")
-    return section[key]
-
-
-def read_as(value: Any, form: Form, where: str) -> Any:
-    """A value as its form takes it.
-
-    Raises:
-        RobotError: It is none of that form.
-    """
-    try:
-        return form.read(value)
-    except FormError as error:
-        raise RobotError(f"{where}: {error}") from None
-
-
-def short(value: float, digits: int = 12) -> float:
-    """A number as the file has it."""
-    return float(f"{value:.{digits}g}")

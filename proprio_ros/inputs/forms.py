@@ -276,7 +276,7 @@ def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
             raise FormError(f"unknown key {shortly(key)}; {hint}valid keys: {', '.join(known)}")
 
 
-def section(value: Any, fields: Mapping[str, Field] | Mapping[str, Form]) -> dict[str, Any]:
+def section(value: Any, fields: Mapping[str, Field | Form]) -> dict[str, Any]:
     """Read keys and values; of bare forms only those that are there.
 
     Raises:

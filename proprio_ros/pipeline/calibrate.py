@@ -281,7 +281,7 @@ def write_calibration(
         section["torque_scale"] = _on_one_line(settings["torque_scale"])
         section["joints"] = [_on_one_line(joint) for joint in settings["joints"]]
     if like is None:
-        content = CommentedMap(nested_settings(robot.model, overrides or {}))
+        content = CommentedMap(nested_settings(robot.model.independent_joints, overrides or {}))
         content.insert(0, "extends", _reference_to(robot.source, path))
     else:
         content = CommentedMap(yaml_of(text_of(like, RobotError)))

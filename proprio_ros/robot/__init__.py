@@ -2,11 +2,13 @@
 
 `geometry` is at the bottom; `urdf` reads links and joints, `tree` places and merges them, `description` finds the URDF,
 `live_description` takes it from a topic, `drive_train` is what moves them, `wide` is what holds of a number that nobody stated,
-`robot_file` puts all of it into a `Robot`, `new_file` writes one to fill in, and `kinematics` asks that how high it stands.
+`fields` is what a robot file may say, `robot_file` puts all of it into a `Robot`, `new_file` writes one to fill in, and
+`kinematics` asks that how high it stands.
 """
 
 from proprio_ros.robot.description import is_description
 from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
+from proprio_ros.robot.fields import nested_settings
 from proprio_ros.robot.geometry import (
     inertia_about_origin,
     motion,
@@ -16,7 +18,7 @@ from proprio_ros.robot.geometry import (
     transform,
 )
 from proprio_ros.robot.live_description import LiveDescription
-from proprio_ros.robot.robot_file import Robot, bare_settings, load_robot, nested_settings, with_recorded_torque
+from proprio_ros.robot.robot_file import Robot, bare_settings, load_robot, with_recorded_torque
 from proprio_ros.robot.tree import ReducedModel, RobotModel
 from proprio_ros.robot.urdf import JOINT_KINDS, Joint, Link
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.inputs.forms import Text, Truth
+from proprio_ros.inputs.forms import Field, Text, Truth
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
-from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT, NOMINAL, _Field
+from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
 from proprio_ros.robot.wide import Wide, largest_torque
 
@@ -58,7 +58,7 @@ def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | No
     frame = hand_link(model)
     values = {"name": model.name, "payload_frame": frame}
     lines = _head(model.name)
-    for key, entry in _ROBOT.items():
+    for key, entry in ROBOT.items():
         if key in _WRITTEN_BY_CALIBRATE:
             continue
         words = {"payload_frame": f"{CHECK}, a guess: "}.get(key, "") + _words(entry)
@@ -92,7 +92,7 @@ def _joint(model: RobotModel, name: str, explained: bool) -> list[str]:
     joint = model.joint(name)
     slides = joint.kind == "prismatic"
 
-    def line(indent: int, key: str, entry: _Field, value: Any = ..., mark: str = "") -> str:
+    def line(indent: int, key: str, entry: Field, value: Any = ..., mark: str = "") -> str:
         words = mark + _words(entry) if explained or mark else ""
         return _line(indent, key, _default(entry, model, name) if value is ... else value, words)
 
@@ -102,26 +102,26 @@ def _joint(model: RobotModel, name: str, explained: bool) -> list[str]:
         else f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
     )
     lines = [f"  {_yaml(name)}:  # {joint.kind}{limits}", "    motor:"]
-    for key, entry in _MOTOR.items():
+    for key, entry in MOTOR.items():
         if key == NOMINAL:
             words = f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
             lines.append(_line(6, key, None, STATE + words))
         else:
             lines.append(line(6, key, entry))
     lines.append("    drive_train:")
-    for key, entry in _DRIVE_TRAIN.items():
+    for key, entry in DRIVE_TRAIN.items():
         # what is a part of something not yet stated is left to the reader of the file
         later = isinstance(entry.default, Wide) and (slides or entry.default.of == "nominal")
         mark = f"null: {entry.default.described()}; " if later else ""
         lines.append(line(6, key, entry, None if later else ..., mark if explained else ""))
-    for key, entry in _JOINT.items():
+    for key, entry in JOINT.items():
         if slides or key == "usable_velocity_rad_s":
             mark = f"{STATE}: " if key == "transmission_m_per_rad" else ""
             lines.append(line(4, key, entry, mark=mark))
     return lines
 
 
-def _default(entry: _Field, model: RobotModel, joint: str = "") -> Any:
+def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
     """What holds where the key is left out, as the file writes it."""
     default = entry.default
     if isinstance(default, Wide):
@@ -139,9 +139,9 @@ def _default(entry: _Field, model: RobotModel, joint: str = "") -> Any:
     return None if default == "" or default == math.inf or not isinstance(default, (int, float, bool)) else default
 
 
-def _words(entry: _Field) -> str:
+def _words(entry: Field) -> str:
     """What a key is for, with its range and unit."""
-    form = getattr(entry.form, "of", None) or entry.form
+    form = entry.form.of if isinstance(entry.form, Uncertain) else entry.form
     if isinstance(form, Truth):
         return form.meaning
     if isinstance(form, Text):

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import copy
-import difflib
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from proprio_ros.calibration_files.drift import FORMS, Drift
+from proprio_ros.calibration_files.drift import Drift
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
-from proprio_ros.calibration_files.pushes import NOISE, RANGES, TERMS, Calibration, check_complete
+from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.inputs.forms import Form, FormError, Number, Numbers, Text, Truth, Whole, shortly
+from proprio_ros.inputs.forms import REQUIRED, Field, FormError, Part, Text, mapping, refuse_unknown, section, under
 from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.inputs.resources import resource, resource_names
-from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, is_bag, is_description, read_model
-from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
-from proprio_ros.robot.drives import KINDS_OF_DRIVE, Drive, required
+from proprio_ros.robot.drive_train import DriveTrain, Motor
+from proprio_ros.robot.fields import (
+    CALIBRATIONS,
+    DRIVE_TRAIN,
+    ELSEWHERE,
+    JOINT,
+    MOTOR,
+    NOMINAL,
+    ROBOT,
+    merged,
+    nested_settings,
+    override_paths,
+    unknown_of,
+)
 from proprio_ros.robot.geometry import FloatArray, frozen
-from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
+from proprio_ros.robot.tree import RobotModel
 from proprio_ros.robot.wide import Wide, largest_torque
 
 
@@ -114,14 +121,14 @@ class Robot:
         Raises:
             RobotError: A key is unknown or a value does not fit it.
         """
-        settings = _merged(copy.deepcopy(dict(self.settings)), nested_settings(self.model, overrides))
+        settings = merged(copy.deepcopy(dict(self.settings)), nested_settings(self.model.independent_joints, overrides))
         settings.pop("calibration", None)
         robot = _robot(settings, self.source, self.model)
         if self.calibration is None:
             return robot
         # what the user states stands beside the calibration and replaces its number
-        paths = _override_paths(self.model.independent_joints)
-        stated = {_unknown_of(paths[key]) for key in overrides}
+        paths = override_paths(self.model.independent_joints)
+        stated = {unknown_of(paths[key]) for key in overrides}
         return robot.with_calibration(self.calibration.without(stated))
 
     def with_calibration(self, calibration: Calibration) -> Robot:
@@ -156,257 +163,7 @@ class Robot:
         )
 
 
-_REQUIRED = object()
-
-
-@dataclass(frozen=True)
-class _Field:
-    """One key of the file: its form, and what holds when it is absent."""
-
-    form: Form
-    default: Any = _REQUIRED
-
-    def read(self, value: Any, where: str) -> Any:
-        if isinstance(self.form, _Nested):
-            return self.form.nested(value, where)
-        try:
-            return self.form.read(value)
-        except FormError as error:
-            raise RobotError(f"{where}: {error}") from None
-
-
-@dataclass(frozen=True)
-class _Nested(Form):
-    """Keys and values, whose messages say where in the file they stand."""
-
-    nested: Callable[[Any, str], Any] = field(kw_only=True)
-    of: Form | None = None
-
-    def described(self) -> str:
-        return "keys and values" if self.of is None else f"{self.of.described()}, or its value and std"
-
-
-def _finger_travel(value: Any, where: str) -> FingerTravel:
-    rising = _Field(Numbers(least=2, rising=True, example="a list of two or more numbers"))
-    parts = _section(value, {"at_rad": rising, "open_m": rising}, where)
-    at_rad, open_m = parts["at_rad"], parts["open_m"]
-    if len(at_rad) != len(open_m):
-        raise RobotError(f"{where}: {len(at_rad)} angles and {len(open_m)} openings; give one opening for each angle")
-    if max(map(abs, open_m)) > 1.0:
-        raise RobotError(f"{where}: open_m={list(open_m)} is over 1 m: openings are in m, not mm")
-    if max(map(abs, at_rad)) > 10.0:
-        raise RobotError(f"{where}: at_rad={list(at_rad)} is over a full turn: angles are in rad, not degrees")
-    travel = FingerTravel(at_rad, open_m)
-    if travel.ratio_at(np.linspace(at_rad[0], at_rad[-1], 101)).min() <= 0.0:
-        raise RobotError(f"{where}: by these openings the finger turns back in between; measure them again")
-    return travel
-
-
-def _drive(value: Any, where: str) -> Drive:
-    given = dict(_as_mapping(value, where))
-    name = given.pop("kind", None)
-    kind = KINDS_OF_DRIVE.get(name) if isinstance(name, str) else None
-    if kind is None:
-        raise RobotError(f"{where}: kind must be one of {', '.join(KINDS_OF_DRIVE)}, got {shortly(name)}")
-    defaults = {key: getattr(kind, key) for key in kind.forms if key not in required(kind)}
-    fields = {key: _Field(form, defaults.get(key, _REQUIRED)) for key, form in kind.forms.items()}
-    return kind(**_section(given, fields, where))
-
-
-def _drift(value: Any, where: str) -> Drift:
-    return Drift(**_section(value, {key: _Field(form, getattr(Drift(), key)) for key, form in FORMS.items()}, where))
-
-
-def _quantity(form: Number) -> _Nested:
-    """A number that is known exactly, or its value and standard deviation."""
-
-    def quantity(value: Any, where: str) -> Quantity:
-        if not isinstance(value, Mapping):
-            return Quantity(_Field(form).read(value, where), 0.0)
-        std = Number(unit=form.unit, lowest=0.0, highest=form.highest)
-        parts = _section(value, {"value": _Field(form), "std": _Field(std, 0.0)}, where)
-        return Quantity(parts["value"], parts["std"])
-
-    return _Nested(form.meaning, nested=quantity, of=form)
-
-
-NOMINAL = "nominal_torque_constant_N_m_per_A"
-_MOTOR = {
-    "model": _Field(Text("name of the model"), ""),
-    "id": _Field(Whole("its number on the bus", "", 0, 252), None),
-    NOMINAL: _Field(Number("what published efforts are made with", "N m/A", 0.0, 1e3, open=True)),
-    "supply_voltage_V": _Field(Number("0: the supply does not limit the current", "V", 0.0, 1e3), 0.0),
-    "back_emf_V_s_per_rad": _Field(Number("voltage that the motor makes per speed", "V s/rad", 0.0, 1e3), 0.0),
-    "resistance_ohm": _Field(Number("of the winding", "ohm", 0.0, 1e4), 0.0),
-    "current_limit_A": _Field(Number("the driver never commands more", "A", 0.0, 1e3, open=True), math.inf),
-    "encoder_resolution_rad": _Field(Number("one count", "rad", 0.0, 1.0), 0.0015),
-    "encoder_noise_rad": _Field(Number("standard deviation of a reading, beyond rounding", "rad", 0.0, 1.0), 0.001),
-    "encoder_once_per_turn_rad": _Field(
-        Number("a magnet off the axis: std of the sine and of the cosine part", "rad", 0.0, 1.0), 0.002
-    ),
-    "driven_by": _Field(
-        _Nested(
-            "what drives the motor where no current does, as {kind: duty_cycle, per_count: 0.00113}; null: a current",
-            nested=_drive,
-        ),
-        None,
-    ),
-}
-_DRIVE_TRAIN = {
-    # what is left out is not known exactly: friction that was forgotten would bias every mass
-    "torque_constant_N_m_per_A": _Field(_quantity(RANGES["torque_constant"]), Wide("nominal", 0.15)),
-    "coulomb_N_m": _Field(_quantity(RANGES["coulomb"]), Wide("largest torque", 0.1)),
-    "viscous_N_m_s_per_rad": _Field(_quantity(RANGES["viscous"]), Wide("largest torque", 0.05)),
-    "load_friction": _Field(_quantity(RANGES["load_friction"]), Quantity(0.0, 0.1)),
-    "armature_kg_m2": _Field(_quantity(RANGES["armature"]), Wide("largest torque", 0.01)),
-    "zero_rad": _Field(_quantity(RANGES["zero"]), Quantity(0.0, 0.01)),
-    "stribeck": _Field(_quantity(RANGES["stribeck"]), Quantity(0.0, 0.3)),
-    "stribeck_velocity_rad_s": _Field(_quantity(RANGES["stribeck_velocity"]), Quantity(0.1, 0.05)),
-}
-_JOINT = {
-    "usable_velocity_rad_s": _Field(Number("faster samples are left out", "rad/s", 0.0, 1e3, open=True), math.inf),
-    "transmission_m_per_rad": _Field(
-        Number("how far a sliding joint moves per rad of the motor", "m/rad", 0.0, 10.0, open=True), None
-    ),
-    "finger_travel": _Field(
-        _Nested("what gauge blocks said of one finger: at_rad and open_m", nested=_finger_travel), None
-    ),
-}
-_ROBOT = {
-    "name": _Field(Text("of the robot")),
-    "payload_frame": _Field(Text("link in which objects are held")),
-    "gravity": _Field(
-        Numbers(
-            "in the frame of the root link",
-            Number(unit="m/s^2", lowest=-100.0, highest=100.0),
-            3,
-            example="three numbers [x, y, z]",
-        ),
-        STANDARD_GRAVITY,
-    ),
-    "arm_scale": _Field(_quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0, 0.1)),
-    "delay_s": _Field(_quantity(RANGES["delay"]), Quantity(0.0, 0.01)),
-    "stamp_jitter_s": _Field(NOISE["stamp_jitter_s"], 0.001),
-    "onset_jitter_s": _Field(Number("standard deviation of the delay from run to run", "s", 0.0, 0.1), 0.001),
-    "torque_disturbance_N_m": _Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
-    "start_velocity_rad_s": _Field(NOISE["start_velocity_rad_s"], 0.01),
-    "friction_spread": _Field(NOISE["friction_spread"], 0.15),
-    "link_mass_std": _Field(Number("how far a link lies off its URDF, relative mass", "", 0.0, 1.0), 0.05),
-    "link_com_std_m": _Field(Number("each coordinate of a link's centre of mass", "m", 0.0, 0.5), 0.005),
-    "link_inertia_std": _Field(Number("relative inertia about it", "", 0.0, 10.0), 0.2),
-    # a tenth of a rad/s would take the place of the friction that it smooths
-    "friction_velocity_rad_s": _Field(
-        Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
-    ),
-    "drift": _Field(_Nested("how fast a calibration ages: four relative standard deviations", nested=_drift), Drift()),
-    "calibrated": _Field(Truth("whether the numbers come from this very arm"), False),
-    "model_fingerprint": _Field(Text("of the URDF that a calibration was made with"), None),
-    "calibration": _Field(_Nested("what `proprio calibrate` learnt", nested=Calibration.from_settings), None),
-    "motion_calibration": _Field(
-        _Nested(
-            "what `proprio calibrate` learnt from motions of several joints", nested=MotionCalibration.from_settings
-        ),
-        None,
-    ),
-    "joint_calibration": _Field(
-        _Nested("what `proprio calibrate` learnt from motions of one joint", nested=JointCalibration.from_settings),
-        None,
-    ),
-}
-_ELSEWHERE = ("urdf", "joints", "extends")  # read before the others
-_CALIBRATIONS = ("calibration", "motion_calibration", "joint_calibration")
-_FILE_ONLY = ("model_fingerprint", *_CALIBRATIONS)  # no --set
-
-
-def _unknown_of(path: tuple[str, ...]) -> Key:
-    """Key of the unknown that a setting states, such as ``("coulomb", "joint3")``; that of no unknown where it states none."""
-    name = path[-1]
-    for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad_s", "_rad", "_s"):
-        name = name.removesuffix(unit)
-    return name if len(path) == 1 else (name, path[1])
-
-
-def _as_mapping(value: Any, where: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise RobotError(f"{where}: expected keys and values, got {shortly(value)}")
-    return value
-
-
-def _refuse_unknown(given: Mapping[str, Any], fields: Mapping[str, Any], where: str) -> None:
-    for key in given:
-        if key not in fields:
-            close = difflib.get_close_matches(str(key)[:100], fields, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            raise RobotError(f"{where}: unknown key {shortly(key)}; {hint}valid keys: {', '.join(fields)}")
-
-
-def _section(value: Any, fields: Mapping[str, _Field], where: str) -> dict[str, Any]:
-    """Read one mapping of the file; unknown and missing keys are refused."""
-    given = _as_mapping(value, where)
-    _refuse_unknown(given, fields, where)
-    result = {}
-    for key, entry in fields.items():
-        if key in given:
-            result[key] = entry.read(given[key], f"{where}: {key}")
-        elif entry.default is _REQUIRED:
-            raise RobotError(f"{where}: {key} is missing; state it")
-        else:
-            result[key] = entry.default
-    return result
-
-
-def _override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Every key that may be overridden, as text and as the way to it; a joint's name may itself hold dots."""
-    paths: list[tuple[str, ...]] = [(key,) for key in _ROBOT if key not in _FILE_ONLY]
-    for joint in joints:
-        paths += [("joints", joint, "motor", key) for key in _MOTOR]
-        paths += [("joints", joint, "drive_train", key) for key in _DRIVE_TRAIN]
-        paths += [("joints", joint, key) for key in _JOINT]
-    return {".".join(path): path for path in paths}
-
-
-def nested_settings(model: RobotModel, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted settings as the robot file nests them.
-
-    Raises:
-        RobotError: A key is unknown.
-    """
-    paths = _override_paths(model.independent_joints)
-    settings: dict[str, Any] = {}
-    for key, value in overrides.items():
-        if key not in paths:
-            raise RobotError(_unknown_override(key, paths, model.independent_joints))
-        if value is None:
-            raise RobotError(f"robot setting {key}: expected a value, got null")
-        addition: Any = copy.deepcopy(value)
-        for part in reversed(paths[key]):
-            addition = {part: addition}
-        settings = _merged(settings, addition)
-    return settings
-
-
-def _unknown_override(key: str, paths: Mapping[str, tuple[str, ...]], joints: Sequence[str]) -> str:
-    close = difflib.get_close_matches(key[:100], paths, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    top = [path for path in paths if not path.startswith("joints.")]
-    return (
-        f"unknown robot setting {shortly(key)}; {hint}valid: {', '.join(top)}, "
-        f"joints.JOINT.motor.({'|'.join(_MOTOR)}), joints.JOINT.drive_train.({'|'.join(_DRIVE_TRAIN)}), "
-        f"joints.JOINT.({'|'.join(_JOINT)}), where JOINT is one of {', '.join(joints)}"
-    )
-
-
-def _merged(base: Any, addition: Any) -> Any:
-    """Deep merge: mappings key by key, anything else replaces."""
-    if not isinstance(base, Mapping) or not isinstance(addition, Mapping):
-        return addition
-    result = dict(base)
-    for key, value in addition.items():
-        result[key] = _merged(result[key], value) if key in result else value
-    return result
-
-
-_PATH = _Field(Text(longest=LONGEST_PATH))
+_PATH = Text(longest=LONGEST_PATH)
 
 
 def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -423,17 +180,22 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
         content = yaml_of(text)
     except ValueError as error:
         raise RobotError(f"{path}: not YAML ({error})") from error
-    settings = dict(_as_mapping(content, path.name))
+    try:
+        settings = dict(mapping(content))
+        for key in ("urdf", "extends"):
+            if key in settings and (key == "extends" or settings[key] is not None):
+                with under(key):
+                    _PATH.read(settings[key])
+    except FormError as error:
+        raise RobotError(f"{path.name}: {error}") from None
     if settings.get("urdf") is not None:
-        settings["urdf"] = _urdf_source(_PATH.read(settings["urdf"], f"{path.name}: urdf"), path)
+        settings["urdf"] = _urdf_source(settings["urdf"], path)
     if "extends" in settings:
-        base = _read_settings(
-            _located(_PATH.read(settings.pop("extends"), f"{path.name}: extends"), path.parent), (*below, path)
-        )
-        for section in _CALIBRATIONS:
+        base = _read_settings(_located(settings.pop("extends"), path.parent), (*below, path))
+        for section in CALIBRATIONS:
             if section in settings:
                 base.pop(section, None)  # a newer calibration replaces an older one as a whole
-        settings = _merged(base, settings)
+        settings = merged(base, settings)
     return settings
 
 
@@ -520,13 +282,14 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
     """Name all that is missing at once; a key that is only mistyped comes first.
 
     Raises:
-        RobotError: something is.
+        FormError: Something is.
     """
-    _refuse_unknown(settings, _ROBOT | dict.fromkeys(_ELSEWHERE), source.name)
+    refuse_unknown(settings, ROBOT | ELSEWHERE)
     for name, joint in _part(settings, "joints").items():
-        for section, fields in (("motor", _MOTOR), ("drive_train", _DRIVE_TRAIN)):
-            _refuse_unknown(_part(joint, section), fields, f"{source.name}: joints: {name}: {section}")
-    missing = [key for key, entry in _ROBOT.items() if entry.default is _REQUIRED and key not in settings]
+        for key, fields in (("motor", MOTOR), ("drive_train", DRIVE_TRAIN)):
+            with under("joints", name, key):
+                refuse_unknown(_part(joint, key), fields)
+    missing = [key for key, entry in ROBOT.items() if entry.default is REQUIRED and key not in settings]
     without: dict[str, list[str]] = {}
     for name, joint in _part(settings, "joints").items():
         if NOMINAL not in _part(joint, "motor") and "torque_constant_N_m_per_A" not in _part(joint, "drive_train"):
@@ -540,11 +303,11 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
     if not missing:
         return
     if is_description(str(source)):
-        raise RobotError(
-            f"{source.name}: states no {'; '.join(missing)}: --set robot.joints.JOINT.{next(iter(without))}=VALUE, or write a file "
+        raise FormError(
+            f"states no {'; '.join(missing)}: --set robot.joints.JOINT.{next(iter(without))}=VALUE, or write a file "
             "with `proprio robot new`, or --effort-unit N.m where torque was recorded"
         )
-    raise RobotError(f"{source.name}: missing: {'; '.join(missing)}; state each")
+    raise FormError(f"missing: {'; '.join(missing)}; state each")
 
 
 def _few(names: Sequence[str], longest: int = 60) -> str:
@@ -556,68 +319,100 @@ def _few(names: Sequence[str], longest: int = 60) -> str:
 
 
 def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
-    """A robot from merged settings; None: they name no URDF."""
-    file = source.name
+    """A robot from merged settings; None: they name no URDF.
+
+    Raises:
+        RobotError: They are wrong, or of another URDF.
+    """
     settings = _stated(settings)
-    if model is not None:
-        _check_stated(settings, source, model)
-    given = _section(
-        {key: value for key, value in settings.items() if key not in ("urdf", "joints")},
-        # listed for the message about unknown keys; read below
-        _ROBOT | {key: _Field(Text(longest=LONGEST_PATH), None) for key in _ELSEWHERE},
-        file,
-    )
-    if model is None:
-        raise RobotError(f"{file}: urdf is missing; state the robot's URDF file")
+    try:
+        if model is not None:
+            _check_stated(settings, source, model)
+        # urdf and joints are listed for the message about unknown keys
+        given = section(
+            {key: value for key, value in settings.items() if key not in ("urdf", "joints")}, ROBOT | ELSEWHERE
+        )
+        if model is None:
+            raise FormError("urdf is missing; state the robot's URDF file")
+        _check_model(given, model, settings.get("urdf"))
+        drive_trains, motors = _drive_trains(settings.get("joints", {}), model)
+        robot = _assembled(given, model, drive_trains, motors, source, settings)
+        if given["calibration"] is None:
+            return robot
+        calibrated = robot.with_calibration(given["calibration"])
+        spreads = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
+        spreads |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
+        with under("calibration"):
+            check_complete(given["calibration"], [link.name for link in model.links], drive_trains, spreads)
+    except FormError as error:
+        raise RobotError(f"{source.name}: {error}") from None
+    return calibrated
+
+
+def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None:
+    """Raises: FormError: Calibrations are of another URDF than the file's, or it lacks the link in which objects are held."""
     expected = given["model_fingerprint"]
-    motion = given["motion_calibration"]
-    of_joint = given["joint_calibration"]
-    if expected is None and any(each is not None for each in (given["calibration"], motion, of_joint)):
-        raise RobotError(
-            f"{file}: model_fingerprint is missing: which URDF the calibration was made with cannot be checked; write it again "
+    if expected is None and any(given[key] is not None for key in CALIBRATIONS):
+        raise FormError(
+            "model_fingerprint is missing: which URDF the calibration was made with cannot be checked; write it again "
             "with `proprio calibrate`"
         )
     if expected is not None and expected != model.fingerprint():
-        raise RobotError(
-            f"{file}: was made with another URDF than {settings.get('urdf')} (model_fingerprint {expected[:12]}.., "
+        raise FormError(
+            f"was made with another URDF than {urdf} (model_fingerprint {expected[:12]}.., "
             f"now {model.fingerprint()[:12]}..): calibrate again, or restore the URDF"
         )
-    link_names = [link.name for link in model.links]
-    if given["payload_frame"] not in link_names:
-        raise RobotError(
-            f"{file}: payload_frame: {model.name} has no link {given['payload_frame']!r}; "
-            f"links: {', '.join(link_names)}"
+    links = [link.name for link in model.links]
+    if given["payload_frame"] not in links:
+        raise FormError(
+            f"payload_frame: {model.name} has no link {given['payload_frame']!r}; links: {', '.join(links)}"
         )
+
+
+def _drive_trains(joints: Any, model: RobotModel) -> tuple[dict[str, DriveTrain], dict[str, Motor]]:
+    """Drive trains and motors by joint."""
     drive_trains, motors = {}, {}
-    for name, joint_settings in _as_mapping(settings.get("joints", {}), f"{file}: joints").items():
-        if name not in model.independent_joints:
-            raise RobotError(
-                f"{file}: joints: {model.name} has no joint {name!r} that a motor could drive; "
-                f"choose from: {', '.join(model.independent_joints)}"
-            )
-        drive_trains[name], motors[name] = _drive_train(joint_settings, model, name, f"{file}: joints: {name}")
+    with under("joints"):
+        for name, settings in mapping(joints).items():
+            if name not in model.independent_joints:
+                raise FormError(
+                    f"{model.name} has no joint {name!r} that a motor could drive; "
+                    f"choose from: {', '.join(model.independent_joints)}"
+                )
+            with under(name):
+                drive_trains[name], motors[name] = _drive_train(settings, model, name)
     if not drive_trains:
-        raise RobotError(f"{file}: joints is missing or empty; state the drive train of at least one joint")
-    disturbance = given["torque_disturbance_N_m"]
+        raise FormError("joints is missing or empty; state the drive train of at least one joint")
+    return drive_trains, motors
+
+
+def _assembled(
+    given: Mapping[str, Any],
+    model: RobotModel,
+    drive_trains: dict[str, DriveTrain],
+    motors: dict[str, Motor],
+    source: Path,
+    settings: Mapping[str, Any],
+) -> Robot:
+    """The robot without its calibration from pushes."""
+    disturbance, motion, of_joint = (
+        given["torque_disturbance_N_m"],
+        given["motion_calibration"],
+        given["joint_calibration"],
+    )
     if isinstance(disturbance, Wide):
         # of the weakest joint: what differs from run to run goes with friction
         weakest = min(largest_torque(model, name, drive.transmission) for name, drive in drive_trains.items())
         disturbance = disturbance.at(0.0, weakest).std
-    calibration = given["calibration"]
+    drives = f"but {given['name']} drives {', '.join(drive_trains)}: calibrate this robot"
     if motion is not None:
-        motion = replace(motion, fingerprint=expected)
+        motion = replace(motion, fingerprint=given["model_fingerprint"])
         foreign = [joint for joint in motion.joints if joint not in drive_trains]
         if foreign:
-            raise RobotError(
-                f"{file}: motion_calibration: is of {', '.join(foreign)}, but {given['name']} drives {', '.join(drive_trains)}: "
-                "calibrate this robot"
-            )
+            raise FormError(f"motion_calibration: is of {', '.join(foreign)}, {drives}")
     if of_joint is not None and [of_joint.joint] != list(drive_trains):
-        raise RobotError(
-            f"{file}: joint_calibration: is of {of_joint.joint}, but {given['name']} drives {', '.join(drive_trains)}: calibrate "
-            "this robot"
-        )
-    robot = Robot(
+        raise FormError(f"joint_calibration: is of {of_joint.joint}, {drives}")
+    return Robot(
         name=given["name"],
         model=model,
         drive_trains=drive_trains,
@@ -641,62 +436,49 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         joint_calibration=of_joint,
         drift=given["drift"],
     )
-    if calibration is None:
-        return robot
-    calibrated = robot.with_calibration(calibration)
-    spreads = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
-    spreads |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
-    check_complete(calibration, link_names, drive_trains, spreads, f"{file}: calibration")
-    return calibrated
 
 
-def _drive_train(settings: Any, model: RobotModel, name: str, where: str) -> tuple[DriveTrain, Motor]:
+def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrain, Motor]:
     joint = model.joint(name)
     fields = {
-        "motor": _Field(_Nested(nested=lambda value, at: _section(value, _MOTOR, at))),
-        "drive_train": _Field(_Nested(nested=lambda value, at: _section(value, _DRIVE_TRAIN, at)), {}),
+        "motor": Field(Part(by=lambda value: section(value, MOTOR))),
+        "drive_train": Field(Part(by=lambda value: section(value, DRIVE_TRAIN)), {}),
     }
-    settings = _as_mapping(settings, where)
+    settings = mapping(settings)
     stated = _part(settings, "drive_train").get("torque_constant_N_m_per_A")
     if stated is not None and NOMINAL not in _part(settings, "motor"):
         # who states the torque constant alone publishes no efforts that another one was made with
         value = stated.get("value") if isinstance(stated, Mapping) else stated
-        settings = _merged(settings, {"motor": {NOMINAL: value}})
-    parts = _section(settings, fields | _JOINT, where)
+        settings = merged(settings, {"motor": {NOMINAL: value}})
+    parts = section(settings, fields | JOINT)
     motor = parts["motor"]
     largest = largest_torque(model, name, parts["transmission_m_per_rad"] or 1.0)
     drive = {
         key: value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
-        for key, value in (parts["drive_train"] or _section({}, _DRIVE_TRAIN, where)).items()
+        for key, value in (parts["drive_train"] or section({}, DRIVE_TRAIN)).items()
     }
     transmission = parts["transmission_m_per_rad"]
     if joint.kind != "prismatic" and transmission is not None:
-        raise RobotError(
-            f"{where}: transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it"
-        )
+        raise FormError(f"transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it")
     travel = parts["finger_travel"]
     if travel is not None and (transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0):
         nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
-        raise RobotError(
-            f"{where}: finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
+        raise FormError(
+            f"finger_travel opens by {1e3 * travel.mean_ratio:.3g} mm per rad of the motor, transmission_m_per_rad is "
             f"{nominal}: one of them is wrong, or not of one finger"
         )
     if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
-        raise RobotError(
-            f"{where}: motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit"
-        )
+        raise FormError("motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit")
     if motor["driven_by"] is not None:
         if joint.kind == "prismatic":
-            raise RobotError(f"{where}: motor: driven_by is for a joint that turns, but this one slides; remove it")
+            raise FormError("motor: driven_by is for a joint that turns, but this one slides; remove it")
         if motor["resistance_ohm"] == 0.0:
-            raise RobotError(
-                f"{where}: motor: driven_by {motor['driven_by'].kind} needs resistance_ohm too, to make a current of a voltage; "
+            raise FormError(
+                f"motor: driven_by {motor['driven_by'].kind} needs resistance_ohm too, to make a current of a voltage; "
                 "state it"
             )
     if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
-        raise RobotError(
-            f"{where}: motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect"
-        )
+        raise FormError("motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect")
     return (
         DriveTrain(
             torque_constant=drive["torque_constant_N_m_per_A"],
@@ -746,7 +528,7 @@ def load_robot(
     if not overrides or model is None or settings.get("calibration") is not None:
         robot = _robot(settings, path, model)
         return robot.with_overrides(overrides) if overrides else robot
-    return _robot(_merged(settings, nested_settings(model, overrides)), path, model)
+    return _robot(merged(settings, nested_settings(model.independent_joints, overrides)), path, model)
 
 
 def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import yaml
 from proprio_ros.calibration_files.drift import Drift, aged, said
 from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.inputs.forms import FormError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
@@ -108,17 +109,17 @@ def test_what_ageing_does_is_said() -> None:
 def test_when_it_was_made_is_kept_in_the_file() -> None:
     made = Moment(1760000009.8, {"joint3": 34.25})
     section = calibration(made).as_settings()
-    assert Calibration.from_settings(section, "here").made == made
+    assert Calibration.from_settings(section).made == made
     del section["made"]
-    assert Calibration.from_settings(section, "here").made is None
+    assert Calibration.from_settings(section).made is None
     for wrong in (
         5.0,
         {"time_s": "today"},
         {"time_s": 1.0, "weather": "fine"},
         {"time_s": 1.0, "temperature_C": {"joint3": -400}},
     ):
-        with pytest.raises(RobotError, match="here: made") as caught:
-            Calibration.from_settings({**section, "made": wrong}, "here")
+        with pytest.raises(FormError, match="made: ") as caught:
+            Calibration.from_settings({**section, "made": wrong})
         assert "\n" not in str(caught.value)
 
 

@@ -17,7 +17,7 @@ from proprio_ros.recordings.description import description_of, robot_named
 from proprio_ros.recordings.messages import message_types
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.description import hand_link, read_model
-from proprio_ros.robot.robot_file import _DRIVE_TRAIN, _JOINT, _MOTOR, _ROBOT
+from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, ROBOT
 
 UR10E = Path(__file__).resolve().parents[3] / "shared" / "recordings_real" / "models" / "ur10e.urdf"
 MARKED = "nominal_torque_constant_N_m_per_A: null"
@@ -32,12 +32,12 @@ def written(folder: Path, urdf: str = THREE) -> str:
 def test_every_key_is_there_with_its_default(tmp_path: Path) -> None:
     text = written(tmp_path)
     content = yaml_of(text)
-    assert set(content) == {*_ROBOT, "urdf", "joints"} - {"calibration", "joint_calibration", "model_fingerprint"}
+    assert set(content) == {*ROBOT, "urdf", "joints"} - {"calibration", "joint_calibration", "model_fingerprint"}
     assert set(content["joints"]) == {"a", "b"}, "c is fixed"
-    assert set(content["joints"]["b"]["motor"]) == set(_MOTOR)
-    assert set(content["joints"]["b"]["drive_train"]) == set(_DRIVE_TRAIN)
+    assert set(content["joints"]["b"]["motor"]) == set(MOTOR)
+    assert set(content["joints"]["b"]["drive_train"]) == set(DRIVE_TRAIN)
     # units and meanings come from the forms that read the file
-    for entry in (*_MOTOR.values(), *_DRIVE_TRAIN.values()):
+    for entry in (*MOTOR.values(), *DRIVE_TRAIN.values()):
         form = getattr(entry.form, "of", None) or entry.form
         assert form.meaning in text and (isinstance(form, Text) or form.described() in text)
 
@@ -144,4 +144,4 @@ def test_a_real_arms_urdf(tmp_path: Path) -> None:
     assert len(content["joints"]) == 6 and content["payload_frame"] == "ee_link"
     # 330 N m by its URDF
     assert content["joints"]["shoulder_lift_joint"]["drive_train"]["coulomb_N_m"] == {"value": 0, "std": 33}
-    assert not set(_JOINT) & {"transmission_m_per_rad"} & set(content["joints"]["elbow_joint"])
+    assert not set(JOINT) & {"transmission_m_per_rad"} & set(content["joints"]["elbow_joint"])

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import FloatArray, MotionCalibration
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
 from proprio_ros.identification.estimate import UnknownRow, Verdict
@@ -17,6 +17,7 @@ from proprio_ros.identification.regression.motion_prior import file_prior, fit_c
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 
 UNEXPLAINED_SHARE = 0.5

@@ -1,0 +1,117 @@
+"""What the sections of all calibrations share: runs, lists of numbers, correlations, and parts that must be there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.inputs.forms import Form, FormError, shortly, under
+from proprio_ros.records import FloatArray
+
+
+def triangle_of(correlation: FloatArray) -> str:
+    """The lower triangle as text, a line per unknown."""
+    return lines_of((row[: n + 1] for n, row in enumerate(correlation)), 12)
+
+
+def lines_of(rows: Iterable[FloatArray], digits: int) -> str:
+    """Numbers as text, a line per row: it reads a hundred times faster than YAML's numbers."""
+    return "".join(" ".join(f"{value:.{digits}g}" for value in row) + "\n" for row in rows)
+
+
+def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> FloatArray:
+    """The matrix under ``correlation``, shape (count, count).
+
+    Args:
+        section: Of a calibration.
+        count: Of unknowns.
+        smallest: Eigenvalue that it must have.
+
+    Raises:
+        FormError: It is none of so many unknowns, or of no covariance.
+    """
+    rows = numbers_of(section, "correlation")
+    if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
+        raise FormError(f"correlation must be the lower triangle of {count} unknowns, one row each; calibrate again")
+    matrix = np.zeros((count, count))
+    for n, row in enumerate(rows):
+        matrix[n, : n + 1] = row
+    matrix = matrix + np.tril(matrix, -1).T
+    if not np.all(np.isfinite(matrix)) or np.abs(np.diag(matrix) - 1.0).max() > 1e-9:
+        raise FormError("correlation must be finite, with ones on its diagonal; calibrate again")
+    if np.linalg.eigvalsh(matrix)[0] < smallest:
+        raise FormError("correlation is not one of any covariance; calibrate again")
+    return matrix
+
+
+def numbers_of(section: Mapping[str, Any], key: str) -> list[list[float]]:
+    """The lines of numbers under a key.
+
+    Raises:
+        FormError: There are none, or a word is none.
+    """
+    rows = []
+    for n, line in enumerate(part_of(section, key, str).splitlines(), start=1):
+        try:
+            rows.append([float(word) for word in line.split()])
+        except ValueError as error:
+            raise FormError(f"{key}, line {n}: {error}; calibrate again") from error
+    return rows
+
+
+def exactly(entry: Any, forms: Mapping[str, Form], beside: tuple[str, ...] = ()) -> list[Any]:
+    """The values of a mapping that has exactly these keys, in their order.
+
+    Raises:
+        FormError: It has not, or a value is none of its form.
+    """
+    if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
+        raise FormError(f"expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
+    return [read_under(entry, key, form) for key, form in forms.items()]
+
+
+def read_under(given: Mapping[str, Any], key: str, form: Form, default: Any = None) -> Any:
+    """The value of a key as its form takes it.
+
+    Raises:
+        FormError: It is none of that form.
+    """
+    with under(key):
+        return form.read(given.get(key, default))
+
+
+def check_section(section: Any) -> None:
+    """Raises: FormError: What a robot file has as a calibration is no mapping."""
+    if not isinstance(section, Mapping):
+        raise FormError(f"expected keys and values, got {shortly(section)}; write it with `proprio calibrate`")
+
+
+def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any, ...]:
+    """The runs of a calibration, each a mapping that has exactly these keys.
+
+    Raises:
+        FormError: One is not.
+    """
+    runs = part_of(section, "runs", list)
+    for number, run in enumerate(runs, 1):
+        with under("runs", number):
+            exactly(run, forms)
+    return tuple(runs)
+
+
+def part_of(section: Mapping[str, Any], key: str, kind: type) -> Any:
+    """A part of a section that must be there.
+
+    Raises:
+        FormError: It is not, or is something else.
+    """
+    if not isinstance(section.get(key), kind):
+        raise FormError(f"{key} is missing or no {kind.__name__}; write it with `proprio calibrate`")
+    return section[key]
+
+
+def short(value: float, digits: int = 12) -> float:
+    """A number as the file has it."""
+    return float(f"{value:.{digits}g}")
