@@ -36,7 +36,7 @@ from proprio_ros.pipeline.loading import Recordings, bag_recording, bag_runs, ba
 from proprio_ros.pipeline.replay import aged_robot, moment_of
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
-from proprio_ros.probes.base import WeighsReferences
+from proprio_ros.probes.base import Carries
 from proprio_ros.quantity import Quantity
 from proprio_ros.recordings.contents import read_motors
 from proprio_ros.recordings.datasets import episode_of
@@ -186,7 +186,7 @@ def _written(
 
 def _reference(settings: Settings) -> PayloadFacts:
     """What is stated of a weighed reference."""
-    probe: WeighsReferences = probe_that(WeighsReferences)
+    probe: Carries = probe_that(Carries)
     return probe.reference(settings)
 
 

@@ -344,7 +344,15 @@ class EstimatesLive(Probe[Facts]):
 
 
 class Carries(Probe[Facts]):
-    """The answer is a rigid load."""
+    """The answer is a rigid load, as a weighed reference is, with which a robot is calibrated."""
+
+    @abstractmethod
+    def reference(self, settings: Settings) -> PayloadFacts:
+        """Shape and place of a reference, as far as they are stated.
+
+        Raises:
+            ConfigurationError: A value of the wrong form or unit.
+        """
 
     @abstractmethod
     def load(self, facts: Facts, mass_kg: float) -> Carried:
@@ -353,18 +361,6 @@ class Carries(Probe[Facts]):
     @abstractmethod
     def carried(self, facts: Facts, estimate: Estimate) -> Carried | None:
         """The load that an accepted answer stands for; None: no mass is determined."""
-
-
-class WeighsReferences(Probe[Facts]):
-    """It knows what may be stated of a weighed reference, with which a robot is calibrated."""
-
-    @abstractmethod
-    def reference(self, settings: Settings) -> PayloadFacts:
-        """Shape and place of the reference.
-
-        Raises:
-            ConfigurationError: A value of the wrong form or unit.
-        """
 
 
 class HasTable(Probe[Facts]):

@@ -22,7 +22,6 @@ from proprio_ros.probes.base import (
     Shapes,
     Shown,
     TakesMotions,
-    WeighsReferences,
 )
 from proprio_ros.virtual.objects import Payload as VirtualPayload
 
@@ -61,7 +60,6 @@ class PayloadJob:
 class Payload(
     TakesMotions[PayloadJob],
     HasSolvers[PayloadJob],
-    WeighsReferences[PayloadJob],
     Online[PayloadJob],
     EstimatesLive[PayloadJob],
     ChoosesNext[PayloadJob],
