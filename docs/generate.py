@@ -1,7 +1,7 @@
 """Writes the pages that follow from the code: ``python docs/generate.py`` (after a change of an option, a
 parameter, a topic or a file of ``results``).
 
-``pages/command_line.md`` comes from the parser of ``proprio_ros/cli.py``; ``pages/ros_interface.md`` from the parameter tables
+``pages/command_line.md`` comes from the parser of ``proprio_ros/cli``; ``pages/ros_interface.md`` from the parameter tables
 of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. ``pages/settings.md`` comes
 from the forms of settings, robot files and calibrations, and from the limits of what is read. None needs ROS: where
 rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
@@ -97,9 +97,9 @@ ABOUT = {
 
 def command_line() -> str:
     """The page about ``proprio``."""
-    from proprio_ros.cli import _parser
+    from proprio_ros.cli.parser import make_parser
 
-    parser = _parser()
+    parser = make_parser()
     commands = dict(_commands(parser))
     parts = [
         NOTE,

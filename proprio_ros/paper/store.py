@@ -27,7 +27,7 @@ Task = tuple[str, int]
 
 
 _PAGES = ("page.py", "cells.py", "searches_page.py", "quoted.py", "store.py")
-NO_ROWS = ("cli.py", "nodes/", "launch/", "report/", *(f"paper/{name}" for name in _PAGES))
+NO_ROWS = ("cli/", "nodes/", "launch/", "report/", *(f"paper/{name}" for name in _PAGES))
 """Of the package's sources, those from which no row follows."""
 
 

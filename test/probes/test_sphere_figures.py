@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.pages import read
 
-from proprio_ros.cli import _as_text
+from proprio_ros.cli.terminal import estimate_as_text
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
@@ -264,7 +264,7 @@ def test_a_page_without_a_path_says_nothing_of_it(estimate: Estimate, tmp_path: 
 
 
 def test_the_result_on_the_command_line_is_in_grams(estimate: Estimate) -> None:
-    lines = _as_text(estimate).splitlines()
+    lines = estimate_as_text(estimate).splitlines()
     assert lines[0] == "accepted  (container, open_manipulator_x, 3 runs)"
     assert lines[1] == "  sphere_mass: 11.9 g   95 % interval 10.6 .. 13.2 g"
     assert lines[2] == "  container_mass: 30.3 g   95 % interval 28.5 .. 32.0 g"

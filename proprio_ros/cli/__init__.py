@@ -1,0 +1,64 @@
+"""``proprio``: parses, calls one function, prints.
+
+`parser` is what may be written, `commands` what each command does, `terminal` what is said of it.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+from proprio_ros import progress
+from proprio_ros.cli.parser import UsageError, make_parser
+from proprio_ros.cli.terminal import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, json_error, say
+from proprio_ros.errors import ConfigurationError, ProprioError, one_line
+
+LONGEST_WORD = 100_000
+"""Characters of one word of the command line."""
+
+
+def run() -> NoReturn:
+    """Entry point of the installed command: ``main``, then out at once.
+
+    Everything is written and closed by then; unloading Warp's native libraries would only cost the user 0.15 s.
+    """
+    gc.disable()  # one answer and out: collecting while the libraries are imported costs another tenth of a second
+    code = main()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(BrokenPipeError, ValueError, AttributeError):  # the reader has gone, or there never was one
+            stream.flush()
+    os._exit(code)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse and obey; returns the exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide, 130 interrupted."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        for word in given:
+            if "\0" in word or len(word) > LONGEST_WORD:
+                raise ConfigurationError(f"{one_line(word, 60)}: too long, or it holds a NUL character")
+        options = make_parser().parse_args(given)
+        with progress.listening(say):
+            return int(options.command(options, given))
+    except UsageError as error:
+        json_error(given, error.sentence, EXIT_BAD_INPUT)
+        raise
+    except ProprioError as error:
+        print(f"proprio: {error}", file=sys.stderr)
+        return json_error(given, str(error), EXIT_BAD_INPUT)
+    except OSError as error:
+        # whatever the file system refuses; where it can be foreseen, the code above says what to do
+        if isinstance(error, BrokenPipeError):
+            # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
+            sys.stderr.close()
+            return EXIT_OK
+        sentence = one_line(f"{error.filename or 'a file'}: {error.strerror or error}")
+        print(f"proprio: {sentence}", file=sys.stderr)
+        return json_error(given, sentence, EXIT_BAD_INPUT)
+    except KeyboardInterrupt:
+        print("proprio: interrupted", file=sys.stderr)
+        return json_error(given, "interrupted", EXIT_INTERRUPTED)

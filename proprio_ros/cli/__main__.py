@@ -1,0 +1,5 @@
+"""``python -m proprio_ros.cli``."""
+
+from proprio_ros.cli import run
+
+run()

@@ -1,0 +1,349 @@
+"""What each command of ``proprio`` does: it takes what was parsed, calls one function and shows what that returns.
+
+Heavy libraries are imported in the commands, so that --help and a mistyped option answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from proprio_ros import schema
+from proprio_ros.cli.terminal import (
+    EXIT_INTERRUPTED,
+    EXIT_NO_ANSWER,
+    EXIT_OK,
+    calibration_as_text,
+    estimate_as_text,
+    plan_as_text,
+    say,
+    say_progress,
+    show,
+    show_json,
+)
+from proprio_ros.errors import ConfigurationError, one_line, printable
+from proprio_ros.inputs.reading import path_problem
+from proprio_ros.inputs.settings import parse_settings
+from proprio_ros.probes import all_probes, probe_named, probe_that
+from proprio_ros.probes.base import HasTable
+from proprio_ros.quantity import shown
+
+if TYPE_CHECKING:
+    from proprio_ros.pipeline.request import Options
+
+
+def _command(given: Sequence[str]) -> str:
+    """The command line as it was given."""
+    return shlex.join(["proprio", *given])
+
+
+def _refuse_unwritable(report: str | None) -> None:
+    """Before the work, and before anything is printed."""
+    problem = path_problem(report or ".")
+    if problem:
+        raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
+    folder = Path(report or ".").resolve().parent
+    if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")
+
+
+def _settings(pairs: Sequence[str]) -> dict[str, Any]:
+    keys = [pair.partition("=")[0] for pair in pairs]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise ConfigurationError(f"--set {key}: given twice; give it once")
+    return parse_settings(pairs)
+
+
+def _asked(options: argparse.Namespace, **read: Any) -> Options:
+    """What the options of a command state; some were read already."""
+    from proprio_ros.pipeline.request import Options
+
+    given = {entry.name: getattr(options, entry.name) for entry in fields(Options) if hasattr(options, entry.name)}
+    return Options(**{**given, **read})
+
+
+def replay(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio replay``: an estimate; returns the exit code."""
+    _refuse_unwritable(options.report)
+    settings = _settings(options.set)
+    from proprio_ros.pipeline.replay import replay, write_report
+
+    estimate = replay(options.bags, _asked(options, settings=settings, span=_span(options.span)))
+    if options.json:
+        show_json(estimate.as_json())
+    else:
+        show(estimate_as_text(estimate))
+    if options.report:
+        write_report(estimate, Path(options.report), command=_command(given), sources=options.bags)
+        say(f"report written to {printable(options.report)}")
+    return EXIT_OK if estimate.verdict.value == "accepted" else EXIT_NO_ANSWER
+
+
+def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio calibrate``: a calibration file; returns the exit code."""
+    _refuse_unwritable(options.report)
+    settings = _settings(options.set)
+    references = _references(options.reference)
+    from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
+
+    about = _asked(options, settings=settings, calibration=options.refresh)
+    if options.refresh is not None and references:
+        raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
+    how = (about, options.output, say_progress, options.force)
+    if options.refresh is not None:
+        estimate = refresh_from_bags(options.bags, *how)
+    else:
+        estimate = calibrate_from_bags(options.bags, references, *how)
+    accepted = estimate.verdict.value == "accepted"
+    if options.json:
+        show_json({**estimate.as_json(), "output": str(options.output) if accepted else None})
+    else:
+        show(calibration_as_text(estimate))
+    if options.report:
+        from proprio_ros.report import write_calibration_report
+
+        sources = [*options.bags, *map(str, references)]
+        write_calibration_report(estimate, Path(options.report), command=_command(given), sources=sources)
+        say(f"report written to {printable(options.report)}")
+    if accepted:
+        say(f"calibration written to {printable(options.output)}")
+    return EXIT_OK if accepted else EXIT_NO_ANSWER
+
+
+def check(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio check``: what is in bags; returns the exit code."""
+    from proprio_ros.pipeline.check import check_bags
+    from proprio_ros.pipeline.looked_into import as_json
+
+    robot, checks = check_bags(options.bags, _asked(options, settings=_settings(options.set)))
+    if options.json:
+        show_json(as_json(robot, checks))
+    else:
+        show("\n".join(check.as_text() for check in checks))
+    return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
+
+
+def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio plan``: runs to make; returns the exit code."""
+    masses = _masses(options.mass)
+    if options.count < 1:
+        raise ConfigurationError(f"--count {options.count}: must be at least 1")
+    settings = _settings(options.set)
+    from proprio_ros.pipeline.api import Plans
+    from proprio_ros.pipeline.calibrate import plan_probes
+
+    asked = _asked(options, settings=settings)
+    plans = Plans(*plan_probes(masses, asked, options.count, say_progress), masses)
+    robot = plans.robot
+    if options.json:
+        show_json(plans.as_json())
+        return EXIT_OK
+    if not robot.is_calibrated():
+        print("the robot has not been calibrated: the intervals carry what its file leaves open")
+    for number, plan in enumerate(plans, start=1):
+        print(f"{number:2d}. " + plan_as_text(plan))
+    return EXIT_OK
+
+
+def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio robot new``: a robot file to fill in; returns the exit code."""
+    from proprio_ros.inputs.resources import check_new_yaml, write_in_one_step
+    from proprio_ros.recordings.description import description_of
+    from proprio_ros.robot.new_file import new_robot_file
+
+    output = Path(options.output)
+    check_new_yaml(output, options.force)
+    new = new_robot_file(options.urdf, output, description_of)
+    write_in_one_step(output, new.text, "--output")
+    if options.json:
+        show_json(
+            {**schema.header("robot"), "robot": new.name, "output": str(output), "joints": list(new.joints),
+             "payload_frame": new.payload_frame, "to_state": list(new.to_state)}
+        )  # fmt: skip
+        return EXIT_OK
+    show(f"{output}: {new.name}, joints {', '.join(new.joints)}")
+    show(f"  state: {', '.join(dict.fromkeys(key.rpartition('.')[2] for key in new.to_state))} (marked in the file)")
+    show(f"  check: payload_frame, {new.payload_frame} is a guess")
+    return EXIT_OK
+
+
+def table(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio table``: a table made anew; returns the exit code."""
+    settings = _settings(options.set)
+    from proprio_ros.pipeline.request import facts_of
+
+    started = time.monotonic()
+    probe: HasTable[Any] = probe_that(HasTable)
+    content, text = probe.rebuild_table(facts_of(probe.facts, settings))
+    elapsed = time.monotonic() - started
+    if options.json:
+        show_json({**schema.header("table"), **content, "elapsed_s": elapsed})
+    else:
+        print(f"{text}\n{content['file']}, {elapsed:.1f} s")
+    return EXIT_OK
+
+
+def warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio warmup``: compiled kernels; returns the exit code."""
+    settings = parse_settings(options.set)
+    from proprio_ros.pipeline.replay import compile_for
+
+    for name in [options.probe] if options.probe else [probe.name for probe in all_probes()]:
+        compile_for(_asked(options, settings=settings, probe=name))
+        print(f"{name}: ready")
+    return EXIT_OK
+
+
+def paper(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio paper``: a page; returns the exit code."""
+    for name, least, most in (("seeds", 1, 1000), ("jobs", 1, 64)):
+        value = getattr(options, name)
+        if value is not None and not least <= value <= most:
+            raise ConfigurationError(f"--{name} {value}: choose {least} to {most}")
+    problem = path_problem(options.out)
+    if problem:
+        raise ConfigurationError(f"--out {one_line(options.out, 60)}: {problem}")
+    from proprio_ros.paper.experiments import published
+    from proprio_ros.paper.page import write_paper_page
+    from proprio_ros.paper.store import Store, processors, run, tasks_of
+
+    folder = Path(options.out)
+    tasks_of(options.only, options.seeds)  # a name that is none is refused before anything is made
+    recording = None if options.recording is None else published(Path(options.recording))
+    found = run(Store(folder), options.only, options.seeds, options.jobs or processors(), say)
+    page = folder / "paper.html"
+    write_paper_page(found, page, _command(given), options.seeds, recording)
+    print(printable(str(page)))
+    return EXIT_OK
+
+
+def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio batch``: rows and a page; returns the exit code."""
+    if options.jobs is not None and not 1 <= options.jobs <= 1024:
+        raise ConfigurationError(f"--jobs {options.jobs}: choose 1 to 1024")
+    for flag, engine in (("address", "ray"), ("jobs", "local")):
+        if getattr(options, flag) is not None and options.engine != engine:
+            raise ConfigurationError(f"--{flag} goes with --engine {engine}: add that, or leave it out")
+    settings = _settings(options.set)
+    from proprio_ros.batch.job import refuse_device, run_batch
+    from proprio_ros.batch.rows import Job
+
+    refuse_device(options.device)
+    asked = _asked(options, settings=settings)
+    outcome = run_batch(
+        options.sources,
+        Job(asked, options.grasps),
+        options.out,
+        say,
+        engine=options.engine,
+        processes=options.jobs,
+        address=options.address,
+        bars=sys.stderr is not None and sys.stderr.isatty(),
+        command=_command(given),
+        empty=options.empty,
+        empty_first_s=options.empty_first,
+    )
+    if options.json:
+        show_json(
+            {**schema.header("batch"), "folder": str(outcome.folder), "episodes": outcome.episodes,
+             "done_before": outcome.before, "verdicts": outcome.verdicts}
+        )  # fmt: skip
+        return EXIT_OK
+    show(f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items()))
+    show(f"rows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}")
+    return EXIT_OK
+
+
+def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio demo``: a virtual robot, live; returns the exit code."""
+    examples = [probe.example for probe in all_probes() if probe.example is not None]
+    probe = probe_named(options.probe)
+    example = probe.example
+    assert example is not None
+    for other in examples:
+        if other.flag != example.flag and getattr(options, other.flag) is not None:
+            raise ConfigurationError(f"--{other.flag} says nothing about --probe {options.probe}; leave it out")
+    stated = getattr(options, example.flag)
+    truth = example.truth if stated is None else stated
+    if not example.lowest <= truth <= example.highest:
+        raise ConfigurationError(f"--{example.flag} {truth:g}: {example.units}")
+    # while libraries are loaded there is nothing to end yet, and an exception could land anywhere inside them
+    signal.signal(signal.SIGINT, _leave_at_once)
+    try:
+        from proprio_ros.nodes.demo import demo
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
+        ) from error
+    result = demo(
+        probe,
+        truth,
+        folder=Path(options.output),
+        seed=options.seed,
+        robot=options.robot or "open_manipulator_x",
+        full=options.full,
+        tell=say,
+    )
+    print(result.sentence)
+    if result.value is not None:
+        truth_shown = shown(probe.answer[1], result.truth, spec=".1f")
+        print(f"{example.was} {truth_shown}, a hidden robot; {result.elapsed_s:.0f} s in all")
+    if result.report is not None:
+        print(f"report: {result.report}")
+    return EXIT_OK if result.accepted else EXIT_NO_ANSWER
+
+
+def _references(pairs: Sequence[str]) -> dict[str | Path, float]:
+    """Mass [kg] by bag, of the words of ``--reference``."""
+    references: dict[str | Path, float] = {}
+    for pair in pairs:
+        path, _, mass = pair.rpartition("=")
+        try:
+            known = float(mass)
+        except ValueError:
+            path = ""
+        if path in references:
+            raise ConfigurationError(f"--reference {path}: given twice; give it once")
+        if not path:
+            raise ConfigurationError(f"--reference {pair}: write BAG=KG, e.g. --reference weight_bag=0.1")
+        references[path] = known
+    return references
+
+
+def _span(text: str | None) -> tuple[int, int | None] | None:
+    """From when to when [ns], of the words of ``--span``."""
+    if text is None:
+        return None
+    begin, colon, end = text.partition(":")
+    try:
+        seconds = [float(word) for word in (begin or "0", end or "inf")]
+    except ValueError:
+        seconds = []
+    if not colon or not seconds or not 0.0 <= seconds[0] < min(seconds[1], 1e9):
+        raise ConfigurationError(f"--span {one_line(text, 40)}: expected FROM:TO in seconds, such as 600:1200 or 600:")
+    return round(1e9 * seconds[0]), None if seconds[1] > 1e9 else round(1e9 * seconds[1])
+
+
+def _masses(text: str) -> list[float]:
+    """``0.05``, or ``0.01..0.2``: then the middle of the range, too."""
+    try:
+        ends = [float(part) for part in text.split("..")]
+    except ValueError:
+        ends = []
+    if not 1 <= len(ends) <= 2 or min(ends) <= 0.0 or ends[0] > ends[-1]:
+        raise ConfigurationError(f"--mass {text}: write one mass in kg, or lightest..heaviest, e.g. 0.01..0.2")
+    return ends if len(ends) == 1 else [ends[0], (ends[0] * ends[1]) ** 0.5, ends[1]]
+
+
+def _leave_at_once(_number: int, _frame: Any) -> NoReturn:
+    os.write(2, b"proprio: interrupted\n")
+    os._exit(EXIT_INTERRUPTED)
