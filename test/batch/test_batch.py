@@ -36,7 +36,7 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import read_for, replay
 from proprio_ros.pipeline.request import Options, request_of
-from proprio_ros.recordings.datasets import episode_of, open_data_set, read_episode
+from proprio_ros.recordings.datasets import open_data_set
 
 MASSES_KG = (0.0, 0.05, 0.1)
 PROFILE = "title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n"
@@ -124,36 +124,11 @@ def test_a_span_is_that_part_of_the_whole(fleet: Path, source: str) -> None:
         read_for(behind, [path])
 
 
-def test_units_are_those_of_the_profile(tmp_path: Path) -> None:
-    motion = Arm(3).record(1, 2.0)
-    motion = replace(motion, position=3.0 * motion.position)
-    degrees = replace(motion, position=np.rad2deg(motion.position))
-    folder = write_data_set(tmp_path / "set", [degrees], FOUR.constants, rate_hz=50.0)
-    columns = {"position_unit": "deg", "percent": ("j4",)}
-    from proprio_ros.recordings.datasets import Columns
-
-    given: dict[str, Any] = {"names": {}, "effort_unit": "N.m", "nominal_torque_constants": {"j1": 1.0}}
-    found = read_episode(folder, 0, Columns(**columns), limits={"j4": (-1.0, 1.0)}, **given)
-    assert np.allclose(found.joints.position[:, :3], motion.position[:, :3], atol=1e-5)
-    assert np.allclose(found.joints.position[:, 3], -1.0 + 0.02 * degrees.position[:, 3], atol=1e-4)
-    assert found.joints.current is not None and np.isnan(found.joints.current[:, 1]).all()
-    with pytest.raises(RecordingError, match="no angle in rad"):
-        read_episode(folder, 0, Columns(), limits={}, **given)
-
-
-def test_a_data_set_that_is_not_whole_is_refused_in_a_line(fleet: Path, tmp_path: Path) -> None:
+def test_an_episode_that_cannot_be_answered_is_refused_in_a_line(fleet: Path) -> None:
     with pytest.raises(RecordingError, match="no such episode; the data set has"):
         replay(f"{fleet / 'data' / 'v3'}#7", asked(fleet))
     with pytest.raises(ConfigurationError, match="whose units nobody states"):
         replay(f"{fleet / 'data' / 'v3'}#0", replace(asked(fleet), driver=None))
-    (tmp_path / "meta").mkdir()
-    (tmp_path / "meta" / "info.json").write_text('{"codebase_version": "v1.6", "fps": 30}')
-    with pytest.raises(RecordingError, match=r"version v1\.6; 2\.1 and 3 are read"):
-        open_data_set(tmp_path)
-    (tmp_path / "meta" / "info.json").write_text('{"codebase_version": "v3.0"')
-    with pytest.raises(RecordingError, match="not readable"):
-        open_data_set(tmp_path)
-    assert episode_of("a/b#12") == (Path("a/b"), 12) and episode_of("a/b") is None
 
 
 # --- rows ------------------------------------------------------------------------------------------------------------
