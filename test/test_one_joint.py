@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.machines import REAL, pendulum_urdf
+from support.recording_bag import write_recording
 
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError
@@ -20,7 +21,6 @@ from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.motions import motion_of
 from proprio_ros.recordings.runs import UnderController, cut_runs
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.recording_bag import write_recording
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command, JointSample
@@ -21,7 +22,6 @@ from proprio_ros.excitation.machine import MOST_LOST_RUNS, ExcitationMachine, Ph
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.robot.kinematics import clearance

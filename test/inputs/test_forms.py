@@ -35,5 +35,5 @@ def test_a_message_names_the_way_to_what_is_wrong(value: object, message: str) -
 
 
 def test_keys_may_be_put_before_what_is_wrong() -> None:
-    with pytest.raises(FormError, match="^runs: 3: mass: expected a number, got 'heavy'$"), under("runs", 3):
+    with pytest.raises(FormError, match=r"^runs: 3: mass: expected a number, got 'heavy'$"), under("runs", 3):
         section({"mass": "heavy"}, INNER)

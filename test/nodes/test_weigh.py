@@ -16,12 +16,12 @@ pytest.importorskip("mujoco")
 
 from support.domains import free_domain
 from support.live import Client, comes_up, replayed_alike, running, wait_for
+from support.recording_bag import write_recording
 from support.virtual_pick_and_place import HIGHEST, LOWEST
 
 from proprio_ros.nodes.messages import labelled, time_ns
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.request import Options
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import JointRecord, Recording
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.truth import Truth

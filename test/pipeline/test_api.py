@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.recording_bag import write_recording
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import proprio_ros
@@ -24,7 +25,6 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, Recording
 from proprio_ros.robot import load_robot
 from proprio_ros.threads import one_blas_thread

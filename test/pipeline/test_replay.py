@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support.recording_bag import write_recording
 from support.simulated import bag_in, fixed, known_drive_train, stated, truth_of, weighed
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
@@ -19,7 +20,6 @@ from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot
 

@@ -22,6 +22,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from support.recording_bag import write_recording
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
@@ -40,7 +41,6 @@ from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.topics import OUR_DRIVER
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import MEASURED_EFFORT, JointRecord, Recording
 from proprio_ros.robot import Robot, load_robot
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.recording_bag import write_recording
 
 from proprio_ros.cli import main
 from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
@@ -23,7 +24,6 @@ from proprio_ros.recordings.plausibility import (
     velocity_lag_s,
 )
 from proprio_ros.recordings.signals import read_recording
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot, with_recorded_torque
 

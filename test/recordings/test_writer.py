@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.recording_bag import write_recording
 from support.small_bags import ONSET_NS, STORAGES, read, refused
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
 
 BAGS = Path(__file__).parents[2] / "bags"

@@ -19,9 +19,9 @@ import proprio_ros.batch.local as local
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.rows import Job
 from proprio_ros.recordings.motions import Motion
-from proprio_ros.recordings.writer import write_recording
 from proprio_ros.records import JointRecord, Recording
 from support.arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
+from support.recording_bag import write_recording
 
 STEP_S, RATE_HZ = 0.002, 50.0
 BEGIN_NS = 1_780_000_000_000_000_000
