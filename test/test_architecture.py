@@ -37,7 +37,10 @@ ROOMS: dict[str, set[str]] = {
         *("inputs", "calibration_files", "robot", "recordings", "sim", "identification", "experiment_design"),
         *("report", "probes"),
     },
-    "live": {"inputs", "robot", "recordings", "sim", "identification", "probes", "pipeline"},
+    "live": {
+        *("inputs", "robot", "recordings", "excitation", "sim", "identification", "experiment_design"),
+        *("probes", "pipeline"),
+    },
     "nodes": {
         *("inputs", "calibration_files", "robot", "recordings", "bus", "virtual", "excitation", "identification"),
         *("experiment_design", "report", "probes", "pipeline", "live"),

@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
+from proprio_ros.bus.senders import Senders
 from proprio_ros.bus.state import ArmSample, BusState
 from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
@@ -22,7 +23,6 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
-from proprio_ros.nodes.senders import Senders
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.topics import TEMPERATURES
 

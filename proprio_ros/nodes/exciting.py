@@ -13,8 +13,8 @@ from rclpy.parameter import Parameter as RosParameter
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
 
 READY_S = 4.0

@@ -26,13 +26,13 @@ from proprio_ros import progress
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.inputs.settings import parse_settings
+from proprio_ros.live.job import Job
 from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.exciting import CALL_S, Excitation
 from proprio_ros.nodes.handing_on import HandingOn
 from proprio_ros.nodes.identifier_parameters import PARAMETERS, services
 from proprio_ros.nodes.inputs import Inputs
-from proprio_ros.nodes.job import Job
 from proprio_ros.nodes.jobs import Jobs
 from proprio_ros.nodes.numeric import WeighAction
 from proprio_ros.nodes.parameters import value_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from proprio_ros.nodes.job import REFRESH, WEIGH
-from proprio_ros.nodes.job import ROBOT as ROBOT_JOB
+from proprio_ros.live.job import REFRESH, WEIGH
+from proprio_ros.live.job import ROBOT as ROBOT_JOB
 from proprio_ros.nodes.parameters import ROBOT, Parameter
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import Guards, HasBaseline, Probe

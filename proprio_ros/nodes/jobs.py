@@ -25,6 +25,7 @@ from proprio_ros.experiment_design.until import chosen_known
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, live_answer, refusal_of
+from proprio_ros.live.job import REFRESH, ROBOT, WEIGH, Job, JobError
 from proprio_ros.live.session import (
     LiveEstimate,
     Session,
@@ -38,7 +39,6 @@ from proprio_ros.live.session import (
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.exciting import READY_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
-from proprio_ros.nodes.job import REFRESH, ROBOT, WEIGH, Job, JobError
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.refreshing import refresh_robot
 from proprio_ros.nodes.results import Results

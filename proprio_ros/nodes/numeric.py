@@ -13,7 +13,7 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
 from proprio_ros.excitation.plans import Until
-from proprio_ros.nodes.job import WEIGH, Job
+from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.nodes.runtime import LATCHED, Answer, ManagedNode
 from proprio_ros.probes import all_probes, probe_at_work
 from proprio_ros.probes.base import Probe

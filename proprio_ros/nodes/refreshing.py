@@ -11,9 +11,9 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import as_text, load_sequence
 from proprio_ros.experiment_design.until import chosen_refresh
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.live.job import Job, JobError
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes.inputs import Inputs
-from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.results import Results
 from proprio_ros.pipeline.calibrate import refresh_from_bags
 from proprio_ros.pipeline.replay import aged_robot

@@ -18,10 +18,10 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.regression.running import RunningEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
+from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.live.online_estimator import RunningFeed, running_entries, running_words
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.job import WEIGH, Job
 from proprio_ros.nodes.numeric import StampedEstimates
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
 from proprio_ros.pipeline.request import Request

@@ -19,12 +19,12 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, refusal_of
+from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.online_estimator import NO_MOTIONS, RunningFeed, any_moved
 from proprio_ros.live.session import Session
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.inputs import Inputs
-from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode

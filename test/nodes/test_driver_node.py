@@ -25,7 +25,6 @@ from proprio_ros.clock import run_in_real_time, run_like_others
 from proprio_ros.nodes.driver import DriverNode
 from proprio_ros.nodes.messages import labelled, values_of
 from proprio_ros.nodes.runtime import LATCHED
-from proprio_ros.nodes.senders import Senders
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
@@ -238,21 +237,3 @@ def test_whose_arm_it_is_is_said_once(bench: Bench) -> None:
     (told,) = bench.motors
     assert set(told) == set(bench.node._order)
     assert MotorIdentity.from_text(told["joint3"]) == MotorIdentity(1020, 13, 46, 0, 0, 10)
-
-
-def test_publishers_are_told_apart_by_their_numbers() -> None:
-    senders = Senders()
-    first = [senders.of(number, "five") for number in (1, 2, 3)]
-    assert first == [1, 1, 1]
-    assert senders.of(1, "one") == 2, "a new one begins to count"
-    assert senders.of(4, "five") == 1
-    assert [senders.of(2, "one"), senders.of(8, "five"), senders.of(400, "flood")] == [2, 1, 3], "some are lost"
-    # one that counts faster overtakes: they look different
-    assert [senders.of(number, "one") for number in range(3, 9)] == [2] * 6
-    assert senders.of(9, "five") == 1 and senders.of(9, "one") == 2
-    assert senders.of(10, "one") == 2 and senders.of(10, "five") == 1
-
-
-def test_without_numbers_all_are_one() -> None:
-    senders = Senders()
-    assert senders.of(None, "a") == senders.of(None, "b") == 0

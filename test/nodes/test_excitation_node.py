@@ -24,10 +24,10 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from proprio_ros.excitation.commands import Command
+from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.identifier import IdentifierNode
-from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.runtime import IDLE_PAUSE_S, STREAM, ManagedNode
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED

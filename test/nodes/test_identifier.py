@@ -28,10 +28,10 @@ from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.experiment_design.sequential import Push
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.inputs.resources import resource
+from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.online_estimator import current_A
 from proprio_ros.live.session import Session, live_request
 from proprio_ros.nodes import driver, identifier, jobs, messages
-from proprio_ros.nodes.job import WEIGH, Job, JobError
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Sought

@@ -21,8 +21,8 @@ from support.live import LATCHED, running, wait_for
 from support.message_packages import build
 
 from proprio_ros.excitation.plans import Until
+from proprio_ros.live.job import Job
 from proprio_ros.nodes import numeric
-from proprio_ros.nodes.job import Job
 from proprio_ros.nodes.numeric import WeighAction, fill
 from proprio_ros.probes import probe_named
 

@@ -23,9 +23,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.excitation.plans import ProbeRun, load_sequence
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.live.job import Job, JobError
 from proprio_ros.live.workspace import Keeping
 from proprio_ros.nodes import jobs, refreshing
-from proprio_ros.nodes.job import Job, JobError
 from proprio_ros.nodes.messages import labelled
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.request import Request
