@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import figures
 import pytest
 from ruamel.yaml import YAML
 
@@ -79,6 +80,33 @@ def test_generated_pages_are_current(without_ros: bool) -> None:
         cwd=REPOSITORY, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, f"run python docs/generate.py: {done.stderr[-2000:]}"
+
+
+def test_tables_of_figures_are_those_of_the_results() -> None:
+    found = {path: path.read_text(encoding="utf-8") for path in (REPOSITORY / "README.md", *PAGES)}
+    blocks = {path.name: [name for _, name, _ in figures.BLOCK.findall(text)] for path, text in found.items()}
+    assert blocks["README.md"] == ["readme", "speed in short"] and len(blocks["validation.md"]) > 10
+    for path, text in found.items():
+        assert figures.filled(text) == text, f"{path.name}: run python docs/generate.py figures"
+    assert 5 < len(figures.summary().splitlines()) - 2 <= 15
+
+
+@pytest.mark.parametrize("path", sorted(figures.RESULTS.glob("*.json")), ids=lambda path: path.stem)
+def test_a_file_of_results_says_what_was_run(path: Path) -> None:
+    kept = figures.kept(path.stem)
+    words = kept["command"].split()
+    assert words[0] == "python" and (REPOSITORY / words[1]).is_file()
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", kept["date"]) and kept["machine"]["cores"] > 0
+    assert re.fullmatch(r"[0-9a-f]{7,}", kept["commit"]), "of a committed state, without changes"
+    assert all(table["rows"] and table["columns"] for table in kept["tables"].values())
+    shown = (REPOSITORY / "docs" / "pages" / "validation.md").read_text(encoding="utf-8")
+    assert f"<!-- results: {path.stem}" in shown, "no page shows it"
+
+
+def test_a_number_that_is_missing_is_a_dash() -> None:
+    assert figures.cells({"a": "{a:.1f} g", "b": "{b}"}, {"a": None, "b": 3}) == ["-", "3"]
+    with pytest.raises(LookupError, match="0 rows"):
+        figures.numbers("simulated", "weighing", level="of nobody")
 
 
 def test_every_topic_and_service_is_explained() -> None:

@@ -1,4 +1,5 @@
-"""README's section for another arm, done as a newcomer does it: its commands, a URDF of three joints, and nothing else."""
+"""README's commands, done as a newcomer does them: those for the recordings of the repository, and those for another arm with
+a URDF of three joints and nothing else."""
 
 from __future__ import annotations
 
@@ -37,13 +38,31 @@ URDF = """<robot name="my_arm">
 """
 
 
-def commands() -> list[list[str]]:
-    """Words of the commands of the section, without what a comment says."""
-    section = README.read_text().split("**Any other arm", 1)[1]
+def commands(title: str) -> list[list[str]]:
+    """Words of the commands of a section, without what a comment says."""
+    section = README.read_text().split(title, 1)[1]
     block = re.search(r"```\n(.*?)```", section, re.DOTALL)
     assert block is not None
     lines = block[1].replace("\\\n", " ").splitlines()
     return [shlex.split(line, comments=True) for line in lines]
+
+
+def test_the_recordings_of_the_repository_give_what_the_readme_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bags").symlink_to(README.parent / "bags")
+    calibrate, replay = commands("**Offline**")
+    empty = sorted(str(bag.relative_to(tmp_path)) for bag in tmp_path.glob(calibrate[2]))
+    assert len(empty) == 16 and main([*calibrate[1:2], *empty, *calibrate[3:]]) == 0
+    capsys.readouterr()
+    assert main(replay[1:]) == 0
+    found = re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", capsys.readouterr().out)
+    at = replay.index("--calibration")
+    assert main([*replay[1:at], *replay[at + 2 :]]) == 3
+    (wide,) = re.findall(r"payload_mass: (\d+ \.\. \d+) g", capsys.readouterr().out)
+    (mass, low, high), stated = found[0], re.sub(r"\s+", " ", README.read_text())
+    assert f"says {mass} g, {low} to {high} g; without `--calibration` it says {wide.replace('..', 'to')} g" in stated
 
 
 @pytest.mark.long
@@ -54,7 +73,7 @@ def test_another_arm_is_weighed_by_the_commands_of_the_readme(
     (tmp_path / "my_arm.urdf").write_text(URDF)
     for seed, (name, kg) in enumerate(BAGS.items()):
         record_arm(tmp_path / name, tmp_path / "my_arm.urdf", TRUE, "hand", kg, seed, seconds=15.0)
-    ran = commands()
+    ran = commands("**Any other arm")
     assert [words[:2] for words in ran] == [
         ["proprio", word] for word in ["robot", "check", "replay", "calibrate", "replay"]
     ]

@@ -1,8 +1,8 @@
 """What a benchmark found: printed as tables while it runs, and kept as JSON (``--json FILE``) for the pages of the documentation.
 
 A file of ``docs/results/`` says what was run (command line, commit, date, machine, seconds) and holds one table or more: of each
-row the numbers, unrounded, and of the table the columns by which a page shows them. ``docs/generate.py`` writes README's and the
-validation page's tables from these files and nothing else.
+row the numbers, to six digits, and of the table the columns by which a page shows them. ``docs/generate.py`` writes the tables of
+README and of the validation page from these files and nothing else.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Results:
 
     def row(self, table: str, **numbers: Any) -> None:
         """Add a row, and print it."""
-        kept = {key: value.item() if hasattr(value, "item") else value for key, value in numbers.items()}
+        kept = {key: _rounded(value) for key, value in numbers.items()}
         columns = self.tables[table]["columns"]
         self.tables[table]["rows"].append(kept)
         if self._printed != table:
@@ -70,10 +70,31 @@ class Results:
         """Write the file, where one was asked for; a run that ended early keeps none."""
         if self.file is None:
             return
-        seconds = round(time.monotonic() - self._began)
-        kept = {**self._run, "seconds": seconds, "tables": self.tables}
+        kept = {**self._run, "seconds": round(time.monotonic() - self._began), "tables": self.tables}
         self.file.parent.mkdir(parents=True, exist_ok=True)
-        self.file.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+        self.file.write_text(text_of(kept), encoding="utf-8")
+
+
+def text_of(kept: Mapping[str, Any]) -> str:
+    """JSON with a line for each row of a table."""
+    tables = {
+        name: {**table, "rows": [f"ROW {name} {n}" for n in range(len(table["rows"]))]}
+        for name, table in kept["tables"].items()
+    }
+    text = json.dumps({**kept, "tables": tables}, indent=1)
+    for name, table in kept["tables"].items():
+        for number, row in enumerate(table["rows"]):
+            text = text.replace(json.dumps(f"ROW {name} {number}"), json.dumps(row), 1)
+    return text + "\n"
+
+
+def _rounded(value: Any) -> Any:
+    """Six digits of a number are enough for any page; numbers of numpy become Python's."""
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, list):
+        return [_rounded(each) for each in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _run(script: str, arguments: Sequence[str]) -> dict[str, Any]:
