@@ -38,8 +38,15 @@ NODES = {
     "identifier": "IdentifierNode",
     "virtual": "VirtualNode",
 }
-PARTS = {"identifier": ("results:Results.__init__", "inputs:Inputs.open", "exciting:Excitation.__init__")}
-"""What makes connections beside a node's `configure`: a module of nodes, a class and its method."""
+PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
+    "identifier": (("results:Results.__init__", {}), ("inputs:Inputs.open", {}), ("exciting:Excitation.__init__", {})),
+    "excitation": (
+        ("excitation:ExcitationNode._driver_output", {}),
+        ("excitation:ExcitationNode._controller_output", {"interface": "effort"}),
+        ("excitation:ExcitationNode._controller_output", {"interface": "position"}),
+    ),
+}
+"""What makes connections beside a node's `configure`: a module of nodes, a class and its method, and arguments of it."""
 ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "sensor_msgs", "std_msgs",
        "std_srvs", "visualization_msgs")  # fmt: skip
 ABOUT = {
@@ -212,10 +219,10 @@ def connections(name: str, module: ModuleType, node: Any) -> Iterator[tuple[str,
     """What a node makes in `configure`, and in its parts; see `_made_by`."""
     values = {parameter.name: parameter.default for parameter in node.parameters}
     yield from _made_by(node.configure, vars(module), name, values)
-    for part in PARTS.get(name, ()):
+    for part, given in PARTS.get(name, ()):
         place, _, method = part.partition(":")
         module = importlib.import_module(f"proprio_ros.nodes.{place}")
-        yield from _made_by(operator.attrgetter(method)(module), vars(module), name, values)
+        yield from _made_by(operator.attrgetter(method)(module), {**vars(module), **given}, name, values)
 
 
 def _made_by(
