@@ -193,6 +193,3 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
         table(header, rows, range(len(header))),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",
     ]
-
-
-__all__ = ["Period", "drift_of", "drift_parts", "evenly", "periods_of", "readable", "write_drift"]

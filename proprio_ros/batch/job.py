@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,50 +83,29 @@ def run_batch(
     Raises:
         ConfigurationError, RobotError: An option is wrong; found before any episode is read.
     """
-    if engine not in ENGINES:
-        raise ConfigurationError(f"--engine {engine}: choose one of {', '.join(ENGINES)}")
+    _check_options(engine, job.options, empty, empty_first_s)
     job = replace(job, options=_located(job.options))
-    option = "--empty" if empty is not None else "--empty-first"
-    if empty is None and empty_first_s is None:
-        request_of(job.options)  # what is wrong for every episode is said once
-    elif job.options.calibration is not None:
-        raise ConfigurationError(f"{option} makes a calibration, and --calibration names one: give one of them")
-    elif empty is not None and empty_first_s is not None:
-        raise ConfigurationError("--empty and --empty-first both say when the hand is empty: give one of them")
-    if empty_first_s is not None and empty_first_s < LEAST_FIRST_S:
-        raise ConfigurationError(
-            f"--empty-first {empty_first_s:g}: {LEAST_FIRST_S:g} s of motion with an empty hand are the least that say anything"
-        )
-    if engine == "ray":
-        ray_or_refuse()
     episodes = episodes_of(sources)
-    profile = None if job.options.driver is None else load_driver(job.options.driver)
-    if any(episode.index is not None for episode in episodes) and (profile is None or profile.columns is None):
-        raise ConfigurationError(
-            "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
-            "lerobot_openarm, lerobot_rad, or your own file with columns"
-        )
+    _check_units(episodes, job.options)
     plain, empties = job.options, list[Episode]()
     if empty is not None:
-        empties = [each for each in episodes if each.index is not None and _marked(each, empty)]
-        if not empties:
-            raise ConfigurationError(
-                f"--empty {empty}: no episode of a data set has anything but zero there throughout"
-            )
+        empties = _marked(episodes, empty)
+        job = replace(job, options=self_calibrated(empties, plain, "--empty", Path(out), tell))
     elif empty_first_s is not None:
         empties = [each for each in episodes if not each.problem and not is_text_recording(each.path)]
         plain = replace(plain, span=(0, round(1e9 * empty_first_s)))
-        job = replace(job, empty_first_s=empty_first_s)
-    if empty is not None or empty_first_s is not None:
-        job = replace(job, options=self_calibrated(empties, plain, option, Path(out), tell))
+        options = self_calibrated(empties, plain, "--empty-first", Path(out), tell)
+        job = replace(job, options=options, empty_first_s=empty_first_s)
     store = Store(Path(out), job)
     try:
         done = store.done()
         missing = [each for each in episodes if (each.source, each.name) not in done]
         before = len(episodes) - len(missing)
         tell(f"{len(episodes)} episodes, {before} of them done before")
-        if missing:
-            _run(missing, job, store, engine, processes, address, tell, chunk, bars)
+        if missing and engine == "ray":
+            run_ray(missing, job, store, address, tell, chunk, quiet=not bars)
+        elif missing:
+            run_local(missing, job, store, processes or processors(), tell, chunk)
         periods = drift_of(empties, _stamps(store), plain, tell) if empties else []
         if periods:
             write_drift(periods, store.folder / "drift.csv")
@@ -135,21 +115,33 @@ def run_batch(
         store.close()
 
 
-def _run(
-    episodes: Sequence[Episode],
-    job: Job,
-    store: Store,
-    engine: str,
-    processes: int | None,
-    address: str | None,
-    tell: Callable[[str], Any],
-    chunk: int,
-    bars: bool,
-) -> None:
+def _check_options(engine: str, options: Options, empty: str | None, empty_first_s: float | None) -> None:
+    """What is wrong for every episode is said once; Raises as `run_batch` does."""
+    if engine not in ENGINES:
+        raise ConfigurationError(f"--engine {engine}: choose one of {', '.join(ENGINES)}")
+    if empty is None and empty_first_s is None:
+        request_of(options)
+    elif options.calibration is not None:
+        option = "--empty" if empty is not None else "--empty-first"
+        raise ConfigurationError(f"{option} makes a calibration, and --calibration names one: give one of them")
+    elif empty is not None and empty_first_s is not None:
+        raise ConfigurationError("--empty and --empty-first both say when the hand is empty: give one of them")
+    if empty_first_s is not None and empty_first_s < LEAST_FIRST_S:
+        raise ConfigurationError(
+            f"--empty-first {empty_first_s:g}: {LEAST_FIRST_S:g} s of motion with an empty hand are the least that say anything"
+        )
     if engine == "ray":
-        run_ray(episodes, job, store, address, tell, chunk, quiet=not bars)
-    else:
-        run_local(episodes, job, store, processes or processors(), tell, chunk)
+        ray_or_refuse()
+
+
+def _check_units(episodes: Sequence[Episode], options: Options) -> None:
+    """Raises: ConfigurationError: nobody says what the numbers of a data set are in."""
+    driver = None if options.driver is None else load_driver(options.driver)
+    if any(episode.index is not None for episode in episodes) and (driver is None or driver.columns is None):
+        raise ConfigurationError(
+            "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
+            "lerobot_openarm, lerobot_rad, or your own file with columns"
+        )
 
 
 def self_calibrated(
@@ -194,16 +186,27 @@ def _stamps(store: Store) -> dict[str, int | None]:
     return {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
 
 
-def _marked(episode: Episode, column: str) -> bool:
-    data = open_data_set(episode.source)
-    if column not in data.features:
-        raise ConfigurationError(
-            f"--empty {column}: {data.folder} has no such column; it has: {', '.join(data.features)}"
-        )
-    try:
-        return marked(data, episode.index or 0, column)
-    except RecordingError:  # its row will say why
-        return False
+def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
+    """The episodes of data sets whose column is nowhere zero.
+
+    Raises:
+        ConfigurationError: A data set has no such column, or no episode is marked.
+    """
+    found = []
+    for episode in episodes:
+        if episode.index is None:
+            continue
+        data = open_data_set(episode.source)
+        if column not in data.features:
+            raise ConfigurationError(
+                f"--empty {column}: {data.folder} has no such column; it has: {', '.join(data.features)}"
+            )
+        with suppress(RecordingError):  # its row will say why
+            if marked(data, episode.index, column):
+                found.append(episode)
+    if not found:
+        raise ConfigurationError(f"--empty {column}: no episode of a data set has anything but zero there throughout")
+    return found
 
 
 def _reports(store: Store, job: Job) -> dict[str, str]:

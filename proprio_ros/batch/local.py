@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import Job, failed_row, rows_of_all
-from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, source_name, write_rows
+from proprio_ros.batch.rows import Job, failed_row, rows_of_all, source_name
+from proprio_ros.batch.store import PARTITION, Store, chunk_id, chunks_of, write_rows
 
 CHUNK = 64
 """Episodes per file, at most."""

@@ -31,6 +31,14 @@ Row = dict[str, Any]
 EPISODE, PART, GRASP, FAILED = "episode", "part", "grasp", "failed"
 """Kinds of rows: a whole episode; a part of one that is too long to be answered at once; a stretch in which one thing was held;
 what could not be read or identified."""
+COLUMNS = {
+    "source_name": "text", "source": "text", "episode": "text", "episode_index": "integer", "segment": "integer",
+    "segments": "integer", "kind": "text", "recorded_ns": "integer", "start_s": "number", "end_s": "number", "samples": "integer",
+    "joints": "texts", "probe": "text", "quantity": "text", "unit": "text", "value": "number", "std": "number", "low": "number",
+    "high": "number", "gripper": "number", "verdict": "text", "reasons": "texts", "reason_codes": "texts", "notes": "texts",
+    "robot": "text", "calibration": "text", "calibration_sha256": "text", "version": "text", "elapsed_s": "number",
+}  # fmt: skip
+"""What each column of a row holds."""
 MOST_SAMPLES = 30_000
 """Joint states that are answered at once: ten minutes at 50 Hz, half a minute at 1 kHz. Longer motions need no more memory."""
 LEAST_BYTES = 8 * MOST_SAMPLES
@@ -187,29 +195,16 @@ def _finished(rows: list[Row], started: float) -> list[Row]:
     return [{**row, "segment": number, "segments": len(rows), "elapsed_s": elapsed} for number, row in enumerate(rows)]
 
 
-def _base(episode: Episode, job_probe: str) -> Row:
-    return {
+def _base(episode: Episode, probe: str) -> Row:
+    """All columns; those of which nothing is known are empty."""
+    empty: Row = {"text": "", "texts": [], "integer": None, "number": None}
+    return {name: empty[kind] for name, kind in COLUMNS.items()} | {
         "source_name": source_name(episode.source),
         "source": episode.source,
         "episode": episode.name,
         "episode_index": episode.index,
-        "recorded_ns": None,
-        "start_s": None,
-        "end_s": None,
         "samples": 0,
-        "joints": [],
-        "probe": job_probe,
-        "quantity": "",
-        "unit": "",
-        "value": None,
-        "std": None,
-        "low": None,
-        "high": None,
-        "gripper": None,
-        "reasons": [],
-        "reason_codes": [],
-        "notes": [],
-        "robot": "",
+        "probe": probe,
         "calibration": None,
         "calibration_sha256": None,
         "version": __version__,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import GRASP, Job, Row, source_name
+from proprio_ros.batch.rows import COLUMNS, GRASP, Job, Row
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.recordings.datasets import arrow
@@ -26,40 +26,9 @@ PARTITION = "source_name"
 def schema() -> Any:
     """Of the rows, with the partition's column."""
     pa = arrow()
-    texts, number = pa.list_(pa.string()), pa.float64()
-    return pa.schema(
-        [
-            (PARTITION, pa.string()),
-            ("source", pa.string()),
-            ("episode", pa.string()),
-            ("episode_index", pa.int64()),
-            ("segment", pa.int32()),
-            ("segments", pa.int32()),
-            ("kind", pa.string()),
-            ("recorded_ns", pa.int64()),
-            ("start_s", number),
-            ("end_s", number),
-            ("samples", pa.int64()),
-            ("joints", texts),
-            ("probe", pa.string()),
-            ("quantity", pa.string()),
-            ("unit", pa.string()),
-            ("value", number),
-            ("std", number),
-            ("low", number),
-            ("high", number),
-            ("gripper", number),
-            ("verdict", pa.string()),
-            ("reasons", texts),
-            ("reason_codes", texts),
-            ("notes", texts),
-            ("robot", pa.string()),
-            ("calibration", pa.string()),
-            ("calibration_sha256", pa.string()),
-            ("version", pa.string()),
-            ("elapsed_s", number),
-        ]
-    )
+    types = {"text": pa.string(), "texts": pa.list_(pa.string()), "integer": pa.int64(), "number": pa.float64()}
+    narrow = dict.fromkeys(("segment", "segments"), pa.int32())
+    return pa.schema([(name, narrow.get(name, types[kind])) for name, kind in COLUMNS.items()])
 
 
 def table_of(rows: Sequence[Row]) -> Any:
@@ -211,6 +180,3 @@ def _whole_episodes(file: Path) -> set[tuple[str, str]] | None:
     if any(sorted(seen[key]) != list(range(count)) for key, count in wanted.items()):
         return None
     return set(seen)
-
-
-__all__ = ["PARTITION", "Store", "chunk_id", "chunks_of", "schema", "source_name", "table_of", "write_rows"]

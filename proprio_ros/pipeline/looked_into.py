@@ -50,13 +50,7 @@ class RunCheck:
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "name": self.name,
-            "joint": self.joint,
-            "duration_s": self.duration_s,
-            "travel": self.travel,
-            "unit": self.unit,
-            "current_A": self.current_A,
-            "samples": self.samples,
+            **_named(self, "name", "joint", "duration_s", "travel", "unit", "current_A", "samples"),
             "free_swing": self.free,
             "usable": not self.problem,
             "problem": self.problem or None,
@@ -64,6 +58,24 @@ class RunCheck:
             "notes": list(self.notes),
             "mass_half_width_kg": self.mass_half_width_kg,
         }
+
+    def lines(self) -> list[str]:
+        """For the terminal."""
+        judged = f"not usable, {self.problem}" if self.problem else "usable"
+        if not self.problem and self.mass_half_width_kg is not None:
+            judged += f"; alone it tells a light object's mass to about +-{_grams(self.mass_half_width_kg)}"
+        if self.free:
+            about = (
+                f"a free swing of {self.joint}: torque off, {self.duration_s:.2f} s until it hangs still, "
+                f"over {self.travel:.2f} {self.unit}"
+            )
+        else:
+            moved = f"{1e3 * self.current_A:+.0f} mA for {self.duration_s:.2f} s, travel {self.travel:+.3f} {self.unit}"
+            about = f"run of {self.joint}: {moved}"
+        lines = [f"  {about}, {self.samples} samples: {judged}"]
+        if self.free and not self.problem:
+            lines.append(f"    {FREE_SWING}")
+        return [*lines, *(f"    note: {note}" for note in self.notes)]
 
 
 @dataclass(frozen=True)
@@ -94,12 +106,7 @@ class MotionCheck:
         )
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "joints": self.joints,
-            "duration_s": self.duration_s,
-            "mass_half_width_kg": self.mass_half_width_kg,
-            "mass_half_width_per_kg": self.mass_half_width_per_kg,
-        }
+        return _named(self, "joints", "duration_s", "mass_half_width_kg", "mass_half_width_per_kg")
 
 
 @dataclass(frozen=True)
@@ -158,33 +165,19 @@ class BagCheck:
         return sum(not run.problem for run in self.runs) + (self.motion is not None)
 
     def as_json(self) -> dict[str, Any]:
+        motion = self.motion
         record = plain(
             {
-                "bag": self.bag,
-                "joints": self.joints,
-                "duration_s": self.duration_s,
-                "rate_Hz": self.rate_Hz,
-                "gaps": self.gaps,
-                "longest_gap_s": self.longest_gap_s,
+                **_named(self, "bag", "joints", "duration_s", "rate_Hz", "gaps", "longest_gap_s"),
                 "topics": [{"name": name, "type": kind, "messages": count} for name, kind, count in self.topics],
-                "state_topic": self.state_topic,
-                "input": self.input,
-                "input_unit": self.input_unit,
-                "runs": [run.as_json() for run in self.runs],
-                "motion": None
-                if self.motion is None
-                else {"joints": self.motion.moved, "duration_s": float(self.motion.times_s[-1])},
+                **_named(self, "state_topic", "input", "input_unit", "runs"),
+                "motion": motion and {"joints": motion.moved, "duration_s": motion.times_s[-1]},
                 "usable_runs": self.usable,
                 "problem": self.problem or None,
-                "notes": self.notes,
-                "moves": self.moves,
-                "still": self.still,
-                "findings": [finding.as_json() for finding in self.findings],
-                "effort_units": [unit.as_json() for unit in self.effort_units],
-                "effort_per_N_m": dict(self.effort_per_N_m),
-                "tells": None if self.tells is None else self.tells.as_json(),
-                "record": self.record,
-                "driver": None if self.driver is None else self.driver.name,
+                **_named(
+                    self, "notes", "moves", "still", "findings", "effort_units", "effort_per_N_m", "tells", "record"
+                ),
+                "driver": self.driver and self.driver.name,
                 "fitting_drivers": self.fitting,
             }
         )
@@ -195,45 +188,18 @@ class BagCheck:
         found = len(self.runs) + (self.motion is not None)
         lines = [f"{self.bag}: {self.usable} of {found} run{'s' * (found != 1)} usable"]
         if self.joints:
-            lost = (
-                f"{self.gaps} gap{'s' * (self.gaps != 1)}, the longest {1e3 * self.longest_gap_s:.0f} ms"
-                if self.gaps
-                else "no gaps"
-            )
+            longest = f"{self.gaps} gap{'s' * (self.gaps != 1)}, the longest {1e3 * self.longest_gap_s:.0f} ms"
             states = f"{self.state_topic or 'in a text file'}, {', '.join(self.joints)}"
-            lines.append(f"  joint states: {states}; {self.duration_s:.2f} s at {self.rate_Hz:.1f} Hz, {lost}")
+            rate = f"{self.duration_s:.2f} s at {self.rate_Hz:.1f} Hz, {longest if self.gaps else 'no gaps'}"
+            lines.append(f"  joint states: {states}; {rate}")
         if self.input:
             lines.append(f"  input: {self.input}" + (f" ({self.input_unit})" if self.input_unit else ""))
         lines += [f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics]
         lines += self._driver_lines()
         for run in self.runs:
-            moved = f"{1e3 * run.current_A:+.0f} mA for {run.duration_s:.2f} s, travel {run.travel:+.3f} {run.unit}"
-            judged = f"not usable, {run.problem}" if run.problem else "usable"
-            if not run.problem and run.mass_half_width_kg is not None:
-                judged += f"; alone it tells a light object's mass to about +-{_grams(run.mass_half_width_kg)}"
-            if run.free:
-                lines.append(
-                    f"  a free swing of {run.joint}: torque off, {run.duration_s:.2f} s until it hangs still, "
-                    f"over {run.travel:.2f} {run.unit}, {run.samples} samples: {judged}"
-                )
-                if not run.problem:
-                    lines.append(f"    {FREE_SWING}")
-            else:
-                lines.append(f"  run of {run.joint}: {moved}, {run.samples} samples: {judged}")
-            lines += [f"    note: {note}" for note in run.notes]
-        if self.motion is not None and self.input is not None and self.input.startswith(STALL_CURRENT):
-            lines.append(f"  a motion under a controller, {self.motion.times_s[-1]:.1f} s, driven by a voltage")
-        elif self.motion is not None and len(self.motion.joints) == 1:
-            lines.append(
-                f"  a motion of one joint under a controller, {self.motion.times_s[-1]:.1f} s: tells how it swings (`replay "
-                "--probe payload`), and the mass where the torque is known and one with an empty hand is beside it "
-                "(`--baseline EMPTY`)"
-            )
-        elif self.motion is not None:
-            lines.append(
-                f"  a motion of {len(self.motion.moved)} joints at once, {self.motion.times_s[-1]:.1f} s: tells the payload's mass "
-                "and centre beside one with an empty hand (`replay --probe payload --baseline EMPTY`, or `calibrate EMPTY`)"
-            )
+            lines += run.lines()
+        if self.motion is not None:
+            lines.append(f"  {self._about_motion(self.motion)}")
         if self.tells is not None:
             lines.append(f"  {self.tells.sentence()}")
         if self.moves or self.still:
@@ -244,6 +210,20 @@ class BagCheck:
         lines += [f"  problem: {self.problem}"] * bool(self.problem)
         lines += [f"  record: {advice}" for advice in self.record]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    def _about_motion(self, motion: Motion) -> str:
+        took = f"{motion.times_s[-1]:.1f} s"
+        if self.input is not None and self.input.startswith(STALL_CURRENT):
+            return f"a motion under a controller, {took}, driven by a voltage"
+        if len(motion.joints) == 1:
+            return (
+                f"a motion of one joint under a controller, {took}: tells how it swings (`replay --probe payload`), and the mass "
+                "where the torque is known and one with an empty hand is beside it (`--baseline EMPTY`)"
+            )
+        return (
+            f"a motion of {len(motion.moved)} joints at once, {took}: tells the payload's mass and centre beside one with an empty "
+            "hand (`replay --probe payload --baseline EMPTY`, or `calibrate EMPTY`)"
+        )
 
     def _driver_lines(self) -> list[str]:
         stated = self.driver
@@ -280,6 +260,10 @@ class BagCheck:
         if all(value < 0.0 for value in self.effort_per_N_m.values()):
             lines.append("  the effort has the sign of the torque that gravity makes, not of what holds against it")
         return lines
+
+
+def _named(values: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(values, name) for name in names}
 
 
 def _short(value: float) -> str:
