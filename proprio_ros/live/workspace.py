@@ -25,8 +25,8 @@ OLD_S = 86400.0
 
 
 @dataclass
-class Keeping:
-    """Of one robot.
+class Workspace:
+    """What holds of one robot until something else is made.
 
     Attributes:
         data: The folder.

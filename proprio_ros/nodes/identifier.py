@@ -28,7 +28,7 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.job import Job
 from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.exciting import CALL_S, Excitation
 from proprio_ros.nodes.handing_on import HandingOn
 from proprio_ros.nodes.identifier_parameters import PARAMETERS, services
@@ -73,11 +73,11 @@ class IdentifierNode(ManagedNode):
         for problem in problems:
             self.say("error", problem)
         self._inputs = Inputs(self, self._busy)
-        self._keeping = keeping = Keeping(data, self.values["robot"], self._inputs.stated_topics())
-        self._results = results = Results(self, keeping)
-        self._weighing = Weighing(self, keeping, self._inputs, results, lambda: self._busy() or bool(self._missing()))
+        self._workspace = workspace = Workspace(data, self.values["robot"], self._inputs.stated_topics())
+        self._results = results = Results(self, workspace)
+        self._weighing = Weighing(self, workspace, self._inputs, results, lambda: self._busy() or bool(self._missing()))
         self._excitation = Excitation(self, self._on_progress)
-        self._jobs = Jobs(self, keeping, self._inputs, self._excitation, results, self._weighing, self._unsaved)
+        self._jobs = Jobs(self, workspace, self._inputs, self._excitation, results, self._weighing, self._unsaved)
         self._prepared, self._described = False, None
         if is_topic(self.values["robot"]):
             topic = topic_of(self.values["robot"])
@@ -103,8 +103,8 @@ class IdentifierNode(ManagedNode):
         Raises:
             ConfigurationError, RobotError: In one line, what is wrong with it or with a parameter.
         """
-        keeping, stated = self._keeping, parse_settings(value_of(self, "settings"))
-        warning = keeping.find_calibration(self.values["calibration"])
+        workspace, stated = self._workspace, parse_settings(value_of(self, "settings"))
+        warning = workspace.find_calibration(self.values["calibration"])
         if warning:
             self.say("warning", warning)
         for name, default in self._sequences.items():
@@ -113,21 +113,21 @@ class IdentifierNode(ManagedNode):
         started = time.monotonic()
         with progress.listening(partial(self._results.tell_and_log, "starting")):
             # kernels are compiled here, and never inside a probe
-            prepare_identification(replace(keeping.options(), settings=stated))
+            prepare_identification(replace(workspace.options(), settings=stated))
         for settings in (stated, parse_settings(value_of(self, "reference_settings"))):
-            check_settings(replace(keeping.options(), settings=settings))
+            check_settings(replace(workspace.options(), settings=settings))
         self._weighing.prepare()
-        self._inputs.open(keeping.configured(stated).drive_trains)
+        self._inputs.open(workspace.configured(stated).drive_trains)
         self._prepared = True
         self.say(
-            "info", f"ready after {time.monotonic() - started:.1f} s; calibration: {keeping.calibration or 'none'}"
+            "info", f"ready after {time.monotonic() - started:.1f} s; calibration: {workspace.calibration or 'none'}"
         )
 
     def _on_description(self, described: LiveDescription, message: String) -> None:
         """The robot, where its description is a topic; the first that can be used counts."""
         severity, said = described.hear(message.data)
         if described.path is not None and not self._prepared:
-            self._keeping.robot = str(described.path)
+            self._workspace.robot = str(described.path)
             try:
                 self._prepare()
             except ProprioError as error:
@@ -182,7 +182,7 @@ class IdentifierNode(ManagedNode):
             for parameter in parameters:
                 if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
-                    check_settings(replace(self._keeping.options(), settings=facts))
+                    check_settings(replace(self._workspace.options(), settings=facts))
                 elif parameter.name in self._sequences:
                     self._check_sequence(parameter.name, str(parameter.value))
         except ProprioError as error:
@@ -191,7 +191,7 @@ class IdentifierNode(ManagedNode):
 
     def _check_sequence(self, parameter: str, name: str) -> None:
         try:
-            load_sequence(name, self._keeping.configured({}))
+            load_sequence(name, self._workspace.configured({}))
         except ProprioError as error:
             raise ConfigurationError(f"{parameter}: {error}") from error
 

@@ -36,7 +36,7 @@ from proprio_ros.live.session import (
     keep_result,
     replay_command,
 )
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.exciting import READY_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
@@ -77,7 +77,7 @@ class Jobs:
 
     Args:
         node: Whose parameters count.
-        keeping: Robot, calibration and folder.
+        workspace: Robot, calibration and folder.
         inputs, excitation, results, weighing: What comes in, who moves the arm, where the answers go, and who weighs without that.
         unsaved: Recordings that could be written nowhere so far.
     """
@@ -85,14 +85,14 @@ class Jobs:
     def __init__(
         self,
         node: ManagedNode,
-        keeping: Keeping,
+        workspace: Workspace,
         inputs: Inputs,
         excitation: Excitation,
         results: Results,
         weighing: Weighing,
         unsaved: list[Session],
     ) -> None:
-        self._node, self._keeping, self._inputs = node, keeping, inputs
+        self._node, self._workspace, self._inputs = node, workspace, inputs
         self._excitation, self._results, self._weighing = excitation, results, weighing
         self._unsaved = unsaved
 
@@ -112,7 +112,7 @@ class Jobs:
             return self._calibrate(job)
         if job.kind == REFRESH:
             ways, results = self._value("robot_sequence"), self._results
-            return refresh_robot(job, self._keeping, self._inputs, results, ways, self.record, self._keep)
+            return refresh_robot(job, self._workspace, self._inputs, results, ways, self.record, self._keep)
         for probe in all_probes():
             if isinstance(probe, HasBaseline) and job.kind == f"{probe.name}_baseline":
                 return self._record_baseline(job, probe)
@@ -142,9 +142,9 @@ class Jobs:
         """Have the runs of a probe made, and identify the object from them."""
         baseline = None
         if isinstance(probe, HasBaseline):
-            baseline = self._keeping.find_baseline(probe, self._value(f"{probe.name}_baseline"))
+            baseline = self._workspace.find_baseline(probe, self._value(f"{probe.name}_baseline"))
         stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
-        request = self._keeping.request(probe, stated, baseline)
+        request = self._workspace.request(probe, stated, baseline)
         request = replace(request, robot=aged_robot(request.robot, self._inputs.moment()))
         self._results.link = request.robot.payload_frame
         if baseline is None and isinstance(probe, HasBaseline) and probe.needs_baseline(request.facts):
@@ -180,9 +180,9 @@ class Jobs:
             sought, target = chooser.sought, plan.until.half_interval
             choices = [choice_of(decision) for decision in job.decisions]
             self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))
-        said = f"; {job.reason}" * bool(job.reason) + self._keeping.used
+        said = f"; {job.reason}" * bool(job.reason) + self._workspace.used
         if baseline is not None:
-            said += f"; {self._keeping.about_baseline(baseline)}"
+            said += f"; {self._workspace.about_baseline(baseline)}"
         answer = interval_of(estimate)
         if not answer:
             return False, f"{refusal_of(estimate)}{said}; recording: {bag}"
@@ -191,8 +191,8 @@ class Jobs:
 
     def _record_baseline(self, job: Job, probe: HasBaseline[Any]) -> tuple[bool, str]:
         """The hand without what is to be identified: kept for later jobs, and identified, to see that nothing is in it."""
-        baseline, used = probe.baseline, self._keeping.used
-        request = self._keeping.request(probe, parse_settings(self._value("settings")), None)
+        baseline, used = probe.baseline, self._workspace.used
+        request = self._workspace.request(probe, parse_settings(self._value("settings")), None)
         self._inputs.live, self._results.link = None, request.robot.payload_frame
         self._results.tell(job.kind, baseline.hand)
         sequence = self._value(f"{probe.name}_sequence")
@@ -204,14 +204,14 @@ class Jobs:
         estimate = self.identify(job, bag, options, partial(self._results.final, name=job.kind))
         if estimate.verdict is Verdict.REJECTED or estimate.fit is None:
             return False, f"not kept: {refusal_of(estimate)}{used}; {baseline.question} recording: {bag}"
-        self._keeping.keep_baseline(probe, bag)
+        self._workspace.keep_baseline(probe, bag)
         answer = interval_of(estimate) or f"a mass that is not determined ({'; '.join(estimate.reasons)})"
         return True, f"{baseline.noun} {answer}, {estimate.runs} runs{used}; kept as the baseline: {bag}"
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         """The robot, with an empty hand and perhaps a weighed object."""
         self._inputs.live = None
-        options = replace(self._keeping.options(), robot=self._keeping.robot, calibration=None)
+        options = replace(self._workspace.options(), robot=self._workspace.robot, calibration=None)
         request = Request(robot_of(options), options)
         sequence = self._value("robot_sequence")
         bag = self.record(job, ROBOT, sequence, request)
@@ -243,7 +243,7 @@ class Jobs:
         self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
-        stays = self._keeping.keep_calibration(output)
+        stays = self._workspace.keep_calibration(output)
         on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
         said = f"robot calibrated on {on}; calibration: {output}"
         return True, f"{said}; {stays}" if stays else said
@@ -320,7 +320,7 @@ class Jobs:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends."""
         inputs = self._inputs
         inputs.catch_up()
-        session = Session(self._keeping.data, kind)
+        session = Session(self._workspace.data, kind)
         try:
             session.open()
             self._check_input(session.folder, request)

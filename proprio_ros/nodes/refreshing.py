@@ -12,7 +12,7 @@ from proprio_ros.excitation.plans import as_text, load_sequence
 from proprio_ros.experiment_design.until import chosen_refresh
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.live.job import Job, JobError
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.results import Results
 from proprio_ros.pipeline.calibrate import refresh_from_bags
@@ -27,7 +27,7 @@ REFRESH_S = 30.0
 
 def refresh_robot(
     job: Job,
-    keeping: Keeping,
+    workspace: Workspace,
     inputs: Inputs,
     results: Results,
     ways: str,
@@ -38,7 +38,7 @@ def refresh_robot(
 
     Args:
         job: That asks for it.
-        keeping: Whose calibration it is.
+        workspace: Whose calibration it is.
         inputs: Say what time it is, and how warm the motors are.
         results: Where the outcome goes.
         ways: Sequence whose ways, rest and brake count.
@@ -48,31 +48,34 @@ def refresh_robot(
     Raises:
         JobError: There is nothing to bring up to date.
     """
-    if keeping.calibration is None:
+    if workspace.calibration is None:
         raise JobError("there is no calibration to bring up to date: call ~/calibrate_robot first")
-    inputs.live, options = None, keeping.options()
+    inputs.live, options = None, workspace.options()
     fresh = robot_of(options)
     learnt = fresh.calibration
     if learnt is None or not learnt.driven:
         raise JobError(
-            f"{keeping.calibration} was not made of driven runs: call ~/calibrate_robot with robot_sequence empty_hand"
+            f"{workspace.calibration} was not made of driven runs: call ~/calibrate_robot with robot_sequence empty_hand"
         )
     if learnt.made is None:
         raise JobError(
-            f"{keeping.calibration} does not say when it was made, so nobody knows how old it is: call ~/calibrate_robot"
+            f"{workspace.calibration} does not say when it was made, so nobody knows how old it is: call ~/calibrate_robot"
         )
     old = aged_robot(fresh, inputs.moment())
     if old is fresh:
         return (
             True,
-            f"up to date: made less than ten minutes ago, or by another clock; calibration: {keeping.calibration}",
+            f"up to date: made less than ten minutes ago, or by another clock; calibration: {workspace.calibration}",
         )
     results.tell(job.kind, "choosing the pushes that bring the calibration up to date")
     sequence = load_sequence(ways, fresh)
     runs, then, now = chosen_refresh(fresh, old, REFRESH_S, sequence)
     worth = f"{shown('kg', then, spec='.2f')} when it was made, {shown('kg', now, spec='.2f')} by now"
     if not runs:
-        return True, f"up to date: a weighing of 30 g would be as sure as +-{worth}; calibration: {keeping.calibration}"
+        return (
+            True,
+            f"up to date: a weighing of 30 g would be as sure as +-{worth}; calibration: {workspace.calibration}",
+        )
     if job.cancelled.is_set():
         raise JobError("cancelled")
     results.tell_and_log(
@@ -92,6 +95,6 @@ def refresh_robot(
     keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=[str(bag)]))
     if estimate.verdict is not Verdict.ACCEPTED:
         return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
-    stays = keeping.keep_calibration(output)
+    stays = workspace.keep_calibration(output)
     said = f"calibration brought up to date by {len(estimate.run_fits)} of {estimate.runs} runs; calibration: {output}"
     return True, f"{said}; {stays}" if stays else said

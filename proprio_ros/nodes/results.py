@@ -20,7 +20,7 @@ from proprio_ros.identification.regression.running import RunningEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.live.online_estimator import RunningFeed, running_entries, running_words
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.numeric import StampedEstimates
 from proprio_ros.nodes.runtime import LATCHED, ManagedNode
@@ -51,7 +51,7 @@ class Results:
 
     Args:
         node: That publishes.
-        keeping: Whose calibration is used.
+        workspace: Whose calibration is used.
 
     Attributes:
         concluded: Whether a final estimate was published since this was last set to false.
@@ -61,8 +61,8 @@ class Results:
         load: What stands of the hand.
     """
 
-    def __init__(self, node: ManagedNode, keeping: Keeping) -> None:
-        self._node, self._keeping = node, keeping
+    def __init__(self, node: ManagedNode, workspace: Workspace) -> None:
+        self._node, self._workspace = node, workspace
         self.concluded, self.link = False, ""
         self.entries: Mapping[str, Any] = {}
         self.hear: Callable[[str, Mapping[str, Any]], None] = lambda message, entries: None
@@ -81,7 +81,7 @@ class Results:
 
     @property
     def _calibration(self) -> str:
-        return str(self._keeping.calibration or "none")
+        return str(self._workspace.calibration or "none")
 
     def _now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)

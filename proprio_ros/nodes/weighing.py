@@ -22,7 +22,7 @@ from proprio_ros.live.answers import interval_of, refusal_of
 from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.online_estimator import NO_MOTIONS, RunningFeed, any_moved
 from proprio_ros.live.session import Session
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
@@ -45,16 +45,22 @@ class Weighing:
 
     Args:
         node: Whose parameters count.
-        keeping: Robot and calibration.
+        workspace: Robot and calibration.
         inputs: What comes in.
         results: Where the answers go.
         silent: Whether the running estimate only listens: a job is under way, or the robot is not what it was.
     """
 
     def __init__(
-        self, node: ManagedNode, keeping: Keeping, inputs: Inputs, results: Results, silent: Callable[[], bool]
+        self, node: ManagedNode, workspace: Workspace, inputs: Inputs, results: Results, silent: Callable[[], bool]
     ) -> None:
-        self._node, self._keeping, self._inputs, self._results, self._silent = node, keeping, inputs, results, silent
+        self._node, self._workspace, self._inputs, self._results, self._silent = (
+            node,
+            workspace,
+            inputs,
+            results,
+            silent,
+        )
         self._make_feed: Callable[[], RunningFeed] | None = None
 
     def prepare(self) -> None:
@@ -65,7 +71,7 @@ class Weighing:
         """
         self._inputs.kept = self._make_feed = None
         asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
-        self._robot: Robot = self._keeping.configured(stated)
+        self._robot: Robot = self._workspace.configured(stated)
         if self._robot.motion_calibration is None:
             if asked:
                 self._node.say("warning", f"the running estimate is off: {NO_MOTIONS}")
@@ -80,7 +86,7 @@ class Weighing:
             return
         if asked:
             probe = probe_at_work()
-            request = self._keeping.request(probe, stated, None)
+            request = self._workspace.request(probe, stated, None)
             self._make_feed = partial(RunningFeed, probe, request.robot, request.facts)
             self._make_feed()  # so that a calibration of another arm is refused now
             self._link = request.robot.payload_frame
@@ -105,9 +111,9 @@ class Weighing:
         if not any_moved(((renamed(state.name), state.position) for state in states), self._robot.drive_trains):
             raise JobError(f"not weighed: no joint moved in the last {seconds:g} s; weigh while the arm works")
         stated = {**parse_settings(value_of(self._node, "settings")), **parse_settings(job.settings)}
-        request = self._keeping.request(probe_at_work(), stated, None)
+        request = self._workspace.request(probe_at_work(), stated, None)
         options = replace(request.options, effort_unit=unit)
-        session = Session(self._keeping.data, WEIGH)
+        session = Session(self._workspace.data, WEIGH)
         for message in kept:
             session.add(*message)
         bag, warning = session.save()
@@ -119,7 +125,7 @@ class Weighing:
         except RecordingError as error:
             raise JobError(f"not weighed: {error}; recording: {bag}") from error
         answer = interval_of(estimate)
-        said = f"the last {seconds:g} s{self._keeping.used}; recording: {bag}"
+        said = f"the last {seconds:g} s{self._workspace.used}; recording: {bag}"
         return (
             (True, f"{request.probe.subject} {answer}, {said}")
             if answer

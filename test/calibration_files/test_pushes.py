@@ -16,7 +16,7 @@ from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.kinds import key_of
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.pipeline.api import calibrate
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
 from proprio_ros.pipeline.replay import replay
@@ -97,19 +97,19 @@ def test_a_calibration_that_knows_fewer_joints_under_current_does_not_take_its_p
     }
     for name, calibration in files.items():
         write_calibration(tmp_path / f"{name}.yaml", robot, calibration)
-    keeping = Keeping(tmp_path / "data", "open_manipulator_x")
+    workspace = Workspace(tmp_path / "data", "open_manipulator_x")
     (tmp_path / "data").mkdir()
 
     def kept(name: str) -> str:
-        return keeping.keep_calibration(tmp_path / f"{name}.yaml")
+        return workspace.keep_calibration(tmp_path / f"{name}.yaml")
 
-    assert kept("swings") == "" and keeping.calibration == tmp_path / "swings.yaml", "better than none"
-    assert kept("full") == "" and keeping.newest_calibration.resolve() == tmp_path / "full.yaml"
+    assert kept("swings") == "" and workspace.calibration == tmp_path / "swings.yaml", "better than none"
+    assert kept("full") == "" and workspace.newest_calibration.resolve() == tmp_path / "full.yaml"
     assert "does not know what a current does to joint3" in kept("swings")
-    assert keeping.calibration == tmp_path / "full.yaml"
-    assert keeping.newest_calibration.resolve() == tmp_path / "full.yaml", "and so it is at the next start"
+    assert workspace.calibration == tmp_path / "full.yaml"
+    assert workspace.newest_calibration.resolve() == tmp_path / "full.yaml", "and so it is at the next start"
     # neither knows all that the other does: the newer one
-    assert kept("other") == "" and keeping.calibration == tmp_path / "other.yaml"
+    assert kept("other") == "" and workspace.calibration == tmp_path / "other.yaml"
 
 
 def test_the_robot_takes_what_was_learnt_and_keeps_the_rest(written: Path) -> None:

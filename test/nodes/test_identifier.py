@@ -154,7 +154,7 @@ def test_a_job_that_fails_says_so_where_the_last_answer_stood(nodes: Nodes, tmp_
 def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(nodes: Nodes, tmp_path: Path) -> None:
     (tmp_path / "open_manipulator_x_calibration.yaml").write_text("no calibration, and of another arm")
     node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
-    assert node._keeping.calibration is None and node._keeping.data == tmp_path / "arm1"
+    assert node._workspace.calibration is None and node._workspace.data == tmp_path / "arm1"
     node._results.publish(live_request(Options()), answer("payload", 0.05))
     assert node._results._load[-1].header.frame_id == "arm1/end_effector_link"
     assert node._results._markers[-1].markers[-1].header.frame_id == "arm1/end_effector_link"
@@ -168,7 +168,7 @@ def test_a_calibration_of_another_arm_is_not_used(
 ) -> None:
     newest = tmp_path / "open_manipulator_x_calibration.yaml"
     newest.write_text("extends: pendulum\n")  # has no calibration
-    assert nodes.identifier(data_directory=tmp_path)._keeping.calibration is None
+    assert nodes.identifier(data_directory=tmp_path)._workspace.calibration is None
     with pytest.raises(RobotError, match=r"the parameter calibration .* holds no calibration"):
         nodes.identifier(data_directory=tmp_path, calibration=newest)
 
@@ -243,18 +243,18 @@ def test_what_cannot_be_recorded_is_said_before_anything_moves(
     request = Request(load_robot("open_manipulator_x"))
     with pytest.raises(JobError, match=r"not begun: .*blocked cannot be written .*the parameter data_directory"):
         node._jobs.record(job, "payload", "payload_elbow", request)
-    node._keeping.data = tmp_path / "data"
+    node._workspace.data = tmp_path / "data"
     monkeypatch.setattr(jobs, "LONGEST_CHECK_S", 0.0)
     with pytest.raises(JobError, match="not begun: "):
         node._jobs.record(job, "payload", "payload_elbow", request)
-    assert not asked and not list(node._keeping.data.iterdir())
+    assert not asked and not list(node._workspace.data.iterdir())
 
 
 def test_topics_with_other_names_are_part_of_the_command_that_replays(nodes: Nodes, tmp_path: Path) -> None:
-    usual = nodes.identifier("arm1", data_directory=tmp_path, calibration="none")._keeping.options()
+    usual = nodes.identifier("arm1", data_directory=tmp_path, calibration="none")._workspace.options()
     assert usual.state_topic is usual.command_topic is usual.effort_unit is None
     stated = {"state_topic": "/arm/states", "command_topic": "drive", "effort_unit": "mA"}
-    options = nodes.identifier("arm1", data_directory=tmp_path, calibration="none", **stated)._keeping.options()
+    options = nodes.identifier("arm1", data_directory=tmp_path, calibration="none", **stated)._workspace.options()
     assert (options.state_topic, options.command_topic, options.effort_unit) == ("/arm/states", "/arm1/drive", "mA")
     with pytest.raises(ConfigurationError, match=r"choose one of N\.m, A, mA, raw"):
         nodes.identifier(data_directory=tmp_path, effort_unit="counts")
@@ -270,7 +270,7 @@ def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(nodes: Node
     urdf = String(data=resource("urdf", "open_manipulator_x").read_text())
     node._on_description(node._described, urdf)
     assert node._inputs._joints == [b"joint1", b"joint2", b"joint3", b"joint4"] and not node._missing()
-    assert node._keeping.options().robot == str(node._described.path)
+    assert node._workspace.options().robot == str(node._described.path)
     file = nodes.identifier("arm3", **(stated | {"robot": resource("urdf", "open_manipulator_x")}), effort_unit="N.m")
     assert file._inputs._joints == node._inputs._joints
     # what effort is, nobody said, so torque constants are missing: that and how to state it is one line
@@ -401,7 +401,7 @@ def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
     assert node._inputs.measured_unit() == "raw" and node._inputs.missing() == ""
     heard = {subscription.topic_name for subscription in node.subscriptions}
     assert {"/cell/joint_states", "/cell/forward_effort_controller/commands"} <= heard
-    options = node._keeping.options()
+    options = node._workspace.options()
     assert options.driver == "robotis" and options.effort_unit is None
     assert options.state_topic is None and options.command_topic is None, "found in the bag as they were found here"
     assert current_A(100.0, "raw", 1.78) == pytest.approx(0.269)

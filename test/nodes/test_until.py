@@ -24,7 +24,7 @@ from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.excitation.plans import ProbeRun, load_sequence
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.live.job import Job, JobError
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import jobs, refreshing
 from proprio_ros.nodes.messages import labelled
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
@@ -82,7 +82,7 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
     made = calibrate_from_bags([bag_of(n) for n in (0, 1, 4)], {}, output=old)
     assert made.verdict is Verdict.ACCEPTED
     shutil.copytree(bag_of(3), bag)
-    keeping, said, made_s = Keeping(tmp_path, "open_manipulator_x"), [], 1760000010.0
+    workspace, said, made_s = Workspace(tmp_path, "open_manipulator_x"), [], 1760000010.0
     results: Any = SimpleNamespace(
         tell=lambda *words: None, tell_and_log=lambda _, words: said.append(words), calibration=lambda *_: None
     )
@@ -94,7 +94,7 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
         job = Job("refresh", "refresh_robot")
         return refreshing.refresh_robot(
             job,
-            keeping,
+            workspace,
             inputs,
             results,
             "empty_hand",
@@ -104,13 +104,13 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
 
     with pytest.raises(JobError, match="call ~/calibrate_robot first"):
         refreshed()
-    keeping.calibration = old
+    workspace.calibration = old
     success, words = refreshed()
     assert success and words.startswith("up to date: made less than ten minutes ago") and not recorded
     made_s += 5 * 86400.0
     success, words = refreshed()
     assert success and "brought up to date by 1 of 1 runs" in words, words
-    assert keeping.calibration == bag.parent / "calibration.yaml" == keeping.newest_calibration.resolve()
+    assert workspace.calibration == bag.parent / "calibration.yaml" == workspace.newest_calibration.resolve()
     assert said == [
         "pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"
     ]

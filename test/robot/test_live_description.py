@@ -9,7 +9,7 @@ from support.small_urdf import LIMIT, THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource
-from proprio_ros.live.workspace import Keeping
+from proprio_ros.live.workspace import Workspace
 from proprio_ros.pipeline.request import Options, robot_of
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
@@ -35,7 +35,7 @@ def test_the_robot_is_that_of_the_same_text_as_a_file(tmp_path: Path) -> None:
     severity, said = heard.hear(ARM)
     assert severity == "info" and TOPIC in said and not heard.problem
     assert heard.path is not None and heard.path.is_relative_to(tmp_path / "data")
-    live = Keeping(tmp_path, str(heard.path), TORQUE).configured({})
+    live = Workspace(tmp_path, str(heard.path), TORQUE).configured({})
     (tmp_path / "arm.urdf").write_text(ARM)
     file = robot_of(Options(robot=str(tmp_path / "arm.urdf"), effort_unit="N.m"))
     assert live.model.fingerprint() == file.model.fingerprint()
@@ -53,7 +53,7 @@ def test_text_that_is_decoded_already_is_not_decoded_again(tmp_path: Path) -> No
     heard = LiveDescription(TOPIC, tmp_path)
     heard.hear('<?xml version="1.0" encoding="iso-8859-1"?>\n' + THREE.replace('"two"', '"\u00e9"'))
     assert heard.path is not None
-    assert "\u00e9" in [each.name for each in Keeping(tmp_path, str(heard.path), TORQUE).configured({}).model.links]
+    assert "\u00e9" in [each.name for each in Workspace(tmp_path, str(heard.path), TORQUE).configured({}).model.links]
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_calibration_of_another_urdf_is_refused(tmp_path: Path) -> None:
     heard.hear(chain(joint("a"), joint("b", "one", "two", limit=LIMIT)))
     (tmp_path / "motions.yaml").write_text("extends: open_manipulator_x\nmodel_fingerprint: 0123456789abcdef\n")
     with pytest.raises(RobotError, match="was made with another URDF than"):
-        Keeping(tmp_path, str(heard.path), TORQUE).find_calibration(str(tmp_path / "motions.yaml"))
+        Workspace(tmp_path, str(heard.path), TORQUE).find_calibration(str(tmp_path / "motions.yaml"))
 
 
 def test_without_torque_constants_the_parameters_that_help_are_named(tmp_path: Path) -> None:
@@ -116,9 +116,9 @@ def test_without_torque_constants_the_parameters_that_help_are_named(tmp_path: P
     heard = LiveDescription(TOPIC, tmp_path)
     heard.hear(ARM)
     with pytest.raises(RobotError, match="states no motor") as refused:
-        Keeping(tmp_path, str(heard.path)).configured({})
+        Workspace(tmp_path, str(heard.path)).configured({})
     said = as_parameters(str(refused.value))
     assert "the parameter effort_unit N.m" in said and "the parameter settings with robot.joints" in said
     assert "--" not in said
     stated = {f"robot.joints.joint{n}.motor.nominal_torque_constant_N_m_per_A": 1.7 for n in (1, 2, 3, 4)}
-    assert Keeping(tmp_path, str(heard.path)).configured(stated).drive_trains["joint1"].nominal_torque_constant == 1.7
+    assert Workspace(tmp_path, str(heard.path)).configured(stated).drive_trains["joint1"].nominal_torque_constant == 1.7
