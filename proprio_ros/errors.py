@@ -17,6 +17,8 @@ message printable and short, whatever it quotes.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 LONGEST_SENTENCE = 290
 """Characters of a message; with the command's name before it, it stays below 300."""
 
@@ -79,3 +81,9 @@ class PortLostError(BusError):
 
 class ExcitationError(ProprioError, RuntimeError):
     """A probe that cannot start from here, or must not."""
+
+
+def some(names: Iterable[str], most: int = 6) -> str:
+    """The first of some names, and how many more there are."""
+    names = list(names)
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -7,12 +7,13 @@ Nothing here is fitted on: every finding is a sentence with its numbers, and wha
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from proprio_ros.errors import some
 from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
 from proprio_ros.robot import ReducedModel, Robot
@@ -44,10 +45,10 @@ class Finding:
     """One thing that a reader should know.
 
     Attributes:
-        code: what it is, for programs.
-        sentence: the same for people.
-        joints: that it is about.
-        values: its numbers by joint, in the unit that the sentence names.
+        code: What it is, for programs.
+        sentence: The same for people.
+        joints: That it is about.
+        values: Its numbers by joint, in the unit that the sentence names.
     """
 
     code: str
@@ -64,9 +65,9 @@ class EffortUnit:
     """How the effort would compare with the torque that gravity needs if it were in some unit.
 
     Attributes:
-        unit: as for ``--effort-unit``.
-        ratio: effort in N m over that torque by joint; 1 where all is as the URDF says.
-        plausible: whether their median is within `PLAUSIBLE`.
+        unit: As for ``--effort-unit``.
+        ratio: Effort in N m over that torque by joint; 1 where all is as the URDF says.
+        plausible: Whether their median is within `PLAUSIBLE`.
     """
 
     unit: str
@@ -88,50 +89,38 @@ def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding,
     """All that a recording shows of itself without a robot.
 
     Args:
-        recording: as it was read; its ``reported_effort`` is in whatever unit the publisher used.
-        slides: names of joints that slide.
+        recording: As it was read; its ``reported_effort`` is in whatever unit the publisher used.
+        slides: Names of joints that slide.
     """
     moved = moving(recording.joints, slides)
-    found = [
+    return (
         *_held(recording, moved),
         *_still_columns(recording.joints, moved),
         *_velocity(recording.joints, moved),
         *_registers(recording.joints, moved),
         *_stale(recording.joints, moved),
         *_command_as_effort(recording),
-    ]
-    return tuple(found)
+    )
 
 
 # --- each by itself ---------------------------------------------------------------------------------------------------
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def _held(recording: Recording, moved: Sequence[str]) -> list[Finding]:
+def _held(recording: Recording, moved: Sequence[str]) -> Iterator[Finding]:
     """Joints that stand still while a current is recorded for them: it holds them, and drives nothing."""
     inputs = recording.inputs
-    if inputs is None:
-        return []
+    if inputs is None or not moved:
+        return
     largest = dict(zip(inputs.names, np.abs(inputs.current_A).max(axis=0), strict=True))
-    held = tuple(
-        name
-        for name in recording.joints.names
-        if name not in moved and largest.get(name, 0.0) > ZERO_CURRENT_A and len(moved)
-    )
-    if not held:
-        return []
-    sentence = f"{_listed(held)} stood still: what its motor gave held it and drove nothing"
-    if len(held) > 1:
-        sentence = f"{_listed(held)} stood still: what their motors gave held them and drove nothing"
-    return [Finding("held", sentence, held)]
+    names = recording.joints.names
+    held = tuple(name for name in names if name not in moved and largest.get(name, 0.0) > ZERO_CURRENT_A)
+    if held:
+        whose = "its motor gave held it" if len(held) == 1 else "their motors gave held them"
+        yield Finding("held", f"{some(held)} stood still: what {whose} and drove nothing", held)
 
 
-def _still_columns(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+def _still_columns(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     """Columns that never change although their joint moves: a driver that has no such reading."""
-    found = []
     for quantity in ("velocity", "reported_effort"):
         values = getattr(record, quantity)
         if values is None:
@@ -144,17 +133,16 @@ def _still_columns(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
         if constant:
             word = quantity.removeprefix("reported_")
             same = f"{next(iter(constant.values())):g}" if len(set(constant.values())) == 1 else "the same"
-            sentence = f"the {word} of {_listed(tuple(constant))} is {same} in every message although it moves: it is no reading"
-            found.append(Finding(f"constant_{word}", sentence, tuple(constant), constant))
-    return found
+            sentence = f"the {word} of {some(constant)} is {same} in every message although it moves: it is no reading"
+            yield Finding(f"constant_{word}", sentence, tuple(constant), constant)
 
 
 def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Times and values at equal distances, by interpolation; of a recording with gaps its longest stretch without.
 
     Args:
-        times_s: increasing, shape (T,).
-        values: shape (T, ...).
+        times_s: Increasing, shape (T,).
+        values: Shape (T, ...).
     """
     period_s = float(np.median(np.diff(times_s)))
     cuts = [0, *(np.flatnonzero(np.diff(times_s) > max(0.1, 5.0 * period_s)) + 1), len(times_s)]
@@ -169,9 +157,9 @@ def velocity_lag_s(times_s: FloatArray, position: FloatArray, velocity: FloatArr
     """How far a recorded velocity is behind the derivative of its position, and how many times as large it is.
 
     Args:
-        times_s: shape (T,).
+        times_s: Shape (T,).
         position: [rad or m], shape (T,).
-        velocity: as recorded, shape (T,).
+        velocity: As recorded, shape (T,).
 
     Returns:
         Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
@@ -211,9 +199,9 @@ def _times_s(record: JointRecord) -> FloatArray:
     return 1e-9 * (record.times_ns - record.times_ns[0]).astype(np.float64)
 
 
-def _velocity(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+def _velocity(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     if record.velocity is None:
-        return []
+        return
     times_s, lags, ratios = _times_s(record), {}, {}
     for name in moved:
         column = record.column(name)
@@ -223,32 +211,26 @@ def _velocity(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
         seen = velocity_lag_s(times_s[known], record.position[known, column], record.velocity[known, column])
         if seen is not None:
             lags[name], ratios[name] = seen
-    found = []
     period_s = float(np.median(np.diff(times_s)))
     late = {name: 1e3 * lag for name, lag in lags.items() if lag > max(LAG_S, 1.2 * period_s)}
     if late:
         span = _span(late, ".0f")
-        found.append(
-            Finding(
-                "velocity_lags",
-                f"the velocity of {_listed(tuple(late))} lags its position by {span} ms: a filter of the driver or the servo; "
-                "positions alone are used",
-                tuple(late),
-                late,
-            )
+        yield Finding(
+            "velocity_lags",
+            f"the velocity of {some(late)} lags its position by {span} ms: a filter of the driver or the servo; "
+            "positions alone are used",
+            tuple(late),
+            late,
         )
     other = {name: ratio for name, ratio in ratios.items() if not 0.8 < ratio < 1.25}
     if other:
-        found.append(
-            Finding(
-                "velocity_scale",
-                f"the velocity of {_listed(tuple(other))} is {_span(other, '.3g')} times the derivative of its position: "
-                "another unit (rpm are 9.55 times rad/s, degrees/s 57.3 times), or another joint's; positions alone are used",
-                tuple(other),
-                other,
-            )
+        yield Finding(
+            "velocity_scale",
+            f"the velocity of {some(other)} is {_span(other, '.3g')} times the derivative of its position: "
+            "another unit (rpm are 9.55 times rad/s, degrees/s 57.3 times), or another joint's; positions alone are used",
+            tuple(other),
+            other,
         )
-    return found
 
 
 def _span(values: Mapping[str, float], spec: str) -> str:
@@ -257,10 +239,10 @@ def _span(values: Mapping[str, float], spec: str) -> str:
     return least if least == most else f"{least} to {most}"
 
 
-def _registers(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+def _registers(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     """Efforts that a driver took for unsigned: a register of 16 bits below zero, or a magnitude without its sign."""
     if record.reported_effort is None:
-        return []
+        return
     wrapped, unsigned, highest = {}, [], 0.0
     for name, effort, position in zip(record.names, record.reported_effort.T, record.position.T, strict=True):
         known = effort[np.isfinite(effort)]
@@ -278,34 +260,28 @@ def _registers(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
             both_ways = len(way) > 20 and 0.2 < np.mean(way > 0) < 0.8
             if both_ways and known.min() < 0.05 * known.max():
                 unsigned.append(name)
-    found = []
     if wrapped:
         value = min(wrapped.values())
-        found.append(
-            Finding(
-                "unsigned_register",
-                f"the effort of {_listed(tuple(wrapped))} holds numbers from {value:.0f} to {highest:.0f}, as an unsigned register "
-                f"of 16 bits does below zero ({value:.0f} is {value - 65536.0:.0f}): let the driver read it as signed",
-                tuple(wrapped),
-                wrapped,
-            )
+        yield Finding(
+            "unsigned_register",
+            f"the effort of {some(wrapped)} holds numbers from {value:.0f} to {highest:.0f}, as an unsigned register "
+            f"of 16 bits does below zero ({value:.0f} is {value - 65536.0:.0f}): let the driver read it as signed",
+            tuple(wrapped),
+            wrapped,
         )
     if unsigned:
-        found.append(
-            Finding(
-                "effort_without_sign",
-                f"the effort of {_listed(unsigned)} is never negative although it moves both ways: it may be a magnitude without "
-                "its sign, of which no torque can be made",
-                tuple(unsigned),
-            )
+        yield Finding(
+            "effort_without_sign",
+            f"the effort of {some(unsigned)} is never negative although it moves both ways: it may be a magnitude without "
+            "its sign, of which no torque can be made",
+            tuple(unsigned),
         )
-    return found
 
 
-def _stale(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
+def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
     """Efforts that are read more seldom than they are published."""
     if record.reported_effort is None:
-        return []
+        return
     times_s, slow = _times_s(record), {}
     for name in moved:
         column = record.column(name)
@@ -330,19 +306,19 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> list[Finding]:
         if typical >= STALE_SAMPLES and places[lengths >= typical].mean() > 0.5 * STALE_SAMPLES:
             slow[name] = typical * float(np.median(np.diff(times_s)))
     if not slow:
-        return []
+        return
     sentence = (
-        f"the effort of {_listed(tuple(slow))} stays the same for {_span(slow, '.2g')} s at a time while it moves, at "
+        f"the effort of {some(slow)} stays the same for {_span(slow, '.2g')} s at a time while it moves, at "
         f"{1.0 / float(np.median(np.diff(times_s))):.0f} joint states a second: old readings are repeated"
     )
-    return [Finding("effort_stale", sentence, tuple(slow), slow)]
+    yield Finding("effort_stale", sentence, tuple(slow), slow)
 
 
-def _command_as_effort(recording: Recording) -> list[Finding]:
+def _command_as_effort(recording: Recording) -> Iterator[Finding]:
     """An effort that is the command again, up to a factor and a delay of a cycle, says nothing of what flowed."""
     record, inputs = recording.joints, recording.inputs
     if inputs is None or inputs.measured or record.reported_effort is None:
-        return []
+        return
     same = []
     for name in record.names:
         if name not in inputs.names:
@@ -357,16 +333,13 @@ def _command_as_effort(recording: Recording) -> list[Finding]:
             if np.abs(effort - factor * given).max() < 1e-5 * np.abs(effort).max():
                 same.append(name)
                 break
-    if not same:
-        return []
-    return [
-        Finding(
+    if same:
+        yield Finding(
             "effort_is_command",
-            f"the effort of {_listed(same)} is the command again: it was not measured, and a motor follows its "
+            f"the effort of {some(same)} is the command again: it was not measured, and a motor follows its "
             "command late and not quite",
             tuple(same),
         )
-    ]
 
 
 # --- effort against gravity ------------------------------------------------------------------------------------------
@@ -376,7 +349,7 @@ def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
     """Torque at each joint that holds the arm where it is [N m].
 
     Args:
-        model: with n revolute joints.
+        model: With n revolute joints.
         position: [rad], shape (T, n).
 
     Returns:
@@ -459,9 +432,9 @@ def effort_units(
     """How plausible each unit is that effort may be in.
 
     Args:
-        per_torque: effort per N m that gravity needs, by joint.
-        constants: torque constants [N m/A]; empty where nobody stated them.
-        per_count_A: current of a raw count [A].
+        per_torque: Effort per N m that gravity needs, by joint.
+        constants: Torque constants [N m/A]; empty where nobody stated them.
+        per_count_A: Current of a raw count [A].
     """
     sizes = {"N.m": None, "A": 1.0, "mA": 1e-3, "raw": per_count_A}
     result = []

@@ -18,10 +18,10 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, storage_mcap
 from rosbags.rosbag2 import reader as rosbag2_reader
 
-from proprio_ros.errors import RecordingError, one_line
+from proprio_ros.errors import RecordingError, one_line, some
 from proprio_ros.inputs.reading import path_problem, text_of, yaml_of
 from proprio_ros.recordings.messages import deserialised, stamp_ns
-from proprio_ros.recordings.topics import Topic, Topics, few
+from proprio_ros.recordings.topics import Topic, Topics
 from proprio_ros.records import FloatArray, Span, TimeArray
 
 if sys.version_info >= (3, 14):
@@ -356,7 +356,7 @@ def _files(path: Path) -> list[Path]:
         if files:
             return files
     inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
-    hint = f"; did you mean one of the bags in it: {few(inner)}?" if inner else "; give a bag folder or file"
+    hint = f"; did you mean one of the bags in it: {some(inner, 8)}?" if inner else "; give a bag folder or file"
     raise RecordingError(f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}")
 
 

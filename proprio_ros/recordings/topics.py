@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, some
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
@@ -105,15 +105,9 @@ class Topic(NamedTuple):
         return self.name.rpartition("/")[0]
 
 
-def few(words: Sequence[str]) -> str:
-    """The first eight of some words, and how many more there are."""
-    shown = ", ".join(words[:8])
-    return f"{shown} and {len(words) - 8} more" if len(words) > 8 else shown or "none"
-
-
 def listed(topics: Sequence[Topic]) -> str:
     """Topics as a message names them."""
-    return few([f"{topic.name} ({topic.msgtype.replace('/msg/', '/')})" for topic in topics])
+    return some([f"{topic.name} ({topic.msgtype.replace('/msg/', '/')})" for topic in topics], 8) or "none"
 
 
 @dataclass(frozen=True)

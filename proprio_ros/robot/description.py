@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from proprio_ros.errors import RobotError, one_line
+from proprio_ros.errors import RobotError, one_line, some
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.robot.tree import RobotModel
 
@@ -114,5 +114,6 @@ def check_masses(model: RobotModel, source: str) -> None:
             carried[body[joint.parent]] += mass[joint.child]
     bare = [name for name, total in carried.items() if total <= 0.0]
     if bare:
-        shown = ", ".join(bare[:6]) + (f" and {len(bare) - 6} more" if len(bare) > 6 else "")
-        raise RobotError(f"{source}: no <inertial> in links that move: {shown}; state mass, centre and inertia of each")
+        raise RobotError(
+            f"{source}: no <inertial> in links that move: {some(bare)}; state mass, centre and inertia of each"
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -177,11 +178,14 @@ CALIBRATIONS = ("calibration", "motion_calibration", "joint_calibration")
 _FILE_ONLY = ("model_fingerprint", *CALIBRATIONS)  # no --set
 
 
+def without_unit(key: str) -> str:
+    """What a key states, such as ``coulomb`` of ``coulomb_N_m``."""
+    return re.sub("_(N_m_per_A|N_m_s_per_rad|N_m|kg_m2|rad_s|rad|s)$", "", key)
+
+
 def unknown_of(path: tuple[str, ...]) -> Key:
     """Key of the unknown that a setting states, such as ``("coulomb", "joint3")``; that of no unknown where it states none."""
-    name = path[-1]
-    for unit in ("_N_m_per_A", "_N_m_s_per_rad", "_N_m", "_kg_m2", "_rad_s", "_rad", "_s"):
-        name = name.removesuffix(unit)
+    name = without_unit(path[-1])
     return name if len(path) == 1 else (name, path[1])
 
 

@@ -31,6 +31,7 @@ from proprio_ros.robot.fields import (
     nested_settings,
     override_paths,
     unknown_of,
+    without_unit,
 )
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.tree import RobotModel
@@ -481,14 +482,7 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
         raise FormError("motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect")
     return (
         DriveTrain(
-            torque_constant=drive["torque_constant_N_m_per_A"],
-            coulomb=drive["coulomb_N_m"],
-            viscous=drive["viscous_N_m_s_per_rad"],
-            load_friction=drive["load_friction"],
-            armature=drive["armature_kg_m2"],
-            zero=drive["zero_rad"],
-            stribeck=drive["stribeck"],
-            stribeck_velocity=drive["stribeck_velocity_rad_s"],
+            **{without_unit(key): value for key, value in drive.items()},
             nominal_torque_constant=motor["nominal_torque_constant_N_m_per_A"],
             supply_voltage_V=motor["supply_voltage_V"],
             back_emf_V_s_per_rad=motor["back_emf_V_s_per_rad"],
