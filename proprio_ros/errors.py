@@ -9,7 +9,7 @@ Every message is one line that says what is wrong, which choices are valid, and 
     +-- SimulationError     a rollout that cannot be trusted: it diverged, or the step count overflows
     +-- BusError            a serial port or a servo: no port, no answer, another model, a hardware error
     |   +-- PortLostError   the port itself is gone: unplugged, or taken away while open
-    +-- ExcitationError     a probe that cannot start, or must not: busy, out of limits, no free way
+    +-- ExcitationError     an excitation that cannot start, or must not: busy, out of limits, no free way
 
 Messages quote what others wrote: names of folders, topics and joints, whole values of a file. The base class therefore makes every
 message printable and short, whatever it quotes.
@@ -80,7 +80,7 @@ class PortLostError(BusError):
 
 
 class ExcitationError(ProprioError, RuntimeError):
-    """A probe that cannot start from here, or must not."""
+    """An excitation that cannot start from here, or must not."""
 
 
 def some(names: Iterable[str], most: int = 6) -> str:

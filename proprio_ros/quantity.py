@@ -48,8 +48,8 @@ def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
 
     Args:
         unit: SI unit of the value.
-        std: its standard deviation, in that unit; without one the unit's own digits are taken.
-        kept: whether the value is shown in its SI unit.
+        std: Its standard deviation, in that unit; without one the unit's own digits are taken.
+        kept: Whether the value is shown in its SI unit.
     """
     factor, _, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
     factor, usual = (1.0, ".6g") if kept else (factor, usual)

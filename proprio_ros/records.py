@@ -32,7 +32,7 @@ ZERO_CURRENT_A = 1e-6
 """A commanded current up to this is a command of zero [A]."""
 
 TORQUE_OFF = "torque off"
-"""`Run.source` of a free swing: the current is zero because torque was off, whatever else was recorded."""
+"""`Run.source` of a free response: the current is zero because torque was off, whatever else was recorded."""
 
 LOST_AFTER_PERIODS = 2.5
 """A gap longer than this many median periods means that messages were lost, not that one came late."""
@@ -287,9 +287,9 @@ class PointTrack:
 
 @dataclass(frozen=True)
 class Run:
-    """One probe: a joint starts at rest, a current drives it alone, the others are held. Times count from its onset.
+    """One excitation: a joint starts at rest, a current drives it alone, the others are locked. Times count from its onset.
 
-    Or one free swing: torque went off, and gravity moves the joint from where and however fast it was. Its times count from
+    Or one free response: torque went off, and gravity moves the joint from where and however fast it was. Its times count from
     the first sample used, its current is zero, and nothing is said of what was before.
 
     Attributes:
@@ -339,7 +339,7 @@ class Run:
 
     @property
     def free(self) -> bool:
-        """Whether it is a free swing: nothing but gravity and friction moves the joint."""
+        """Whether it is a free response: nothing but gravity and friction moves the joint."""
         return self.source == TORQUE_OFF
 
     def __post_init__(self) -> None:

@@ -38,8 +38,8 @@ class Drift:
     """Standard deviations of what changes after a calibration, relative.
 
     Attributes:
-        friction_per_sqrt_h, torque_constant_per_sqrt_h: after an hour; after n hours sqrt(n) times as much.
-        friction_per_K, torque_constant_per_K: beside that, by each degree between the motor's temperature then and now.
+        friction_per_sqrt_h, torque_constant_per_sqrt_h: After an hour; after n hours sqrt(n) times as much.
+        friction_per_K, torque_constant_per_K: Beside that, by each degree between the motor's temperature then and now.
     """
 
     friction_per_sqrt_h: float = 0.01

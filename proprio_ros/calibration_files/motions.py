@@ -104,7 +104,7 @@ class MotionCalibration:
             assumes nothing about the residuals within a stretch; shape (stretches, P).
         friction_spread: Standard deviation of viscous friction, Coulomb friction and offset from run to run, in the order of
             `FRICTION_TERMS` and then of the joints; shape (3 n,).
-        residual: rms of the mean torque in a window that is left over [N m], shape (n,).
+        residual: RMS of the mean torque in a window that is left over [N m], shape (n,).
         correlation: Over how many windows the residuals of a joint are correlated: so much less they say; shape (n,).
         torque_scale: True torque over that of the robot file's constants; 1 where no reference was held.
         torque_scale_std: How well that is known, relative.

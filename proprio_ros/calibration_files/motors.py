@@ -21,11 +21,11 @@ class MotorIdentity:
     """What a servo keeps without power.
 
     Attributes:
-        model: its Model Number.
-        id: on the bus.
-        firmware: its version; all else is the same after an update.
+        model: Its Model Number.
+        id: On the bus.
+        firmware: Its version; all else is the same after an update.
         homing_offset: [counts]; it shifts every position.
-        drive_mode: bits; one turns the direction.
+        drive_mode: Bits; one turns the direction.
         moving_threshold: [counts]; drives nothing here, so it can be used to mark a servo.
     """
 

@@ -71,7 +71,7 @@ class JointCalibration:
         values: See `TERMS`, shape (6,).
         without: The same from all recordings but one, shape (runs, 6).
         spread: By how much masses of recordings differ beyond what each knows of its own error, relative.
-        residual: rms of the windows' mean torque that is left over [N m].
+        residual: RMS of the windows' mean torque that is left over [N m].
         runs: One mapping per recording: name, duration_s, load_kg; read_kg, std_kg: what the others make of it.
     """
 

@@ -13,7 +13,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       motors:                            # whose arm it is, where the recordings say so; without this section nothing is compared
         joint3: {model: 1020, id: 13, firmware: 46, homing_offset: 0, drive_mode: 0, moving_threshold: 10}
       made: {time_s: 1760000009.8, temperature_C: {joint3: 34.0}}   # when, by the clock of the recordings; see `drift`
-      start_velocity_rad_s: 0.003        # how still the held joint is when its probe begins; all numbers have ranges, see `RANGES`
+      start_velocity_rad_s: 0.003        # how still the joint is when its excitation begins; all numbers have ranges, see `RANGES`
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
       correlation: |                     # lower triangle, a line per unknown in the order above
@@ -136,9 +136,9 @@ class Calibration:
         residual_scale: Residuals over what encoder and stamps explain.
         stamp_jitter_s: Standard deviation of the stamps.
         torque_disturbance: Standard deviation of a torque that differs from run to run [N m].
-        start_velocity: Standard deviation of the velocity at which probes begin [rad/s].
-        friction_spread: Relative standard deviation of friction from one free swing to the next; 0 where none was calibrated with.
-        swing_error: Error of simulated free swings, see `Robot.swing_error` [rad].
+        start_velocity: Standard deviation of the velocity at which excitations begin [rad/s].
+        friction_spread: Relative standard deviation of friction from one free response to the next; 0: it was made of none.
+        swing_error: Error of simulated free responses, see `Robot.swing_error` [rad].
         runs: One mapping per run used: name, joint, current_A, load_kg, samples.
         motors: Of the arm, by joint, where its recordings say so.
         made: When it was made, or since when it counts (see `drift`); None where the recordings do not say it.
@@ -177,7 +177,7 @@ class Calibration:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints whose drive trains were calibrated; a free swing does without a torque constant, which may be stated exactly."""
+        """Joints whose drive trains were calibrated; a free response needs no torque constant, which may be stated exactly."""
         swung = {run["joint"] for run in self.runs} if self.swing_error > 0.0 else set()
         known = (
             str(key[1]) for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung)
@@ -186,7 +186,7 @@ class Calibration:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Joints of which it knows what a current does: a free swing tells nothing of that."""
+        """Joints of which it knows what a current does: a free response tells nothing of that."""
         return () if self.swing_error > 0.0 else self.joints
 
     def without(self, keys: set[Key]) -> Calibration:

@@ -68,12 +68,12 @@ def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) 
     """The text of a file, without a byte order mark.
 
     Args:
-        path: of a regular file.
-        error: what is raised, with one sentence.
-        longest: bytes that it may have.
+        path: Of a regular file.
+        error: What is raised, with one sentence.
+        longest: Bytes that it may have.
 
     Raises:
-        ProprioError: of the kind given: it cannot be read, is no text, or is too long.
+        ProprioError: Of the kind given: it cannot be read, is no text, or is too long.
     """
     problem = path_problem(path)
     if problem:
@@ -97,7 +97,7 @@ def json_of(text: str) -> Any:
     """What a JSON text says.
 
     Raises:
-        ValueError: it is none, or is nested too deep.
+        ValueError: It is none, or is nested too deep.
     """
     try:
         content = json.loads(text, parse_int=_whole)
@@ -132,7 +132,7 @@ def yaml_of(text: str) -> Any:
     """What a YAML text says (plain types only); the caller may change it.
 
     Raises:
-        ValueError: it is none, is nested too deep, or stands for more than it should.
+        ValueError: It is none, is nested too deep, or stands for more than it should.
     """
     return deepcopy(_parsed(text))
 
@@ -203,12 +203,12 @@ def yaml_file(path: Path, kind: type[ProprioError], called: str = "") -> Any:
     """What a YAML file says (plain types only).
 
     Args:
-        path: of a regular file.
-        kind: what is raised, with one sentence.
-        called: what the file is called in it; empty: by its path.
+        path: Of a regular file.
+        kind: What is raised, with one sentence.
+        called: What the file is called in it; empty: by its path.
 
     Raises:
-        ProprioError: of that kind: it is not readable, or no YAML that `yaml_of` takes.
+        ProprioError: Of that kind: it is not readable, or no YAML that `yaml_of` takes.
     """
     text = text_of(path, kind)
     try:

@@ -102,12 +102,12 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
     (``/dev/stdout``, a pipe) is written into: nothing but a file is ever replaced.
 
     Args:
-        path: of the file.
-        text: all of it.
-        option: the command-line option that named the file, for the message.
+        path: Of the file.
+        text: All of it.
+        option: The command-line option that named the file, for the message.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: The file cannot be written.
     """
     temporary = None
     try:
@@ -141,7 +141,7 @@ def check_new_yaml(path: Path, force: bool) -> None:
     """Refuse an impossible output, and one that is there already, before the work is done.
 
     Raises:
-        ConfigurationError: it is no .yaml file, cannot be written, or is there and may not be replaced.
+        ConfigurationError: It is no .yaml file, cannot be written, or is there and may not be replaced.
     """
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"--output {path}: name a .yaml file")
@@ -162,7 +162,7 @@ def private_folder(path: Path) -> Path:
     """A folder that only this user can read, made where it is not there, below one that others may write to.
 
     Raises:
-        OSError: it is a link, or belongs to somebody else, or cannot be made.
+        OSError: It is a link, or belongs to somebody else, or cannot be made.
     """
     path.mkdir(mode=0o700, parents=False, exist_ok=True)
     there = path.lstat()

@@ -24,7 +24,7 @@ def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
     """Settings by dotted key; values are JSON, or bare words.
 
     Raises:
-        ConfigurationError: a pair is not of that form.
+        ConfigurationError: A pair is not of that form.
     """
     settings: dict[str, Any] = {}
     for pair in pairs:
@@ -79,7 +79,7 @@ class Settings:
     """The user's keys, each taken once; what nobody took is an error that lists what there is.
 
     Attributes:
-        taken: keys that the user stated and that something understood.
+        taken: Keys that the user stated and that something understood.
     """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
@@ -96,7 +96,7 @@ class Settings:
         """The user's value, or the default; as the form reads it, where there is one.
 
         Raises:
-            ConfigurationError: it is none of that form.
+            ConfigurationError: It is none of that form.
         """
         self._known.append(key)
         value = default
@@ -115,12 +115,12 @@ class Settings:
         """The options of a solver, a data class, from the keys under a prefix.
 
         Args:
-            kind: the data class; `SEARCH` knows the forms of its fields.
-            prefix: such as ``solver.``.
-            defaults: of the probe's file; a field that it leaves out has the class's own.
+            kind: The data class; `SEARCH` knows the forms of its fields.
+            prefix: Such as ``solver.``.
+            defaults: Of the probe's file; a field that it leaves out has the class's own.
 
         Raises:
-            ConfigurationError: a value of the wrong form.
+            ConfigurationError: A value of the wrong form.
         """
         values: dict[str, Any] = {}
         for entry in fields(kind):  # type: ignore[arg-type]
@@ -131,7 +131,7 @@ class Settings:
         return kind(**values)
 
     def refuse_rest(self) -> None:
-        """Raises: ConfigurationError: a key that nothing understands."""
+        """Raises: ConfigurationError: A key that nothing understands."""
         if self._left:
             names = sorted(self._left)
             # the nearest first, since the list may be longer than a sentence
@@ -145,11 +145,11 @@ def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
     """What ``config/probes`` says about a probe.
 
     Args:
-        name: of the file, without its suffix.
-        sections: that it must have.
+        name: Of the file, without its suffix.
+        sections: That it must have.
 
     Raises:
-        ConfigurationError: it is not readable, or lacks a section.
+        ConfigurationError: It is not readable, or lacks a section.
     """
     path: Path = resource("probes", name)
     content = yaml_file(path, ConfigurationError)
@@ -162,7 +162,7 @@ def read(key: str, value: Any, form: Form) -> Any:
     """A value as its form reads it.
 
     Raises:
-        ConfigurationError: it is none of that form.
+        ConfigurationError: It is none of that form.
     """
     try:
         return form.read(value)
@@ -174,7 +174,7 @@ def number(key: str, value: Any) -> float:
     """A finite number.
 
     Raises:
-        ConfigurationError: it is none.
+        ConfigurationError: It is none.
     """
     checked: float = read(key, value, Number())
     return checked

@@ -18,7 +18,7 @@ def description_of(bag: Path) -> str:
     """The URDF that a bag holds on ``/robot_description``.
 
     Raises:
-        RecordingError: it cannot be read, or holds no description.
+        RecordingError: It cannot be read, or holds no description.
     """
     from proprio_ros.recordings.contents import read_description
 

@@ -35,7 +35,7 @@ LEAST_T = 15.0
 LEAST_LOAD = 0.1
 """Of the largest change of gravity's torque on any joint: a wrist that hardly lifts says nothing of units."""
 FEW_LEVELS = 5
-"""An effort that takes fewer values than this between zeros is a sequence of probes, and no old reading."""
+"""An effort that takes fewer values than this between zeros is a sequence of excitations, and no old reading."""
 STALE_SAMPLES = 4
 """Equal efforts in a row, typically, while the joint moves."""
 
@@ -298,7 +298,7 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
             for start, end in zip(starts, ends, strict=True)
             if effort[start] != 0.0 and not (many and effort[start] in (least, most))
         ]
-        if len(seen) < FEW_LEVELS:  # a probe's constant current, read without noise
+        if len(seen) < FEW_LEVELS:  # an excitation's constant current, read without noise
             continue
         lengths, places = np.array(seen).T
         typical = int(np.repeat(lengths, lengths)[np.argsort(np.repeat(lengths, lengths))][lengths.sum() // 2])

@@ -47,28 +47,28 @@ REPEATED_SHARE = 0.2
 """Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
 
 STEADY_SHARE, STEADY_WITHIN = 0.8, 0.25
-"""The current of a probe is constant: so much of it lies so close to its median, once single samples are smoothed. Of 194
-simulated probes 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
+"""The current of an excitation is constant: so much of it lies so close to its median, once single samples are smoothed. Of 194
+simulated ones 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
 AT_REST_S = 0.3
-"""A probe begins at rest: for so long before it the joint has not moved."""
+"""An excitation begins at rest: for so long before it the joint has not moved."""
 
 MIN_SAMPLES = 5
 """Fewer samples than this say nothing about a motion that starts at rest."""
 
 
 RELEASE_S = 0.05
-"""A servo that was told to let go may take so long; what it does meanwhile is no free swing. Torque that comes back may come so
+"""A servo that was told to let go may take so long; what it does meanwhile is no free response. Torque that comes back may come so
 long before it is said [s]."""
 
 LET_GO_S, CAUGHT_S = 0.2, 0.2
-"""A current that ends so shortly before a free swing lets go of the joint, and one that begins so shortly after it catches it:
-neither is a probe [s]."""
+"""A current that ends so shortly before a free response lets go of the joint, and one that begins so shortly after it catches it:
+neither is an excitation [s]."""
 
 FELL_SPAN = 0.1
 """Where torque is off, a joint that moves more than this swings, and one that moves less is held by its friction [rad]."""
 
 LONGEST_SWING_S = 5.0
-"""Of a swing: what comes later is told by friction more than by weight, and costs computing time [s]."""
+"""Of a free response: what comes later is told by friction more than by weight, and costs computing time [s]."""
 
 STANDS_STILL = 0.005
 """A joint that stays this close to where it ends has come to rest [rad]."""
@@ -100,9 +100,9 @@ def cut_runs(
 
     A run lasts from the first non-zero current on a joint to the end of it. A zero shorter than three command periods
     (at most 0.3 s) belongs to the run, a longer one ends it. Where the recording says that torque was off, a joint that then
-    falls gives a free swing. Of a recording that has both, the probes that a command drove are taken, except those that only
-    held the joint, let go of it or caught it; a zero current alone never makes a swing, since a driver may hold the joint at rest
-    then.
+    falls gives a free response. Of a recording that has both, the excitations that a command drove are taken, except those that
+    only held the joint, let go of it or caught it; a zero current alone never makes a free response, since a driver may hold
+    the joint at rest then.
 
     Args:
         recording: The recording.
@@ -118,7 +118,7 @@ def cut_runs(
     """
     inputs = recording.inputs
     if recording.torque_off_ns and (inputs is None or not _driven_by_command(recording, inputs)):
-        return _swings(recording, dict(held or {}), tuple(joints))
+        return _free_responses(recording, dict(held or {}), tuple(joints))
     if inputs is None:
         raise RecordingError(
             f"{recording.name}: the recording holds no input current; record /applied_effort or /current_command,"
@@ -144,7 +144,7 @@ def cut_runs(
 
 
 def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
-    """Whether a command moved a joint while torque was on; a controller's measured current is no probe."""
+    """Whether a command moved a joint while torque was on; a controller's measured current is no excitation."""
     record = recording.joints
     if inputs.measured:
         return False
@@ -164,8 +164,8 @@ def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
     return False
 
 
-def _swings(recording: Recording, held: dict[str, float], joints: tuple[str, ...]) -> tuple[Run, ...]:
-    """A free swing for each stretch without torque in which one joint falls."""
+def _free_responses(recording: Recording, held: dict[str, float], joints: tuple[str, ...]) -> tuple[Run, ...]:
+    """A free response for each stretch without torque in which one joint falls."""
     record, problems, runs = recording.joints, [], []
     columns = [record.column(joint) for joint in joints if joint in record.names]
     if not columns:
@@ -195,14 +195,14 @@ def _swings(recording: Recording, held: dict[str, float], joints: tuple[str, ...
                 else f"{said} no joint falls by {FELL_SPAN:g} rad: let go of it where gravity pulls at it"
             )
             continue
-        runs.append(_swing(name, record, fell[0], inside, held))
+        runs.append(_free_response(name, record, fell[0], inside, held))
     if not runs:
         raise RecordingError(problems[0])
     return tuple(replace(run, notes=(*run.notes, *(f"left out: {problem}" for problem in problems))) for run in runs)
 
 
-def _swing(name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]) -> Run:
-    """One free swing, until the joint hangs still: then friction alone decides where."""
+def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]) -> Run:
+    """One free response, until the joint hangs still: then friction alone decides where."""
     column = record.column(joint)
     notes = []
     repeated = _repeated(record, inside, column)
@@ -254,7 +254,7 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
             )
         intervals += _intervals_of_joint(record, inputs, joint, active[:, column])
     if inputs.measured:
-        # a few samples above the rest level are noise, not a probe
+        # a few samples above the rest level are noise, not an excitation
         intervals = [interval for interval in intervals if interval.last - interval.first + 1 >= MIN_SAMPLES]
         intervals = _without_holding_joints(record, intervals)
     intervals.sort(key=lambda interval: interval.onset_ns)
@@ -272,7 +272,7 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
             f"{name}: no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);"
             " record the probe itself, or name another input with --command-topic"
         )
-    if inputs.measured and not _is_probe(record, inputs, intervals[0]):
+    if inputs.measured and not _is_excitation(record, inputs, intervals[0]):
         raise _under_controller(name, intervals[0].joint)
     return intervals
 
@@ -299,7 +299,7 @@ def _refuse_controlled(name: str, record: JointRecord, inputs: InputRecord, join
             raise _under_controller(name, joint)
 
 
-def _is_probe(record: JointRecord, inputs: InputRecord, interval: _Interval) -> bool:
+def _is_excitation(record: JointRecord, inputs: InputRecord, interval: _Interval) -> bool:
     """Whether a measured current began at rest and stayed the same."""
     since_s = 1e-9 * (record.times_ns - interval.onset_ns)
     before = record.position[(since_s >= -AT_REST_S) & (since_s <= 0.0), record.column(interval.joint)]

@@ -219,7 +219,7 @@ def _state_rows(
     """One row per usable message in the order of time, one column per joint that has a position.
 
     Joints may be spread over several messages (arm and gripper from two publishers). The rows are then the messages
-    that have the driven joint; what others report in between is interpolated, since a held joint hardly moves, while
+    that have the driven joint; what others report in between is interpolated, since a locked joint hardly moves, while
     an interpolated sample of a driven joint would pretend to be a measurement.
     """
     times = _times(columns, topic, notes)

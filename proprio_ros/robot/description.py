@@ -33,11 +33,11 @@ def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> Robo
     """The tree of links that a source describes.
 
     Args:
-        source: a path, or ``robot_descriptions:NAME``.
-        of_bag: takes a description out of a bag; it raises what it likes. None: a bag is refused.
+        source: A path, or ``robot_descriptions:NAME``.
+        of_bag: Takes a description out of a bag; it raises what it likes. None: a bag is refused.
 
     Raises:
-        RobotError: there is no such description, or it is no physical tree.
+        RobotError: There is no such description, or it is no physical tree.
     """
     if source.startswith(PACKAGE):
         return RobotModel.from_urdf(_packaged(source.removeprefix(PACKAGE)))
@@ -103,7 +103,7 @@ def check_masses(model: RobotModel, source: str) -> None:
     """Every joint must move something that has mass.
 
     Raises:
-        RobotError: some do not; all are named.
+        RobotError: Some do not; all are named.
     """
     mass = {link.name: float(link.pseudo_inertia[3, 3]) for link in model.links}
     carried = {joint.child: mass[joint.child] for joint in model.joints if joint.independent}

@@ -55,9 +55,9 @@ class Drive:
     """How the duty cycle of a motor follows from what was recorded.
 
     Attributes:
-        kind: as the robot file names it; takes: what the duty cycle is made of, in words.
-        follows_goal: whether it needs the goal.
-        forms: of each key in the robot file; one whose class has a default may be left out.
+        kind: As the robot file names it; takes: what the duty cycle is made of, in words.
+        follows_goal: Whether it needs the goal.
+        forms: Of each key in the robot file; one whose class has a default may be left out.
     """
 
     kind: ClassVar[str]
@@ -71,11 +71,11 @@ class Drive:
         """The duty cycle at some instants, -1 to 1.
 
         Args:
-            times_s: increasing [s], shape (T,).
-            position: at them [rad], shape (T,).
-            effort: as the driver published it, shape (T,); None where it published none.
-            goal: where the joint was sent; None where nobody recorded it.
-            delay_s: from a goal to its torque.
+            times_s: Increasing [s], shape (T,).
+            position: At them [rad], shape (T,).
+            effort: As the driver published it, shape (T,); None where it published none.
+            goal: Where the joint was sent; None where nobody recorded it.
+            delay_s: From a goal to its torque.
 
         Returns:
             Shape (T,).

@@ -22,10 +22,10 @@ class _Step:
     """One joint on the way from the base to a link that can be lowered, as plain numbers: numpy is slow for three of them.
 
     Attributes:
-        parent: index of the step before it, -1 for the base.
-        driver, multiplier, offset: the independent joint that it follows; it is its own where it mimics none.
-        columns: of parent_R_joint at position zero; origin: in the parent's frame [m]; axis: in its own frame.
-        counts: whether its child is one of the links asked for.
+        parent: Index of the step before it, -1 for the base.
+        driver, multiplier, offset: The independent joint that it follows; it is its own where it mimics none.
+        columns: Of parent_R_joint at position zero; origin: in the parent's frame [m]; axis: in its own frame.
+        counts: Whether its child is one of the links asked for.
     """
 
     parent: int
@@ -43,11 +43,11 @@ def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
     """Height above the base's plane, against gravity, of the lowest link that can be lowered, or of the hand [m].
 
     Args:
-        robot: the arm.
-        pose: positions of all its independent joints [rad or m].
+        robot: The arm.
+        pose: Positions of all its independent joints [rad or m].
 
     Raises:
-        RobotError: a position that matters is missing.
+        RobotError: A position that matters is missing.
     """
     up, steps = _way_to_lowerable(robot)
     return _lowest(up, steps, pose)
@@ -57,16 +57,16 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
     """The links as lines from joint to joint, seen along a joint's axis where that is level, else across the arm.
 
     Args:
-        robot: the arm.
-        joint: whose motion is to be seen.
-        poses: positions of all independent joints [rad or m], the first decides where one stands: the hand is to the right.
+        robot: The arm.
+        joint: Whose motion is to be seen.
+        poses: Positions of all independent joints [rad or m], the first decides where one stands: the hand is to the right.
 
     Returns:
         Both ends of the links in every pose, to the right of the base and above it [m], shape (P, L, 2, 2), and where the joint is,
         shape (P, 2).
 
     Raises:
-        RobotError: a position is missing.
+        RobotError: A position is missing.
     """
     model = robot.model
     frames = [{link.name: model.frame_transform(link.name, pose) for link in model.links} for pose in poses]
@@ -90,14 +90,14 @@ def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: floa
     """Where the hand is while one joint moves [m], in the frame of the root link, shape (points, 3).
 
     Args:
-        robot: the arm.
-        joint: that moves.
-        start: positions of all independent joints before [rad or m].
-        travel: how far it goes, signed [rad or m].
-        points: how many.
+        robot: The arm.
+        joint: That moves.
+        start: Positions of all independent joints before [rad or m].
+        travel: How far it goes, signed [rad or m].
+        points: How many.
 
     Raises:
-        RobotError: a position is missing.
+        RobotError: A position is missing.
     """
     places = np.linspace(start[joint], start[joint] + travel, points).tolist()
     at = [robot.model.frame_transform(robot.payload_frame, {**start, joint: place}) for place in places]

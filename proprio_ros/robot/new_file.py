@@ -28,11 +28,11 @@ class NewFile:
     """A robot file to fill in.
 
     Attributes:
-        name: of the robot.
-        text: of the file.
-        joints: that it lists.
-        payload_frame: a guess at the link in which objects are held, to be checked.
-        to_state: dotted keys that must be stated before the file can be loaded.
+        name: Of the robot.
+        text: Of the file.
+        joints: That it lists.
+        payload_frame: A guess at the link in which objects are held, to be checked.
+        to_state: Dotted keys that must be stated before the file can be loaded.
     """
 
     name: str
@@ -47,11 +47,11 @@ def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | No
 
     Args:
         source: URDF file, bag with ``/robot_description``, or ``robot_descriptions:NAME``.
-        output: where the file will be, since it names its URDF by the way to it.
-        of_bag: as for `read_model`.
+        output: Where the file will be, since it names its URDF by the way to it.
+        of_bag: As for `read_model`.
 
     Raises:
-        RobotError, RecordingError: the description cannot be read, or links that move have no mass; these are named.
+        RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.
     """
     model = read_model(source, of_bag)
     check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)

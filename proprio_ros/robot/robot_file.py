@@ -53,10 +53,10 @@ class Robot:
         onset_jitter_s: Standard deviation of the delay from run to run.
         torque_disturbance: Standard deviation of a torque that is there in one run and not in the next, such as friction
             that is not the same every time [N m].
-        start_velocity: Standard deviation of the velocity at which a held joint is when its probe begins [rad/s].
-        friction_spread: Standard deviation of friction from one free swing to the next, relative.
-        swing_error: What neighbouring samples of a free swing share of the error of its simulation: standard deviation that one
-            sample must have so that independent ones weigh as much [rad]. Calibrations and swings themselves show it.
+        start_velocity: Standard deviation of the velocity at which a locked joint is when its excitation begins [rad/s].
+        friction_spread: Standard deviation of friction from one free response to the next, relative.
+        swing_error: What neighbouring samples of a free response share of the error of its simulation: standard deviation that one
+            sample must have so that independent ones weigh as much [rad]. Calibrations and free responses themselves show it.
         link_mass_std, link_com_std, link_inertia_std: How far a single link lies off the URDF, beyond `arm_scale`:
             relative mass, each coordinate of its centre of mass [m], relative inertia about it.
         drift: How fast a calibration ages.
@@ -247,7 +247,7 @@ def bare_settings(source: str) -> dict[str, Any]:
     """What a description alone says of a robot: its joints that turn have motors of which nothing is known.
 
     Raises:
-        RobotError: there is no such description, or a link that moves has no mass.
+        RobotError: There is no such description, or a link that moves has no mass.
     """
     model = read_model(source)
     check_masses(model, Path(source).name)

@@ -24,7 +24,7 @@ class Wide:
     Attributes:
         of: ``largest torque``: zero, and so much of it as standard deviation; ``weakest``: the same of the weakest joint, for a
             spread of its own; ``nominal``: the nominal torque constant, and so much of that.
-        share: how much.
+        share: How much.
     """
 
     of: str
@@ -34,8 +34,8 @@ class Wide:
         """Of one joint.
 
         Args:
-            nominal: torque constant [N m/A].
-            largest: torque that the joint can make [N m].
+            nominal: Torque constant [N m/A].
+            largest: Torque that the joint can make [N m].
         """
         if self.of == "nominal":
             return Quantity(nominal, self.share * nominal)
@@ -56,9 +56,9 @@ def largest_torque(model: RobotModel, name: str, transmission: float = 1.0) -> f
     The URDF's limit of effort, and at least what holds everything behind the joint stretched out.
 
     Args:
-        model: the robot.
-        name: of the joint.
-        transmission: joint position per shaft position: 1 for a joint that turns, m/rad for a slide.
+        model: The robot.
+        name: Of the joint.
+        transmission: Joint position per shaft position: 1 for a joint that turns, m/rad for a slide.
     """
     joint = model.joint(name)
     slides = joint.kind == "prismatic"
