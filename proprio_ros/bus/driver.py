@@ -55,7 +55,7 @@ class DriverSettings:
         max_goal_velocity_rad_s: A goal position is followed no faster than this.
         max_temperature_C: No current above; the servos shut down by themselves at 80.
         max_jump_rad: A position further from the last one than speed explains is an encoder fault.
-        position_d_gain: Register value that damps held joints.
+        position_d_gain: Register value that damps locked joints.
         reconnect_s: A lost bus is tried again so often.
     """
 

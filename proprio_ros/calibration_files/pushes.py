@@ -69,7 +69,7 @@ NOISE: dict[str, Number] = {
     "residual_scale": Number("residuals over what encoder and stamps explain", "", 0.01, 10.0),
     "stamp_jitter_s": Number("standard deviation of the stamps", "s", 0.0, 0.1),
     "torque_disturbance_N_m": Number("torque that differs from run to run", "N m", 0.0, 100.0),
-    "start_velocity_rad_s": Number("of a held joint when its probe begins", "rad/s", 0.0, 10.0, open=True),
+    "start_velocity_rad_s": Number("of a locked joint when its excitation begins", "rad/s", 0.0, 10.0, open=True),
     "friction_spread": Number("friction that differs from one free swing to the next, relative", "", 0.0, 1.0),
     "swing_error_rad": Number("simulated less measured free swing, in which samples share an error", "rad", 0.0, 10.0),
 }

@@ -107,7 +107,7 @@ def _replay(commands: Commands) -> None:
 def _calibrate(commands: Commands) -> None:
     it = commands.add_parser(
         "calibrate",
-        help="learn the robot from empty-hand runs",
+        help="calibrate the robot from empty-hand runs",
         description="Learn torque constants, friction, armature and the arm's weight from runs with nothing in the hand, and "
         "optionally with a weighed reference. Lift, lower and drive each joint; `proprio plan` and the result say which runs help. "
         "Bags in which several joints moved at once do, too: they calibrate the arm for weighing in motion.",

@@ -56,7 +56,7 @@ class DriverNode(ManagedNode):
         Parameter("max_goal_velocity", _D.max_goal_velocity_rad_s, "Goal positions are followed no faster [rad/s].", 0.01, 5.0),
         Parameter("max_temperature", _D.max_temperature_C, "No currents above this temperature of the motor [deg C].", 20.0, 80.0),
         Parameter("max_jump", _D.max_jump_rad, "A position that jumps further is an encoder fault [rad].", 0.05, 3.0),
-        Parameter("position_d_gain", _D.position_d_gain, "Register value that damps held joints.", 0, 16383),
+        Parameter("position_d_gain", _D.position_d_gain, "Register value that damps locked joints.", 0, 16383),
         Parameter("reply_timeout", 0.02, "How long a servo may take to answer [s].", 0.001, 0.2),
         Parameter("fast_sync_read", True, "Read all servos in one packet where their firmware (45 or newer) knows it."),
         Parameter("reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0),

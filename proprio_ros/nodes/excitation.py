@@ -74,7 +74,7 @@ class ExcitationNode(ManagedNode):
         Parameter("max_velocity", _G.max_velocity_rad_s, "A run ends when a joint is faster [rad/s].", 0.1, 20.0),
         Parameter("stale_after", _G.stale_after_s, "Joint states further apart end the sequence [s].", 0.02, 5.0),
         Parameter("follow_error", _G.follow_error_rad, "A joint may be off its goal by so much [rad].", 0.01, 1.0),
-        Parameter("held_joint_error", _G.held_joint_error_rad, "A held joint may give way by so much [rad].", 0.01, 1.0),
+        Parameter("held_joint_error", _G.held_joint_error_rad, "A locked joint may give way by so much [rad].", 0.01, 1.0),
         Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
         Parameter("command_interface", "driver",
                   "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "

@@ -162,13 +162,13 @@ ROBOT: dict[str, Field] = {
     ),
     "calibrated": Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": Field(Text("of the URDF that a calibration was made with"), None),
-    "calibration": Field(Part("what `proprio calibrate` learnt", by=Calibration.from_settings), None),
+    "calibration": Field(Part("what `proprio calibrate` identified", by=Calibration.from_settings), None),
     "motion_calibration": Field(
-        Part("what `proprio calibrate` learnt from motions of several joints", by=MotionCalibration.from_settings),
+        Part("what `proprio calibrate` identified from motions of several joints", by=MotionCalibration.from_settings),
         None,
     ),
     "joint_calibration": Field(
-        Part("what `proprio calibrate` learnt from motions of one joint", by=JointCalibration.from_settings),
+        Part("what `proprio calibrate` identified from motions of one joint", by=JointCalibration.from_settings),
         None,
     ),
 }
