@@ -18,7 +18,8 @@ from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence
 from proprio_ros.excitation.ways import approach_s
-from proprio_ros.experiment_design.sequential import WORTH, Push
+from proprio_ros.experiment_design.candidates import Push
+from proprio_ros.experiment_design.sequential import WORTH
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.quantity import Sought, shown
 from proprio_ros.records import Run

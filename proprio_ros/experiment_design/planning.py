@@ -7,14 +7,22 @@ promises what a weighing with it will give.
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.experiment_design.candidates import (
+    CLEARANCE_M,
+    LIMIT_MARGIN,
+    candidate_joints,
+    currents_beyond,
+    expected_coulomb,
+    start_poses,
+    still_run,
+)
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan, Weighable
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
@@ -24,16 +32,10 @@ from proprio_ros.identification.robot_unknowns import load_unknowns, robot_unkno
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import Key, label_of
 from proprio_ros.quantity import Z95, shown
-from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
+from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts
 
-RATE_HZ = 40.0
-CLEARANCE_M = 0.03
-"""Nothing may come closer to the base's plane than this; the grasped object hangs below the hand's frame."""
-LIMIT_MARGIN = 0.05
-"""rad left before a joint's limit."""
 STARTS = 6
 """Start positions of the driven joint, over its range."""
 POSES = 4
@@ -42,9 +44,6 @@ COARSE_STARTS, COARSE_POSES = 4, 2
 """The same, where one good run will do."""
 TYPICAL_KG = 0.02
 """For which a calibration says how well it weighs."""
-PUSHES = (0.1, 0.2, 0.4)
-"""Torque beyond balance and friction, relative to the largest gravity load at that pose."""
-WIDEST = 1.5  # rad: the range searched of a joint without limits
 ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
 SAME_KIND = 2  # plans shown of one joint and kind
 
@@ -112,17 +111,13 @@ def plan(
     if not masses_kg or min(masses_kg) <= 0.0:
         raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
     masses = np.array(sorted(masses_kg))
-    facts = facts or PayloadFacts()
+    asked = _Asked(robot, masses, facts or PayloadFacts(), None, duration_s)
     found: list[ProbePlan] = []
     for joint in joints or candidate_joints(robot):
         progress(f"simulating candidate runs of {joint}")
-        for pose in _poses(robot, joint, STARTS, POSES):
-            candidates = _candidates(robot, joint, pose, masses, facts, None, duration_s)
-            if candidates is None:
-                continue
-            for r in np.flatnonzero(candidates.fits.all(axis=0)):
-                stds = [_std_of_mass(*candidates.posterior(s, int(r))) for s in range(len(masses))]
-                found.append(_as_plan(candidates, int(r), stds, _words_for_masses(masses, stds)))
+        for candidates, r in _suitable(asked, [joint], STARTS, POSES):
+            stds = [_std_of_mass(*candidates.posterior(s, r)) for s in range(len(masses))]
+            found.append(_as_plan(candidates, r, stds, _words_for_masses(masses, stds)))
     if not found:
         ends = shown("kg", masses[0], masses[-1], spec=".0f", between=" to ")
         raise ConfigurationError(
@@ -172,32 +167,26 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
 
     Ranked by how much each shrinks the joint uncertainty of torque constants, friction and armatures (D-optimality).
     """
-    if robot.calibration is None:
+    if (before := robot.calibration) is None:
         raise ConfigurationError("advice on further runs needs a calibration")
     wanted: list[Key] = [(term, joint) for joint in joints for term in ADVISED_TERMS]
-    before = robot.calibration
     wanted = [key for key in wanted if key in before.keys]
     place = [before.keys.index(key) for key in wanted]
     old = before.covariance[np.ix_(place, place)]
+    asked = _Asked(robot, np.zeros(1), PayloadFacts(), KnownLoad(), duration_s)
+    turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
     found: list[tuple[float, ProbePlan]] = []
-    for joint in joints:
-        if robot.model.joint(joint).kind == "prismatic":
-            continue
-        for pose in _poses(robot, joint, COARSE_STARTS, COARSE_POSES):
-            candidates = _candidates(robot, joint, pose, np.zeros(1), PayloadFacts(), KnownLoad(), duration_s)
-            if candidates is None:
-                continue
-            for r in np.flatnonzero(candidates.fits[0]):
-                keys, covariance = candidates.posterior(0, int(r))
-                # of other joints' drive trains this run determines only what is correlated with its own
-                shared = [key for key in wanted if key in keys]
-                now = [keys.index(key) for key in shared]
-                then = [wanted.index(key) for key in shared]
-                gain = 0.5 * (_log_volume(old[np.ix_(then, then)]) - _log_volume(covariance[np.ix_(now, now)]))
-                ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
-                best = int(np.argmin(ratio))
-                words = f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
-                found.append((gain, _as_plan(candidates, int(r), [], words)))
+    for candidates, r in _suitable(asked, turning, COARSE_STARTS, COARSE_POSES):
+        keys, covariance = candidates.posterior(0, r)
+        # of other joints' drive trains this run determines only what is correlated with its own
+        shared = [key for key in wanted if key in keys]
+        now = [keys.index(key) for key in shared]
+        then = [wanted.index(key) for key in shared]
+        gain = 0.5 * (_log_volume(old[np.ix_(then, then)]) - _log_volume(covariance[np.ix_(now, now)]))
+        ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
+        best = int(np.argmin(ratio))
+        words = f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
+        found.append((gain, _as_plan(candidates, r, [], words)))
     found.sort(key=lambda entry: -entry[0])
     return _varied([entry for _, entry in found], count)
 
@@ -216,21 +205,14 @@ def weighable(
     Returns:
         None where no run of these joints suits such an object.
     """
-    facts = PayloadFacts()
+    asked = _Asked(robot, np.array([mass_kg]), facts := PayloadFacts(), None, duration_s)
     best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
-    for joint in candidate_joints(robot):
-        if joint not in joints:
-            continue
-        for pose in _poses(robot, joint, COARSE_STARTS, COARSE_POSES):
-            candidates = _candidates(robot, joint, pose, np.array([mass_kg]), facts, None, duration_s)
-            if candidates is None:
-                continue
-            for r in np.flatnonzero(candidates.fits[0]).tolist():
-                std = _std_of_mass(*candidates.posterior(0, r))
-                way = best.setdefault(joint, {})
-                upwards = bool(candidates.travel[0, r] > 0.0)
-                if upwards not in way or std < way[upwards][0]:
-                    way[upwards] = (std, candidates.problem.runs[r], candidates.alive[0, r])
+    driven = [joint for joint in candidate_joints(robot) if joint in joints]
+    for candidates, r in _suitable(asked, driven, COARSE_STARTS, COARSE_POSES):
+        std, run = _std_of_mass(*candidates.posterior(0, r)), candidates.problem.runs[r]
+        way, upwards = best.setdefault(run.run.joint, {}), bool(candidates.travel[0, r] > 0.0)
+        if upwards not in way or std < way[upwards][0]:
+            way[upwards] = std, run, candidates.alive[0, r]
     chosen = sorted(best, key=lambda joint: min(std for std, _, _ in best[joint].values()))[:2]
     if not chosen:
         return None
@@ -269,101 +251,33 @@ def _varied(plans: Sequence[ProbePlan], count: int) -> list[ProbePlan]:
     return kept[:count]
 
 
-def candidate_joints(robot: Robot) -> list[str]:
-    """Driven joints that carry the hand against gravity somewhere."""
-    found = []
-    for name in robot.drive_trains:
-        if robot.model.joint(name).kind == "prismatic":
-            continue
-        loads = []
-        for pose in _poses(robot, name, 2, 2):
-            run = still_run(name, pose, 0.0, 0.1)
-            coefficients = prepare_run(robot, run, KnownLoad()).coefficients
-            loads.append(np.abs(coefficients.payload[1:3]).max())
-        if max(loads, default=0.0) > 1e-3:
-            found.append(name)
-    return found
+@dataclass(frozen=True)
+class _Asked:
+    """What candidates are simulated for: each mass in the hand [kg], shape (S,), or a known load (S = 1)."""
+
+    robot: Robot
+    masses: np.ndarray
+    facts: PayloadFacts
+    load: KnownLoad | None
+    duration_s: float
 
 
-def travel_range(robot: Robot, joint: str, count: int) -> np.ndarray:
-    """Positions of a joint inside its limits, evenly over what is searched of them, shape (count,)."""
-    limits = robot.model.joint(joint)
-    lower, upper = max(limits.lower, -WIDEST), min(limits.upper, WIDEST)
-    margin = min(2.0 * LIMIT_MARGIN, 0.1 * (upper - lower))
-    return np.linspace(lower + margin, upper - margin, count)
+def _suitable(asked: _Asked, joints: Sequence[str], starts: int, locked: int) -> Iterator[tuple[_Candidates, int]]:
+    """Candidates that stay inside all limits whatever is in the hand, one after the other, and the place of each among its like."""
+    for joint in joints:
+        for pose in start_poses(asked.robot, joint, starts, locked):
+            candidates = _candidates(asked, joint, pose)
+            if candidates is not None:
+                yield from ((candidates, r) for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist())
 
 
-def _poses(robot: Robot, joint: str, starts: int, held: int) -> list[dict[str, float]]:
-    """Start poses on a grid over the joints that matter to the driven one, high enough above the base's plane."""
-    rest = zero_pose(robot)
-    matters = prepare_run(robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
-    others = [name for name in matters if name in robot.drive_trains]
-    grids = [travel_range(robot, joint, starts), *(travel_range(robot, name, held) for name in others)]
-    poses = []
-    for values in itertools.product(*grids):
-        pose = rest | dict(zip([joint, *others], [round(float(v), 2) for v in values], strict=True))
-        if clearance(robot, pose) >= CLEARANCE_M:
-            poses.append(pose)
-    return poses
-
-
-def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:
-    """A run as it would be recorded, standing still."""
-    times_s = np.arange(1, round(duration_s * RATE_HZ) + 1) / RATE_HZ
-    before_s = -np.arange(10, 0, -1) / RATE_HZ
-    held = {name: position for name, position in pose.items() if name != joint}
-    return Run(
-        name=f"{joint} {shown('A', current_A, spec='+.0f')}",
-        joint=joint,
-        onset_ns=0,
-        times_s=times_s,
-        position=np.full(len(times_s), pose[joint]),
-        before_times_s=before_s,
-        before_position=np.full(len(before_s), pose[joint]),
-        held=held,
-        held_span=dict.fromkeys(held, 0.0),
-        input_times_s=np.zeros(1),
-        input_current_A=np.array([current_A]),
-        duration_s=duration_s,
-        source="plan",
-    )
-
-
-def _currents(robot: Robot, run: PreparedRun, masses: np.ndarray, facts: PayloadFacts) -> list[float]:
-    """Currents that move the joint one way or the other, by a little and by more, whatever of the masses it carries."""
-    drive = run.drive
-    c = run.coefficients
-    per_kg = c.per_kg(facts)
-    loads = [c.arm + mass * per_kg for mass in masses]
-    q = run.rest.value
-    balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
-    # a robot that was not calibrated may rub by as much as its file leaves open
-    dry = drive.coulomb.value + 0.5 * drive.coulomb.std
-    largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
-    kt, part = drive.torque_constant.value, drive.load_friction.value
-    limit = robot.motors[run.run.joint].current_limit_A
-    chosen = []
-    for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
-        for push in PUSHES:
-            torque = edge + sign * (dry + part * abs(edge) + push * largest)
-            current = round(torque / kt, 3)
-            if abs(current) <= limit and current != 0.0:
-                chosen.append(current)
-    return list(dict.fromkeys(chosen))
-
-
-def _candidates(
-    robot: Robot,
-    joint: str,
-    pose: Mapping[str, float],
-    masses: np.ndarray,
-    facts: PayloadFacts,
-    load: KnownLoad | None,
-    duration_s: float,
-) -> _Candidates | None:
-    """Simulate the runs of one joint from one pose, each with every mass, or with a known load."""
-    still = prepare_run(robot, still_run(joint, pose, 0.01, duration_s), load, facts)
-    runs = [still_run(joint, pose, current, duration_s) for current in _currents(robot, still, masses, facts)]
+def _candidates(asked: _Asked, joint: str, pose: Mapping[str, float]) -> _Candidates | None:
+    """Simulate the runs of one joint from one pose; None where no current moves it."""
+    robot, masses, facts, load = asked.robot, asked.masses, asked.facts, asked.load
+    still = prepare_run(robot, still_run(joint, pose, 0.01, asked.duration_s), load, facts)
+    limit = robot.motors[joint].current_limit_A
+    currents = dict.fromkeys(current for _, current, _ in currents_beyond(still, facts, masses.tolist()))
+    runs = [still_run(joint, pose, current, asked.duration_s) for current in currents if 0.0 < abs(current) <= limit]
     if not runs:
         return None
     prepared = [replace(still, run=run) for run in runs]
@@ -375,9 +289,7 @@ def _candidates(
     values = np.tile(problem.base, (len(masses), 1))
     if load is None:
         values[:, problem.index["payload_mass"]] = masses
-    # friction that the file leaves open is half as large as it may be: none at all would make every plan too bold
-    coulomb = unknowns[problem.index["coulomb", joint]]
-    values[:, problem.index["coulomb", joint]] += 0.5 * coulomb.std * (coulomb.value < coulomb.std)
+    values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
     with np.errstate(over="ignore", invalid="ignore"):
         q, v, dq = problem.simulate(values, problem.free)
     drive, limits = robot.drive_trains[joint], robot.model.joint(joint)
@@ -387,12 +299,8 @@ def _candidates(
     ends = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
     low, high = ends.min(axis=2), ends.max(axis=2)
     travel = np.where(start - low > high - start, low - start, high - start)
-    clear = np.array(
-        [
-            min(clearance(robot, {**pose, joint: float(end)}) for end in (low[:, r].min(), high[:, r].max(), start))
-            for r in range(len(runs))
-        ]
-    )
+    at_ends = [(float(low[:, r].min()), float(high[:, r].max()), start) for r in range(len(runs))]
+    clear = np.array([min(clearance(robot, {**pose, joint: end}) for end in ends_of) for ends_of in at_ends])
     fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
     fits &= (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
     return _Candidates(problem, dq, alive, travel, clear, fits)

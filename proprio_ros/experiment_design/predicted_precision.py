@@ -33,6 +33,21 @@ class SharedUnknowns:
         self.at = {key: place for place, key in enumerate(self.keys)}
         self.prior = problem.coordinates.prior_precision[np.ix_(shared, shared)].copy()
 
+    def columns_of(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+        """Which unknowns of a problem matter to each of its runs.
+
+        Returns:
+            The shared ones (0 where the problem lacks one), then the run's own O, shape (R, F + O); the variances of its own under
+            their priors, shape (R, O).
+        """
+        own: list[list[int]] = [[] for _ in problem.runs]
+        for row in problem.free.tolist():
+            if isinstance(run := problem.unknowns[row].scope, int):
+                own[run].append(row)
+        shared = [problem.index.get(key, 0) for key in self.keys]
+        variance = [[problem.unknowns[row].std ** 2 for row in rows] for rows in own]
+        return np.array([shared + rows for rows in own]), np.array(variance)
+
     def covariance_after(self, fit: FitResult) -> np.ndarray:
         """What a fit leaves open of all shared unknowns, those of joints that it does not know among them, shape (F, F)."""
         problem = fit.problem

@@ -12,19 +12,24 @@ small errors (in a linear Gaussian model the width of an interval is independent
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from proprio_ros.experiment_design.planning import (
+from proprio_ros.experiment_design.candidates import (
     CLEARANCE_M,
     LIMIT_MARGIN,
     PUSHES,
+    Push,
+    best_first,
     candidate_joints,
+    currents_beyond,
+    expected_coulomb,
+    locked_poses,
+    start_positions,
     still_run,
-    travel_range,
 )
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.identification.fit import FitResult, SearchOptions, solve_load
@@ -33,10 +38,10 @@ from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, RIPPLE_TERMS, load_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.quantity import Z95, Quantity, shown
+from proprio_ros.quantity import Z95, Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
+from proprio_ros.robot.kinematics import bent_pose, clearance
 from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -61,36 +66,6 @@ UNKNOWN_STD_KG = 0.1
 OWN = ("q0", "v0", "onset", "disturbance")
 WORTH = 0.1
 """A push that promises less than this part of what is missing is not made."""
-
-
-@dataclass(frozen=True)
-class Push:
-    """A push that could be made.
-
-    Attributes:
-        joint, start, current_A, shake_A, duration_s: As in a probe sequence; start of all joints that matter [rad].
-        time_s: With the way to its start, rest and brake.
-        std: Of the mass after it, as predicted [kg].
-        gain: Information about the mass per second [nat/s].
-        travel: Where it goes: signed, foreseen [rad].
-    """
-
-    joint: str
-    start: Mapping[str, float]
-    current_A: float
-    shake_A: float
-    duration_s: float
-    time_s: float
-    std: float
-    gain: float
-    travel: float
-
-    @property
-    def words(self) -> str:
-        """What it is, for people."""
-        shake = f" +-{shown('A', self.shake_A, spec='.0f')}" if self.shake_A else ""
-        start = ", ".join(f"{name} {position:+.2f}" for name, position in self.start.items() if position)
-        return f"{self.joint} {shown('A', self.current_A, spec='+.0f')}{shake} from ({start})"
 
 
 @dataclass(frozen=True)
@@ -136,6 +111,31 @@ class _Place:
     heights: np.ndarray
 
 
+class _Candidate(NamedTuple):
+    """A push of a catalogue before anything is known of it: from where, with which current and square wave [A]."""
+
+    place: _Place
+    current_A: float
+    shake_A: float
+
+
+class _Rows(NamedTuple):
+    """What the encoder would show of C pushes.
+
+    Attributes:
+        shared: Whitened sensitivities by the shared unknowns, shape (C, T, F); own: by the run's own in units of their priors,
+            shape (C, T, 4).
+        times_s: Of the samples, shape (T,).
+        counted: How many of them count; travel: how far the joint goes meanwhile [rad]; shapes (C,).
+    """
+
+    shared: np.ndarray
+    own: np.ndarray
+    times_s: np.ndarray
+    counted: np.ndarray
+    travel: np.ndarray
+
+
 class Catalogue:
     """All pushes of a robot with an object in its hand, prepared once; see `Catalogue.rank`.
 
@@ -174,58 +174,40 @@ class Catalogue:
         return prepare_run(self.robot, still_run(joint, pose, 0.01, max(DURATIONS_S)), None, self.facts)
 
     def _places_of(self, joint: str) -> list[_Place]:
-        robot = self.robot
-        rest = zero_pose(robot)
-        matters = self._still(joint, bent_pose(robot)).coefficients.pose
-        others = [name for name in matters if name in robot.drive_trains]
-        found = []
-        for held in itertools.product(*(travel_range(robot, name, POSES) for name in others)):
-            pose = rest | {name: round(float(q), 2) for name, q in zip(others, held, strict=True)}
-            starts = [round(float(q), 2) for q in travel_range(robot, joint, self._starts)]
-            starts = [q for q in starts if clearance(robot, pose | {joint: q}) >= CLEARANCE_M]
+        found: list[_Place] = []
+        for pose in locked_poses(self.robot, joint, POSES):
+            starts = start_positions(self.robot, joint, self._starts)
+            starts = [q for q in starts if clearance(self.robot, pose | {joint: q}) >= CLEARANCE_M]
             if not starts:
                 continue
             still = self._still(joint, pose | {joint: starts[0]})
-            if self._suits is not None:
-                starts = [q for q in starts if self._suits(still, q)]
-            if not starts:
-                continue
-            runs = [
-                replace(
-                    still,
-                    run=replace(
-                        still.run,
-                        position=np.full_like(still.run.position, q),
-                        before_position=np.full_like(still.run.before_position, q),
-                    ),
-                    rest=Quantity(q, still.rest.std),
-                )
-                for q in starts
-            ]
-            problem = Problem(robot, runs, self.facts, self._unknowns(runs))
-            values = np.tile(problem.base, (2, 1))
-            values[:, problem.index["payload_mass"]] = 0.0, 1.0
-            # friction that the file leaves open is half as large as it may be, as in a plan
-            row = problem.index["coulomb", joint]
-            coulomb = problem.unknowns[row]
-            values[:, row] += 0.5 * coulomb.std * (coulomb.value < coulomb.std)
-            keys = [key for key in self.keys if key in problem.index]
-            columns = np.array([problem.index[key] for key in keys])
-            to = [self.at[key] for key in keys]
-            for r, q in enumerate(starts):
-                own = np.array([problem.index[kind, r] for kind in OWN])
-                p, dp = problem.parameters(values, np.concatenate([columns, own]))
-                slopes = np.zeros((2, p.shape[-1], len(self.keys) + len(OWN)))
-                slopes[..., to] = dp[:, r, :, : len(columns)]
-                slopes[..., len(self.keys) :] = dp[:, r, :, len(columns) :]
-                variance = np.array([problem.unknowns[o].std ** 2 for o in own])
-                start = {**pose, joint: q}
-                heights = np.array([clearance(robot, start | {joint: q + off}) for off in PATH_RAD])
-                found.append(
-                    _Place(
-                        runs[r], start, p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0], variance, heights
-                    )
-                )  # fmt: skip
+            starts = [q for q in starts if self._suits is None or self._suits(still, q)]
+            if starts:
+                found += self._places_from(still, pose, starts)
+        return found
+
+    def _places_from(self, still: PreparedRun, pose: dict[str, float], starts: Sequence[float]) -> list[_Place]:
+        """Of one joint in one pose of the others."""
+        runs, joint = [_standing_at(still, q) for q in starts], still.run.joint
+        problem = Problem(self.robot, runs, self.facts, self._unknowns(runs))
+        values = np.tile(problem.base, (2, 1))
+        values[:, problem.index["payload_mass"]] = 0.0, 1.0
+        values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
+        keys = [key for key in self.keys if key in problem.index]
+        columns, to = [problem.index[key] for key in keys], [self.at[key] for key in keys]
+        found = []
+        for r, (run, q) in enumerate(zip(runs, starts, strict=True)):
+            own = [problem.index[kind, r] for kind in OWN]
+            p, dp = problem.parameters(values, np.array(columns + own))
+            slopes = np.zeros((2, p.shape[-1], len(self.keys) + len(OWN)))
+            slopes[..., to] = dp[:, r, :, : len(columns)]
+            slopes[..., len(self.keys) :] = dp[:, r, :, len(columns) :]
+            variance = np.array([problem.unknowns[o].std ** 2 for o in own])
+            start = {**pose, joint: q}
+            heights = np.array([clearance(self.robot, start | {joint: q + off}) for off in PATH_RAD])
+            found.append(
+                _Place(run, start, p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0], variance, heights)
+            )
         return found
 
     # ------------------------------------------------------------------------------------------------------- knowledge
@@ -267,15 +249,13 @@ class Catalogue:
             push: Of this catalogue.
             load_kg: What is known to be in the hand [kg]; None: the object.
         """
-        place = self._place_of(push)
-        currents, shakes = np.array([push.current_A]), np.array([push.shake_A])
+        made = [_Candidate(self._place_of(push), push.current_A, push.shake_A)]
         mass = known.mass if load_kg is None else load_kg
-        rows, spread, times, _, _ = self._rows(
-            self._simulator([place], currents, shakes), np.zeros(1, int), [place], mass, load_kg is not None
-        )
-        used = times <= push.duration_s + 1e-9
-        along = rows[0][used] @ known.covariance
-        within = along @ rows[0][used].T + spread[0][used] @ spread[0][used].T + np.eye(int(used.sum()))
+        rows = self._rows(self._simulator(made), np.zeros(1, int), made, mass, load_kg is not None)
+        used = rows.times_s <= push.duration_s + 1e-9
+        shared, own = rows.shared[0][used], rows.own[0][used]
+        along = shared @ known.covariance
+        within = along @ shared.T + own @ own.T + np.eye(int(used.sum()))
         covariance = known.covariance - along.T @ np.linalg.solve(within, along)
         at = self.at["payload_mass"]
         return replace(
@@ -321,48 +301,35 @@ class Catalogue:
             known = replace(known, mass=load_kg)
         low, high = (known.mass - 2.0 * known.std, known.mass + 2.0 * known.std) if known.runs else unknown_kg
         low, high = (max(low, 0.0), max(high, 1e-3)) if load_kg is None else (load_kg, load_kg)
-        place_of, currents, shakes = self._pushes(low, high)
-        if not len(place_of):
+        candidates = self._candidates(low, high)
+        if not candidates:
             return []
-        places = [self._places[i] for i in place_of]
-        simulator = self._simulator(places, currents, shakes)
+        simulator = self._simulator(candidates)
         mean = float(np.clip(known.mass, low, high))
-        fits = self._fitting(simulator, places, (low, high) if high - low > 0.004 else (mean,))
+        fits = self._fitting(simulator, candidates, (low, high) if high - low > 0.004 else (mean,))
         chosen = np.flatnonzero(fits)
         if not len(chosen):
             return []
-        return self._scored(
-            known, simulator, chosen, [places[c] for c in chosen], currents[chosen], shakes[chosen], mean, time_of, target_std,
-            load_kg is not None, durations_s,
-        )  # fmt: skip
+        candidates = [candidates[c] for c in chosen]
+        rows = self._rows(simulator, chosen, candidates, mean, load_kg is not None)
+        return best_first(self._scored(known, candidates, rows, time_of, durations_s), target_std)
 
-    def _pushes(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Places, mean currents and amplitudes of all pushes that suit masses from low to high [kg]."""
-        of_1_kg = self.facts.per_kg
-        place_of, currents, shakes = [], [], []
-        for number, place in enumerate(self._places):
-            c, drive, q = place.prepared.coefficients, place.prepared.drive, place.prepared.rest.value
-            per_kg = c.payload @ of_1_kg
-            loads = [c.arm + mass * per_kg for mass in (low, high)]
-            balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
-            largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
-            dry = drive.coulomb.value + 0.5 * drive.coulomb.std
-            limit = self.robot.motors[place.prepared.run.joint].current_limit_A
-            for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
-                for push in PUSHES:
-                    beyond = dry + drive.load_friction.value * abs(edge) + push * largest
-                    current = round((edge + sign * beyond) / drive.torque_constant.value, 3)
-                    wave = round(SHAKE_OF_PUSH * push * largest / drive.torque_constant.value, 3)
-                    for shake in (0.0, wave) if push == PUSHES[-1] else (0.0,):
-                        if abs(current) + shake <= limit and min(abs(current - shake), abs(current + shake)) > 0.01:
-                            place_of.append(number)
-                            currents.append(current)
-                            shakes.append(shake)
-        return np.array(place_of), np.array(currents), np.array(shakes)
+    def _candidates(self, low: float, high: float) -> list[_Candidate]:
+        """All pushes that suit masses from low to high [kg]."""
+        found = []
+        for place in self._places:
+            run = place.prepared
+            limit, constant = self.robot.motors[run.run.joint].current_limit_A, run.drive.torque_constant.value
+            for push, current, largest in currents_beyond(run, self.facts, (low, high)):
+                wave = round(SHAKE_OF_PUSH * push * largest / constant, 3)
+                for shake in (0.0, wave) if push == PUSHES[-1] else (0.0,):
+                    if abs(current) + shake <= limit and min(abs(current - shake), abs(current + shake)) > 0.01:
+                        found.append(_Candidate(place, current, shake))
+        return found
 
-    def _simulator(self, places: Sequence[_Place], currents: np.ndarray, shakes: np.ndarray) -> JointSimulator:
+    def _simulator(self, candidates: Sequence[_Candidate]) -> JointSimulator:
         runs = []
-        for place, current, shake in zip(places, currents, shakes, strict=True):
+        for place, current, shake in candidates:
             drive, run = place.prepared.drive, place.prepared.run
             times, given = _input_of(current, shake)
             friction = drive.coulomb.value + drive.load_friction.value * abs(current) * drive.torque_constant.value
@@ -376,9 +343,11 @@ class Catalogue:
             )  # fmt: skip
         return JointSimulator(runs)
 
-    def _fitting(self, simulator: JointSimulator, places: Sequence[_Place], masses: Sequence[float]) -> np.ndarray:
+    def _fitting(
+        self, simulator: JointSimulator, candidates: Sequence[_Candidate], masses: Sequence[float]
+    ) -> np.ndarray:
         """Which pushes stay inside all limits with each of the masses, shape (C,)."""
-        count = len(places)
+        places, count = [each.place for each in candidates], len(candidates)
         fits = np.ones(count, dtype=bool)
         start = np.array([place.prepared.rest.value for place in places])
         joints = [self.robot.model.joint(place.prepared.run.joint) for place in places]
@@ -412,15 +381,15 @@ class Catalogue:
         return fits
 
     def _rows(
-        self, simulator: JointSimulator, worlds: np.ndarray, places: Sequence[_Place], mass: float, is_known: bool
-    ) -> tuple[np.ndarray, ...]:
-        """Whitened sensitivities of what the encoder would show.
-
-        Returns:
-            By the shared unknowns (C, T, F), by the run's own in units of their priors (C, T, 4), the samples' times (T,), and how
-            many of them count and how far the joint goes meanwhile, shapes (C,).
-        """
-        count, size = len(places), len(self.keys)
+        self,
+        simulator: JointSimulator,
+        worlds: np.ndarray,
+        candidates: Sequence[_Candidate],
+        mass: float,
+        is_known: bool,
+    ) -> _Rows:
+        """Of candidates that are some of a simulator's worlds, with a mass in the hand [kg]."""
+        places, count, size = [each.place for each in candidates], len(candidates), len(self.keys)
         p = np.array([place.p + mass * place.p_per_kg for place in places])
         dp = np.array([place.dp + mass * place.dp_per_kg for place in places])
         identity = np.tile(np.eye(len(INDEX)), (count, 1, 1))
@@ -445,31 +414,24 @@ class Catalogue:
         spread = own * np.sqrt(np.array([place.own_variance for place in places]))[:, None, :]
         off = np.where(alive, q - start[:, None], 0.0)
         travel = np.where(off.max(axis=1) > -off.min(axis=1), off.max(axis=1), off.min(axis=1))
-        return shared, spread, places[0].prepared.run.times_s, alive.sum(axis=1), travel
+        return _Rows(shared, spread, places[0].prepared.run.times_s, alive.sum(axis=1), travel)
 
     def _scored(
         self,
         known: Known,
-        simulator: JointSimulator,
-        worlds: np.ndarray,
-        places: Sequence[_Place],
-        currents: np.ndarray,
-        shakes: np.ndarray,
-        mass: float,
+        candidates: Sequence[_Candidate],
+        rows: _Rows,
         time_of: Callable[[np.ndarray], np.ndarray],
-        target_std: float,
-        is_known: bool,
         durations_s: Sequence[float],
     ) -> list[Push]:
-        shared, spread, times, counted, travels = self._rows(simulator, worlds, places, mass, is_known)
-        along = shared @ known.covariance
-        within = along @ shared.transpose(0, 2, 1) + spread @ spread.transpose(0, 2, 1)
-        place_of_mass = self.at["payload_mass"]
-        towards = known.towards or (known.covariance[:, place_of_mass], known.covariance[place_of_mass, place_of_mass])
-        pulled = shared @ towards[0]
-        starts = np.array([[place.start[name] for name in self.robot.model.independent_joints] for place in places])
-        beside = time_of(starts)
-        now = towards[1]
+        """What each candidate would tell of the mass, with every duration that its travel does not end before."""
+        shared, own, times = rows.shared, rows.own, rows.times_s
+        within = shared @ known.covariance @ shared.transpose(0, 2, 1) + own @ own.transpose(0, 2, 1)
+        mass = self.at["payload_mass"]
+        across, now = known.towards or (known.covariance[:, mass], known.covariance[mass, mass])
+        pulled = shared @ across
+        names = self.robot.model.independent_joints
+        beside = time_of(np.array([[each.place.start[name] for name in names] for each in candidates]))
         found: list[Push] = []
         for duration in durations_s:
             used = times <= duration + 1e-9
@@ -477,26 +439,30 @@ class Catalogue:
             taken = np.einsum("ct,ct->c", pulled[:, used], np.linalg.solve(block, pulled[:, used, None])[..., 0])
             after = np.maximum(now - taken, 1e-12)
             # a push that travel ends before is the same push
-            longer = counted >= np.searchsorted(times, duration - 0.15)
-            lasts = np.minimum(counted / max(len(times), 1) * times[-1], duration)
+            longer = rows.counted >= np.searchsorted(times, duration - 0.15)
+            lasts = np.minimum(rows.counted / max(len(times), 1) * times[-1], duration)
             for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == durations_s[0]))).tolist():
+                place, current, shake = candidates[c]
                 seconds = float(beside[c] + lasts[c])
                 gain = 0.5 * float(np.log(now / after[c])) / seconds
-                place = places[c]
                 found.append(
                     Push(
-                        place.prepared.run.joint, place.start, float(currents[c]), float(shakes[c]), duration, seconds,
-                        float(np.sqrt(after[c])), gain, float(travels[c]),
+                        place.prepared.run.joint, place.start, float(current), float(shake), duration, seconds,
+                        float(np.sqrt(after[c])), gain, float(rows.travel[c]),
                     )
                 )  # fmt: skip
-        return best_first(found, target_std)
+        return found
 
 
-def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
-    """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
-    return sorted(
-        pushes, key=lambda push: (push.std > target_std, push.time_s if push.std <= target_std else -push.gain)
+def _standing_at(still: PreparedRun, position: float) -> PreparedRun:
+    """The same run with the driven joint elsewhere [rad]."""
+    run = still.run
+    moved = replace(
+        run,
+        position=np.full_like(run.position, position),
+        before_position=np.full_like(run.before_position, position),
     )
+    return replace(still, run=moved, rest=Quantity(position, still.rest.std))
 
 
 def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]:

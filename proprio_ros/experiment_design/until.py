@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.experiment_design.candidates import Push
 from proprio_ros.experiment_design.choosing import Chooser, Found, alone, passes, time_of
 from proprio_ros.experiment_design.sequential import (
     MAX_TRAVEL,
@@ -19,7 +20,6 @@ from proprio_ros.experiment_design.sequential import (
     WORTH,
     Catalogue,
     Known,
-    Push,
     half_of,
 )
 from proprio_ros.quantity import Z95, Sought
@@ -38,16 +38,36 @@ WEIGHED_KG, LIGHT_KG, WEIGHED_PUSHES = 0.03, 0.01, 6
 empty hand better than by a reference: by 24 pushes of either, the half interval of 10 g falls from 0.91 to 0.55 and to 0.77 g."""
 
 
-class UntilSure(Chooser):
+class CatalogueChooser(Chooser):
+    """One whose pushes come from a catalogue of what can be done with a rigid load.
+
+    Attributes:
+        catalogue: Of all pushes.
+    """
+
+    catalogue: Catalogue
+    _unknown_kg = UNKNOWN_KG
+    """What the hand may hold while no run says it [kg]."""
+
+    def run_of(self, push: Push) -> ProbeRun:
+        return run_of(push, self.robot)
+
+    def stood_still(self) -> None:
+        if self._found.runs:
+            return
+        _, high = self._unknown_kg
+        supported = self._last is not None and self._last.current_A * self._last.travel < 0.0
+        # what did not sink is lighter than was thought, what did not rise is heavier, or the joint sticks
+        self._unknown_kg = (0.0, high / HEAVIER) if supported else (0.5 * high, HEAVIER * high)
+
+
+class UntilSure(CatalogueChooser):
     """One weighing whose pushes are chosen one by one.
 
     Args:
         robot: With its calibration where there is one.
         facts: Of the object.
         sequence, whole: See `Chooser`.
-
-    Attributes:
-        catalogue: Of all pushes.
 
     Raises:
         ConfigurationError: The sequence has no `until`.
@@ -64,7 +84,6 @@ class UntilSure(Chooser):
         self.catalogue = Catalogue(robot, facts)
         self._known = self.catalogue.nothing_known()
         self._found = Found(self._known.mass, self._known.std)
-        self._unknown_kg = UNKNOWN_KG
 
     @property
     def known(self) -> Known:
@@ -78,22 +97,6 @@ class UntilSure(Chooser):
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
         beside = time_of(self.robot, self._sequence, pose)
         return self.catalogue.rank(self._known, beside, target_std, self._unknown_kg)
-
-    def run_of(self, push: Push) -> ProbeRun:
-        return run_of(push, self.robot)
-
-    def stood_still(self) -> None:
-        if self._known.runs:
-            return
-        self._unknown_kg = after_standing(self._unknown_kg, self._last)
-
-
-def after_standing(unknown_kg: tuple[float, float], push: Push | None) -> tuple[float, float]:
-    """What the hand may hold after the first push moved nothing, from what it was thought to [kg]."""
-    _, high = unknown_kg
-    supported = push is not None and push.current_A * push.travel < 0.0
-    # what did not sink is lighter than was thought, what did not rise is heavier, or the joint sticks
-    return (0.0, high / HEAVIER) if supported else (0.5 * high, HEAVIER * high)
 
 
 def run_of(push: Push, robot: Robot) -> ProbeRun:

@@ -11,13 +11,11 @@ import pytest
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.experiment_design.candidates import CLEARANCE_M, candidate_joints
 from proprio_ros.experiment_design.planning import (
     ADVISED_TERMS,
-    CLEARANCE_M,
     SAME_KIND,
     advise,
-    candidate_joints,
-    clearance,
     plan,
     with_advice,
 )
@@ -30,6 +28,7 @@ from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 MASSES = (0.01, 0.03, 0.1)

@@ -24,8 +24,8 @@ from visualization_msgs.msg import Marker
 
 from proprio_ros.calibration_files.motors import MotorIdentity
 from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.experiment_design.candidates import Push
 from proprio_ros.experiment_design.choosing import Decision
-from proprio_ros.experiment_design.sequential import Push
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.inputs.resources import resource
 from proprio_ros.live.job import WEIGH, Job, JobError

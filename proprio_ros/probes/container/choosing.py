@@ -14,22 +14,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeRun, ProbeSequence
-from proprio_ros.experiment_design.choosing import Chooser, Found, passes, time_of
-from proprio_ros.experiment_design.planning import candidate_joints, still_run
+from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeSequence
+from proprio_ros.experiment_design.candidates import Push, best_first, candidate_joints, expected_coulomb, still_run
+from proprio_ros.experiment_design.choosing import Found, passes, time_of
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.experiment_design.sequential import (
     DURATIONS_S,
     MAX_TRAVEL,
     SHAKE_PERIOD_S,
-    UNKNOWN_KG,
     UNKNOWN_STD_KG,
     Catalogue,
     Known,
-    Push,
-    best_first,
 )
-from proprio_ros.experiment_design.until import after_standing, run_of
+from proprio_ros.experiment_design.until import CatalogueChooser
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED, unusable
 from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
@@ -62,7 +59,7 @@ ROLLED_SHARE = 0.5
 """The sphere leaves its end where it would come to rest this share of its least room away."""
 
 
-class SphereUntilSure(Chooser):
+class SphereUntilSure(CatalogueChooser):
     """One weighing of a sphere whose pushes are chosen one by one.
 
     Args:
@@ -113,14 +110,10 @@ class SphereUntilSure(Chooser):
             at = self._shared.at[mass]
             self._shared.prior[at, at] += UNKNOWN_STD_KG**-2
         self._values = {key: float(every.base[every.index[key]]) for key in self._shared.keys}
-        for joint in joints:  # friction that the file leaves open is half as large as it may be, as in the catalogue
-            friction = every.unknowns[every.index["coulomb", joint]]
-            if friction.value < friction.std:
-                self._values["coulomb", joint] = friction.value + 0.5 * friction.std
+        self._values |= {("coulomb", joint): expected_coulomb(every, joint) for joint in joints}
         self._covariance = np.linalg.inv(self._shared.prior)
         if weighed is not None:
             self._believe(weighed)
-        self._unknown_kg = UNKNOWN_KG
         self._fit: FitResult | None = None
         self._taken = 0
         self.catalogue = Catalogue(robot, facts.shell, joints, STARTS, self._can_roll)
@@ -261,17 +254,10 @@ class SphereUntilSure(Chooser):
             sphere's mass after each sample [kg], shape (C, T).
         """
         problem = self._problem(tuple(self.catalogue.standing(push) for push in pushes))
-        values = problem.base.copy()
-        for key, value in (self._values | {"sphere_mass": sphere_kg}).items():
-            if key in problem.index:
-                values[problem.index[key]] = value
-        keys, unknowns, runs = self._shared.keys, problem.unknowns, problem.runs
-        own: list[list[int]] = [[] for _ in runs]
-        for row in problem.free.tolist():
-            scope = unknowns[row].scope
-            if isinstance(scope, int):
-                own[scope].append(row)
-        columns = np.array([[problem.index.get(key, 0) for key in keys] + rows for rows in own])
+        known = self._values | {"sphere_mass": sphere_kg}
+        values = np.array([known.get(unknown.key, unknown.value) for unknown in problem.unknowns])
+        runs, keys = problem.runs, self._shared.keys
+        columns, variance = self._shared.columns_of(problem)
         q, v, dq, x, dx = problem.foresee(values, columns)
         # of joints that none of them drives
         lacks = [place for place, key in enumerate(keys) if key not in problem.index]
@@ -284,19 +270,11 @@ class SphereUntilSure(Chooser):
         across = np.array([run.across for run in problem.simulator.special.sphere_runs])
         rows = np.where(alive[..., None], dq / sigma[..., None], 0.0)
         seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
-        variance = np.array([[unknowns[row].std ** 2 for row in rows_of] for rows_of in own])
         stds, spreads = self._shared.stds_along(rows, variance, self._covariance, "sphere_mass", seen)
         counted = alive.sum(axis=1)
         told = np.minimum([known_until(spread, self._facts) for spread in spreads], counted)
         rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
         return off, rolled, np.stack([counted, told], axis=1), stds
-
-    def run_of(self, push: Push) -> ProbeRun:
-        return run_of(push, self.robot)
-
-    def stood_still(self) -> None:
-        if self._found.runs == 0:
-            self._unknown_kg = after_standing(self._unknown_kg, self._last)
 
     # -------------------------------------------------------------------------------------------------- the sphere
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.experiment_design.candidates import Push, best_first, still_run
 from proprio_ros.experiment_design.choosing import Chooser, Found, alone, time_of
-from proprio_ros.experiment_design.planning import still_run
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
-from proprio_ros.experiment_design.sequential import FASTEST, Push, best_first
+from proprio_ros.experiment_design.sequential import FASTEST
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
@@ -122,14 +122,10 @@ class SqueezesUntilSure(Chooser):
         unknowns = block_unknowns(robot, runs, squeezing, self._facts, Role.FREE)
         options = self._options
         problem = SqueezeProblem(robot, runs, self._facts, squeezing, unknowns, options.integrator, options.step_s)
-        known = {u.key: float(v) for u, v in zip(fit.problem.unknowns, fit.values, strict=True)}
-        gap = float(np.mean([value for key, value in known.items() if isinstance(key, tuple) and key[0] == "gap"]))
-        values = problem.base.copy()
-        for row, unknown in enumerate(problem.unknowns):
-            if unknown.kind == "gap":
-                values[row] = gap
-            elif unknown.shared:
-                values[row] = known.get(unknown.key, values[row])
+        found = list(zip(fit.problem.unknowns, fit.values.tolist(), strict=True))
+        gap = float(np.mean([value for unknown, value in found if unknown.kind == "gap"]))
+        known = {unknown.key: value for unknown, value in found if unknown.shared}
+        values = np.array([gap if u.kind == "gap" else known.get(u.key, u.value) for u in problem.unknowns])
         with np.errstate(over="ignore", invalid="ignore"):
             q, v, dq = problem.simulate(values[None], problem.free)
         q, v, dq = q[0], v[0], dq[0]
@@ -142,17 +138,14 @@ class SqueezesUntilSure(Chooser):
         alive = np.cumprod(alive, axis=1).astype(bool)
         sigma = np.hypot(runs[0].sigma[0], np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s)
         times = runs[0].times_s
-        free = [problem.unknowns[row] for row in problem.free]
-        own = [[f for f, u in enumerate(free) if not u.shared and u.scope == run] for run in range(len(runs))]
-        shared = [next(f for f, u in enumerate(free) if u.key == key) for key in self._shared.keys]
-        rows = np.stack([dq[run][:, shared + mine] for run, mine in enumerate(own)])
+        columns, variance = self._shared.columns_of(problem)
+        rows = np.take_along_axis(dq, np.searchsorted(problem.free, columns)[:, None], axis=2)
         rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
-        variance = np.array([[free[f].std ** 2 for f in mine] for mine in own])
         stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
         place = self._shared.at["youngs_modulus"]
         now = self._covariance[place, place]
         seconds = float(beside(np.array([[start[name] for name in robot.model.independent_joints]]))[0])
-        found: list[Push] = []
+        pushes: list[Push] = []
         for duration in DURATIONS_S:
             for c, current in enumerate(currents):
                 last = min(int(np.searchsorted(times, duration + 1e-9)), int(alive[c].sum()))
@@ -165,8 +158,8 @@ class SqueezesUntilSure(Chooser):
                 lasts, std = seconds + float(times[last - 1]), float(stds[c, last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-6 * now))) / lasts
                 ends = float(gone[np.argmax(np.abs(gone))])
-                found.append(Push(self._first.joint, dict(start), current, 0.0, duration, lasts, std, gain, ends))
-        return best_first(found, target_std)
+                pushes.append(Push(self._first.joint, dict(start), current, 0.0, duration, lasts, std, gain, ends))
+        return best_first(pushes, target_std)
 
     def run_of(self, push: Push) -> ProbeRun:
         return replace(

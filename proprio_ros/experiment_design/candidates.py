@@ -1,0 +1,155 @@
+"""Pushes that could be made: of which joints, from where, with which currents, and inside which limits."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.quantity import shown
+from proprio_ros.records import Run
+from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
+from proprio_ros.sim.payload import PayloadFacts
+
+RATE_HZ = 40.0
+CLEARANCE_M = 0.03
+"""Nothing may come closer to the base's plane than this; the grasped object hangs below the hand's frame."""
+LIMIT_MARGIN = 0.05
+"""Left before a joint's limit [rad]."""
+WIDEST = 1.5
+"""The range searched of a joint without limits [rad]."""
+PUSHES = (0.1, 0.2, 0.4)
+"""Torque beyond balance and friction, relative to the largest gravity load at that pose."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A push that could be made.
+
+    Attributes:
+        joint, start, current_A, shake_A, duration_s: As in a probe sequence; start of all joints that matter [rad].
+        time_s: With the way to its start, rest and brake.
+        std: Of the mass after it, as predicted [kg].
+        gain: Information about the mass per second [nat/s].
+        travel: Where it goes: signed, foreseen [rad].
+    """
+
+    joint: str
+    start: Mapping[str, float]
+    current_A: float
+    shake_A: float
+    duration_s: float
+    time_s: float
+    std: float
+    gain: float
+    travel: float
+
+    @property
+    def words(self) -> str:
+        """What it is, for people."""
+        shake = f" +-{shown('A', self.shake_A, spec='.0f')}" if self.shake_A else ""
+        start = ", ".join(f"{name} {position:+.2f}" for name, position in self.start.items() if position)
+        return f"{self.joint} {shown('A', self.current_A, spec='+.0f')}{shake} from ({start})"
+
+
+def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
+    """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
+    return sorted(
+        pushes, key=lambda push: (push.std > target_std, push.time_s if push.std <= target_std else -push.gain)
+    )
+
+
+def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:
+    """A run as it would be recorded, standing still."""
+    times_s = np.arange(1, round(duration_s * RATE_HZ) + 1) / RATE_HZ
+    before_s = -np.arange(10, 0, -1) / RATE_HZ
+    held = {name: position for name, position in pose.items() if name != joint}
+    return Run(
+        name=f"{joint} {shown('A', current_A, spec='+.0f')}",
+        joint=joint,
+        onset_ns=0,
+        times_s=times_s,
+        position=np.full(len(times_s), pose[joint]),
+        before_times_s=before_s,
+        before_position=np.full(len(before_s), pose[joint]),
+        held=held,
+        held_span=dict.fromkeys(held, 0.0),
+        input_times_s=np.zeros(1),
+        input_current_A=np.array([current_A]),
+        duration_s=duration_s,
+        source="plan",
+    )
+
+
+def candidate_joints(robot: Robot) -> list[str]:
+    """Driven joints that carry the hand against gravity somewhere."""
+    found = []
+    for name in robot.drive_trains:
+        if robot.model.joint(name).kind == "prismatic":
+            continue
+        stills = [still_run(name, pose, 0.0, 0.1) for pose in start_poses(robot, name, 2, 2)]
+        loads = [np.abs(prepare_run(robot, run, KnownLoad()).coefficients.payload[1:3]).max() for run in stills]
+        if max(loads, default=0.0) > 1e-3:
+            found.append(name)
+    return found
+
+
+def start_positions(robot: Robot, joint: str, count: int) -> list[float]:
+    """Positions of a joint inside its limits, evenly over what is searched of them [rad]."""
+    limits = robot.model.joint(joint)
+    lower, upper = max(limits.lower, -WIDEST), min(limits.upper, WIDEST)
+    margin = min(2.0 * LIMIT_MARGIN, 0.1 * (upper - lower))
+    return [round(float(q), 2) for q in np.linspace(lower + margin, upper - margin, count)]
+
+
+def locked_poses(robot: Robot, joint: str, count: int) -> list[dict[str, float]]:
+    """Poses over a grid of the locked joints that matter to the driven one, ``count`` positions of each; all others at zero."""
+    rest = zero_pose(robot)
+    matters = prepare_run(robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
+    others = [name for name in matters if name in robot.drive_trains]
+    grids = [start_positions(robot, name, count) for name in others]
+    return [rest | dict(zip(others, positions, strict=True)) for positions in itertools.product(*grids)]
+
+
+def start_poses(robot: Robot, joint: str, starts: int, locked: int) -> list[dict[str, float]]:
+    """Start poses over a grid of the driven joint and of those that matter to it, high enough above the base's plane."""
+    poses = locked_poses(robot, joint, locked)
+    whole = [pose | {joint: q} for q in start_positions(robot, joint, starts) for pose in poses]
+    return [pose for pose in whole if clearance(robot, pose) >= CLEARANCE_M]
+
+
+def expected_coulomb(problem: Problem, joint: str) -> float:
+    """Dry friction [N m]; what the file leaves open is half as large as it may be: none at all would make every plan too bold."""
+    coulomb = problem.unknowns[problem.index["coulomb", joint]]
+    return coulomb.value + 0.5 * coulomb.std * (coulomb.value < coulomb.std)
+
+
+def currents_beyond(
+    run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]
+) -> Iterator[tuple[float, float, float]]:
+    """Currents that move the joint one way or the other, by a little and by more, whatever of the masses it carries.
+
+    Args:
+        run: That stands where they begin.
+        facts: Of the object.
+        masses_kg: That the hand may hold.
+
+    Yields:
+        One of ``PUSHES``, the current that it takes [A], and the largest gravity load [N m].
+    """
+    drive, c, q = run.drive, run.coefficients, run.rest.value
+    per_kg = c.per_kg(facts)
+    loads = [c.arm + mass * per_kg for mass in masses_kg]
+    balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
+    # a robot that was not calibrated may rub by as much as its file leaves open
+    dry = drive.coulomb.value + 0.5 * drive.coulomb.std
+    largest = max(float(np.hypot(g[1], g[2])) + abs(g[3]) for g in loads)
+    for sign, edge in ((1.0, max(balance)), (-1.0, min(balance))):
+        for push in PUSHES:
+            beyond = dry + drive.load_friction.value * abs(edge) + push * largest
+            yield push, round((edge + sign * beyond) / drive.torque_constant.value, 3), largest
