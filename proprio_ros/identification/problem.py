@@ -180,66 +180,20 @@ class Problem:
         dp = np.zeros((guesses, len(self.runs), width, len(self.unknowns)))
         at = self.index
         payload = self._payload(values) if "payload_mass" in at else None
-        arm_scale = values[:, at["arm_scale"]]
         for row, run in enumerate(self.runs):
-            c = run.coefficients
             joint = run.run.joint
-            arm, lever = np.tile(c.arm, (guesses, 1)), np.tile(c.payload, (guesses, 1, 1))
-            shifts = [self._shift(name, run.run.held[name], values) for name in c.pose]
-            for h, (shift, _) in enumerate(shifts):
-                # the joint stands at its reading plus its zero, less the encoder's error
-                arm = arm + shift[:, None] * c.arm_by_pose[h]
-                lever = lever + shift[:, None, None] * c.payload_by_pose[h]
-            g = arm_scale[:, None] * arm
-            d = np.zeros((guesses, 4, len(self.unknowns)))
-            d[:, :, at["arm_scale"]] = arm
-            links = [at[key] for key in c.links]
-            g += values[:, links] @ c.arm_by_link
-            d[:, :, links] += c.arm_by_link.T
-            if run.load is None:
-                assert payload is not None
-                carried, by_unknown = payload
-                for column, change in by_unknown.items():
-                    d[:, :, column] = np.einsum("sij,sj->si", lever, change)
-            else:
-                carried = np.tile(run.load.inertial_parameters, (guesses, 1))
-            g += np.einsum("sij,sj->si", lever, carried)
-            for h, (_, by_zero) in enumerate(shifts):
-                change = arm_scale[:, None] * c.arm_by_pose[h] + carried @ c.payload_by_pose[h].T
-                for column, factor in by_zero:
-                    d[:, :, column] += factor * change
-            zero_row = at.get(("zero", joint))
-            if zero_row is not None:
-                z = np.full(guesses, self.base[zero_row]) if run.run.free else values[:, zero_row]
-                cos, sin = np.cos(z), np.sin(z)
-                ga, gb = g[:, 1].copy(), g[:, 2].copy()
-                da, db = d[:, 1].copy(), d[:, 2].copy()
-                g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
-                d[:, 1] = da * cos[:, None] + db * sin[:, None]
-                d[:, 2] = db * cos[:, None] - da * sin[:, None]
-                if not run.run.free:
-                    d[:, 1, zero_row] += g[:, 2]
-                    d[:, 2, zero_row] -= g[:, 1]
-            p[:, row, _GRAVITY_ROWS] = g
-            dp[:, row, _GRAVITY_ROWS] = d
-            direct: dict[Key, tuple[str, float]] = {
-                (kind, joint): (kind, 1.0) for kind in DRIVE_TERMS if kind != "armature"
-            }
-            direct |= {
-                ("armature", joint): ("inertia", 1.0),
-                "delay": ("delay", 1.0),
-                ("onset", row): ("delay", 1.0),
-                ("q0", row): ("q0", 1.0),
-                ("v0", row): ("v0", 1.0),
-            }
+            p[:, row, _GRAVITY_ROWS], dp[:, row, _GRAVITY_ROWS] = self._moving_part(run, values, payload)
+            direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
+            direct |= {("armature", joint): "inertia", "delay": "delay", ("onset", row): "delay"}
+            direct |= {("q0", row): "q0", ("v0", row): "v0"}
             if run.run.free:
                 for kind in RISE:
                     p[:, row, INDEX[kind]] = self.base[at[kind, joint]]
                 left_out = (*NOT_IN_A_SWING, *KEPT_IN_A_SWING)
-                direct = {key: to for key, to in direct.items() if to[0] not in left_out}
-            for key, (parameter, sign) in direct.items():
-                p[:, row, INDEX[parameter]] += sign * values[:, at[key]]
-                dp[:, row, INDEX[parameter], at[key]] = sign
+                direct = {key: to for key, to in direct.items() if to not in left_out}
+            for key, to in direct.items():
+                p[:, row, INDEX[to]] += values[:, at[key]]
+                dp[:, row, INDEX[to], at[key]] = 1.0
             self._disturb(row, p, dp, values)
             if run.run.free:
                 self._change_friction(row, p, dp, values)
@@ -250,6 +204,50 @@ class Problem:
                 p[:, row, INDEX["carried"]] = run.load.mass
             self._start_reading(row, p, dp, values)
         return p, dp
+
+    def _moving_part(
+        self, run: PreparedRun, values: np.ndarray, payload: tuple[np.ndarray, dict[int, np.ndarray]] | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Inertia and gravity load of arm and payload, shape (S, 4), and their derivative by every unknown, shape (S, 4, N)."""
+        c, at, guesses = run.coefficients, self.index, len(values)
+        arm_scale = values[:, at["arm_scale"]]
+        arm, lever = np.tile(c.arm, (guesses, 1)), np.tile(c.payload, (guesses, 1, 1))
+        shifts = [self._shift(name, run.run.held[name], values) for name in c.pose]
+        for h, (shift, _) in enumerate(shifts):
+            # the joint stands at its reading plus its zero, less the encoder's error
+            arm = arm + shift[:, None] * c.arm_by_pose[h]
+            lever = lever + shift[:, None, None] * c.payload_by_pose[h]
+        g = arm_scale[:, None] * arm
+        d = np.zeros((guesses, 4, len(self.unknowns)))
+        d[:, :, at["arm_scale"]] = arm
+        links = [at[key] for key in c.links]
+        g += values[:, links] @ c.arm_by_link
+        d[:, :, links] += c.arm_by_link.T
+        if run.load is None:
+            assert payload is not None
+            carried, by_unknown = payload
+            for column, change in by_unknown.items():
+                d[:, :, column] = np.einsum("sij,sj->si", lever, change)
+        else:
+            carried = np.tile(run.load.inertial_parameters, (guesses, 1))
+        g += np.einsum("sij,sj->si", lever, carried)
+        for h, (_, by_zero) in enumerate(shifts):
+            change = arm_scale[:, None] * c.arm_by_pose[h] + carried @ c.payload_by_pose[h].T
+            for column, factor in by_zero:
+                d[:, :, column] += factor * change
+        zero = at.get(("zero", run.run.joint))
+        if zero is not None:
+            z = np.full(guesses, self.base[zero]) if run.run.free else values[:, zero]
+            cos, sin = np.cos(z), np.sin(z)
+            ga, gb = g[:, 1].copy(), g[:, 2].copy()
+            da, db = d[:, 1].copy(), d[:, 2].copy()
+            g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
+            d[:, 1] = da * cos[:, None] + db * sin[:, None]
+            d[:, 2] = db * cos[:, None] - da * sin[:, None]
+            if not run.run.free:
+                d[:, 1, zero] += g[:, 2]
+                d[:, 2, zero] -= g[:, 1]
+        return g, d
 
     def _disturb(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:
         """The torque that only this run has is stated at the torque constant that was known before, and goes with what it is.
@@ -377,6 +375,21 @@ class Problem:
             self._identities[worlds] = _read_only(np.tile(np.eye(len(self.simulator.parameters)), (worlds, 1, 1)))
         return self._identities[worlds]
 
+    def _rollout(
+        self, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+        """Simulate worlds with parameters p (W, P), and their tangents dp (W, P, F); ``counts`` of samples as in ``linearise``.
+
+        Returns:
+            q and v (S, R, T); q's derivative, shape (S, R, T, F) by the unknowns where these are few, (S, R, T, P) by the
+            simulator's own parameters where they are many; which of the two.
+        """
+        direct, runs = dp.shape[-1] <= len(self.simulator.parameters), len(self.runs)
+        guesses = len(p) // runs
+        tangents = dp if direct else self._identity(len(p))
+        q, v, dq = self.simulator.jacobian(self._worlds(guesses), p, tangents, counts)
+        return *(a.reshape(guesses, runs, -1) for a in (q, v)), dq.reshape(guesses, runs, -1, dq.shape[-1]), direct
+
     def linearise(
         self, internal: np.ndarray, counts: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -404,12 +417,7 @@ class Problem:
         gradient = pull.copy()
         matrix = np.tile(coordinates.prior_precision, (guesses, 1, 1))
         with np.errstate(over="ignore", invalid="ignore"):
-            direct = size <= len(self.simulator.parameters)
-            if direct:
-                q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, dp, counts)
-            else:
-                q, _, dq = self.simulator.jacobian(self._worlds(guesses), p, self._identity(len(p)), counts)
-            q, dq = q.reshape(guesses, runs, -1), dq.reshape(guesses, runs, -1, dq.shape[-1])
+            q, _, dq, direct = self._rollout(p, dp, counts)
             dp = dp.reshape(guesses, runs, *dp.shape[1:])
             # run by run: a run is touched by few of many unknowns
             for row in range(runs):
@@ -454,21 +462,12 @@ class Problem:
             q (S, R, T), v (S, R, T), dq (S, R, T, F), copies.
         """
         p, dp = self.parameters(values, columns)
-        guesses, runs = len(values), len(self.runs)
-        worlds, p, dp = self._worlds(guesses), p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
+        p, dp = p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])
         with np.errstate(over="ignore", invalid="ignore"):
-            if len(columns) <= len(self.simulator.parameters):
-                q, v, dq = self.simulator.jacobian(worlds, p, dp)
-                dq = dq.copy()
-            else:
-                q, v, dq = self.simulator.jacobian(worlds, p, self._identity(len(p)))
-                dq = dq @ dp
-        q, v, dq = (
-            q.reshape(guesses, runs, -1).copy(),
-            v.reshape(guesses, runs, -1).copy(),
-            dq.reshape(guesses, runs, -1, len(columns)),
-        )
+            q, v, dq, direct = self._rollout(p, dp)
+            q, v = q.copy(), v.copy()
+            dq = dq.copy() if direct else dq @ dp.reshape(*q.shape[:2], *dp.shape[1:])
         if self._ripples:
-            for row in range(runs):
+            for row in range(len(self.runs)):
                 q[:, row], dq[:, row] = self._observe(row, values, q[:, row], dq[:, row], columns)
         return q, v, dq
