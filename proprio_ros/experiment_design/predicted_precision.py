@@ -12,6 +12,7 @@ import numpy as np
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.unknowns import scaled_inverse
 from proprio_ros.kinds import Key
 
 
@@ -62,9 +63,7 @@ class SharedUnknowns:
         total = self.prior.copy()
         to = [self.at[free[f].key] for f in shared]
         total[np.ix_(to, to)] += information
-        scale = 1.0 / np.sqrt(np.diag(total))
-        covariance: np.ndarray = np.linalg.inv(total * scale[:, None] * scale) * scale[:, None] * scale
-        return covariance
+        return scaled_inverse(total)
 
     def stds_along(
         self,

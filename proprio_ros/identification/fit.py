@@ -19,7 +19,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, load_unknowns
-from proprio_ros.identification.unknowns import Role, Unknown
+from proprio_ros.identification.unknowns import Role, Unknown, scaled_inverse
 from proprio_ros.kinds import Key, key_of, label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
@@ -251,8 +251,7 @@ def _split(row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence
         groups: places of the unknowns, by name.
     """
     names, every = list(groups), [place for places in groups.values() for place in places]
-    scale = 1.0 / np.sqrt(np.diag(precision)[every])
-    prior = np.linalg.inv(precision[np.ix_(every, every)] * scale[:, None] * scale) * scale[:, None] * scale
+    prior = scaled_inverse(precision[np.ix_(every, every)])
     within = [[every.index(place) for place in groups[name]] for name in names]
 
     @functools.cache

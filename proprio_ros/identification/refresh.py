@@ -33,7 +33,7 @@ from proprio_ros.identification.robot_calibration import (
     usable_runs,
 )
 from proprio_ros.identification.robot_unknowns import robot_unknowns
-from proprio_ros.identification.unknowns import Role
+from proprio_ros.identification.unknowns import Role, scaled_inverse
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -128,9 +128,7 @@ def _updated(old: Calibration, problem: Problem, values: np.ndarray, posterior: 
     of_fit, rows = [f for f, _ in free], [row for _, row in free]
     own = [place[problem.unknowns[row].key] for row in rows]
     prior = old.covariance[np.ix_(own, own)]
-    scale = 1.0 / np.sqrt(np.diag(prior))
-    inverse = np.linalg.inv(prior * scale[:, None] * scale) * scale[:, None] * scale
-    follows = old.covariance[:, own] @ inverse
+    follows = old.covariance[:, own] @ scaled_inverse(prior)
     after = posterior.covariance[np.ix_(of_fit, of_fit)]
     new = old.values + follows @ (values[rows] - old.values[own])
     forms = [RANGES[key if isinstance(key, str) else key[0]] for key in old.keys]

@@ -57,6 +57,13 @@ class Unknown(Tag):
         return replace(self, role=Role.FROZEN if self.std == 0.0 else role)
 
 
+def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a covariance or precision matrix, taken at unit diagonal: its units differ by orders of magnitude."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    inverse: np.ndarray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    return inverse
+
+
 class Coordinates:
     """Maps between physical values and solver coordinates of a list of unknowns, and holds their joint prior.
 
@@ -88,10 +95,7 @@ class Coordinates:
         own = [row for row, key in enumerate(free) if key in where]
         if own:
             given = [where[free[row]] for row in own]
-            block = covariance[np.ix_(given, given)]
-            scale = 1.0 / np.sqrt(np.diag(block))
-            inverse = np.linalg.inv(block * scale[:, None] * scale[None, :])
-            self.prior_precision[np.ix_(own, own)] = inverse * scale[:, None] * scale[None, :]
+            self.prior_precision[np.ix_(own, own)] = scaled_inverse(covariance[np.ix_(given, given)])
 
     def internal(self, physical: np.ndarray) -> np.ndarray:
         """Solver coordinates of physical values, shape (..., F)."""
