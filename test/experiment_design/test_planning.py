@@ -11,7 +11,7 @@ import pytest
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.experiment_design.candidates import CLEARANCE_M, candidate_joints
+from proprio_ros.experiment_design.candidates import CLEARANCE_M
 from proprio_ros.experiment_design.planning import (
     ADVISED_TERMS,
     SAME_KIND,
@@ -140,12 +140,6 @@ def test_masses_that_no_run_suits() -> None:
         plan(load_robot("open_manipulator_x"), [0.001, 10.0], BALL)
     with pytest.raises(ConfigurationError, match="must be positive"):
         plan(load_robot("open_manipulator_x"), [0.0], BALL)
-
-
-def test_joints_that_feel_the_hand() -> None:
-    """The base turns about the vertical, and the gripper's fingers slide: neither weighs."""
-    assert candidate_joints(load_robot("open_manipulator_x")) == ["joint2", "joint3", "joint4"]
-    assert candidate_joints(load_robot("pendulum")) == ["pivot"]
 
 
 def test_clearance_of_a_known_pose() -> None:

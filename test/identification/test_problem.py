@@ -218,30 +218,6 @@ def test_a_known_load_is_the_payload_at_that_mass(pooled: Problem) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["quantised_s00_fixed_heavy_ball_50g_joint3", "realistic_s00_squeeze_heavy"])
-def test_the_rest_is_where_the_joint_had_come_to_rest(name: str) -> None:
-    """The way to the start, where it was recorded, too, is left out; a joint that never rested keeps all of it."""
-    robot = load_robot("open_manipulator_x")
-    bag = Path(__file__).resolve().parents[2] / "bags" / name / "bag_mcap"
-    constants = {joint: drive.nominal_effort_per_current for joint, drive in robot.drive_trains.items()}
-    recording = read_recording(bag, nominal_torque_constants=constants, joint_order=list(robot.drive_trains))
-    (run,) = cut_runs(recording, joints=list(robot.drive_trains))
-    per_rad = robot.drive_trains[run.joint].transmission
-
-    def rest_of(before_s: np.ndarray, before_rad: np.ndarray) -> float:
-        told = replace(run, before_times_s=before_s, before_position=per_rad * before_rad, held_position={})
-        return prepare_run(robot, told, KnownLoad(), past_fast=True).rest.value
-
-    still_s, still = run.before_times_s, run.before_position / per_rad
-    alone = rest_of(still_s, still)
-    assert alone == pytest.approx(float(np.mean(still)), abs=1e-12)
-    way_s = still_s[0] + 0.025 * np.arange(-12, 0)
-    way = still[0] + np.linspace(0.4, 0.02, 12)
-    assert rest_of(np.concatenate([way_s, still_s]), np.concatenate([way, still])) == alone
-    moving = still - 0.5 * still_s
-    assert rest_of(still_s, moving) == pytest.approx(float(np.mean(moving)), abs=1e-12)
-
-
 def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> None:
     """All that is a torque or a mass 3 % larger, but for what a single run has of its own: the same motion, and no less probable.
 
@@ -265,11 +241,3 @@ def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> N
     assert all(np.abs(values[:, problem.index["disturbance", run]]).min() > 1e-5 for run in range(len(problem.runs)))
     one, other = (problem.simulate(each, problem.free[:1])[0] for each in (values, scaled))
     np.testing.assert_allclose(other, one, atol=2e-6)
-
-
-def test_motors_of_one_kind_err_together_before_anything_is_learnt(problem: Problem) -> None:
-    free = [problem.unknowns[row] for row in problem.free]
-    own = [f for f, unknown in enumerate(free) if unknown.kind == "torque_constant"]
-    prior = np.linalg.inv(problem.coordinates.prior_precision[np.ix_(own, own)])
-    std = np.array([free[f].std for f in own])
-    np.testing.assert_allclose(prior / np.outer(std, std), [[1.0, 0.5], [0.5, 1.0]], atol=1e-9)
