@@ -36,7 +36,7 @@ class Push:
         time_s: With the way to its start, rest and brake.
         std: Of the mass after it, as predicted [kg].
         gain: Information about the mass per second [nat/s].
-        travel: Where it goes: signed, foreseen [rad].
+        travel: Where it goes: signed, as predicted [rad].
     """
 
     joint: str

@@ -39,7 +39,7 @@ from proprio_ros.sim.payload import PayloadFacts
 STARTS = 6
 """Start positions of the driven joint, over its range."""
 POSES = 4
-"""Positions of each held joint that matters, over its range."""
+"""Positions of each locked joint that matters, over its range."""
 COARSE_STARTS, COARSE_POSES = 4, 2
 """The same, where one good run will do."""
 TYPICAL_KG = 0.02

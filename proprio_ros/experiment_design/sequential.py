@@ -46,7 +46,7 @@ from proprio_ros.sim.joint import INDEX, JointRun, JointSimulator
 from proprio_ros.sim.payload import PayloadFacts
 
 STARTS, POSES = 6, 3
-"""Start positions of a driven joint, and positions of each held joint that matters, over their ranges."""
+"""Start positions of a driven joint, and positions of each locked joint that matters, over their ranges."""
 DURATIONS_S = (0.3, 0.5, 0.7)
 SHAKE_PERIOD_S = 0.2
 SHAKE_OF_PUSH = 0.5
@@ -241,7 +241,7 @@ class Catalogue:
         mass = float(fit.values[fit.problem.index["payload_mass"]])
         return Known(mass, float(np.sqrt(covariance[place, place])), covariance, runs, fit)
 
-    def foreseen(self, known: Known, push: Push, load_kg: float | None = None) -> Known:
+    def predicted(self, known: Known, push: Push, load_kg: float | None = None) -> Known:
         """What would be known after a push, to first order.
 
         Args:
@@ -294,7 +294,7 @@ class Catalogue:
             target_std: Of the mass [kg]; among pushes that reach it the quickest is best.
             unknown_kg: What the hand may hold while no run says it [kg].
             load_kg: What is known to be in the hand [kg]: pushes that tell of the robot, for the sake of a mass that `known` has
-                been foreseen to be weighed; None: the object.
+                been predicted to be weighed; None: the object.
             durations_s: Of `DURATIONS_S`, ascending.
         """
         if load_kg is not None:

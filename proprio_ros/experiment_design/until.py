@@ -139,7 +139,7 @@ def chosen_known(
     """
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
     catalogue = Catalogue(robot)
-    known, _ = _foreseen_weighing(catalogue, weighed_kg, sequence)
+    known, _ = _predicted_weighing(catalogue, weighed_kg, sequence)
     return _chosen(catalogue, known, half_interval, at_most_s, sequence, reference_kg)
 
 
@@ -155,27 +155,27 @@ def chosen_refresh(
         sequence: Whose ways, rest and brake count.
 
     Returns:
-        The pushes, none where a tenth at most is missing; half the 95 % interval of a foreseen weighing of `WEIGHED_KG` when the
+        The pushes, none where a tenth at most is missing; half the 95 % interval of a predicted weighing of `WEIGHED_KG` when the
         calibration was made, and by now [kg].
     """
     catalogue = Catalogue(fresh)
-    then, pushes = _foreseen_weighing(catalogue, WEIGHED_KG, sequence)
+    then, pushes = _predicted_weighing(catalogue, WEIGHED_KG, sequence)
     # of the same weighing: where it is pushed does not depend on how well the robot is known
     catalogue = Catalogue(aged)
     known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
     for push in pushes:
-        known = replace(catalogue.foreseen(known, push), mass=WEIGHED_KG)
+        known = replace(catalogue.predicted(known, push), mass=WEIGHED_KG)
     half, now = half_of(then.std), half_of(known.std)
     return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
 
 
-def _foreseen_weighing(catalogue: Catalogue, weighed_kg: float, sequence: ProbeSequence) -> tuple[Known, list[Push]]:
+def _predicted_weighing(catalogue: Catalogue, weighed_kg: float, sequence: ProbeSequence) -> tuple[Known, list[Push]]:
     """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
     robot = catalogue.robot
     known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
     for _ in range(WEIGHED_PUSHES):
         push = max(catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain)
-        known = replace(catalogue.foreseen(known, push), mass=weighed_kg)
+        known = replace(catalogue.predicted(known, push), mass=weighed_kg)
         pushes.append(push)
     return known, pushes
 
@@ -188,7 +188,7 @@ def _chosen(
     sequence: ProbeSequence,
     load_kg: float,
 ) -> list[ProbeRun]:
-    """Pushes with a known load, one after the other, for the sake of a foreseen weighing."""
+    """Pushes with a known load, one after the other, for the sake of a predicted weighing."""
     robot, weighed_kg = catalogue.robot, known.mass
     machine = ExcitationMachine(robot)
     here, elapsed_s = bent_pose(robot), 0.0
@@ -204,7 +204,7 @@ def _chosen(
         else:
             break
         elapsed_s += push.time_s
-        known = replace(catalogue.foreseen(known, push, load_kg), mass=weighed_kg)
+        known = replace(catalogue.predicted(known, push, load_kg), mass=weighed_kg)
         # where it ends
         here = {**push.start, push.joint: push.start[push.joint] + push.travel}
         chosen.append(run)

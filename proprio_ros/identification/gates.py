@@ -23,8 +23,8 @@ LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
 MOVING_START = 0.1
 """rad/s: a probe that starts faster has not started from rest."""
-HELD_SPAN = 0.03
-"""rad: what a held joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
+LOCKED_SPAN = 0.03
+"""rad: what a locked joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
 MISFIT_SIGMAS = 3.0902
 """A fit worse than chance makes one in a thousand (so many standard deviations of a normal) contradicts the model."""
 MISFIT_LIMIT = 9.0
@@ -163,7 +163,7 @@ def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
             )
         )
     for held, span in run.run.held_span.items():
-        if held in run.coefficients.pose and span > HELD_SPAN:
+        if held in run.coefficients.pose and span > LOCKED_SPAN:
             moved = f"{name}: {held} should be held but moved by {span:.3f} rad"
             found.reasons.append(Reason("held_joint_moved", moved))
 

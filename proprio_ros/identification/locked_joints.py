@@ -1,4 +1,4 @@
-"""Held joints yield: how they moved while another was probed, and what that did to the probed one.
+"""Locked joints yield: how they moved while another was probed, and what that did to the probed one.
 
 A servo that holds a joint gives way by a few milliradians when a load comes on. That turns and accelerates whatever it carries,
 and the probed joint feels it as a torque: 20 mrad of a shoulder below a probed elbow are worth several grams. The encoders
@@ -22,7 +22,7 @@ SEGMENT_S = 0.0125
 """The torque is constant over so long, at its value in the middle; its bends are ten times slower."""
 MOVED_EVIDENCE = 5.0
 """Natural logarithm of how much more probable the readings must be with a motion than without: else the joint stood still."""
-HELD_SCALES = np.geomspace(0.02, 10.0, 10)
+LOCKED_SCALES = np.geomspace(0.02, 10.0, 10)
 """Accelerations [rad/s^2] that a yielding joint is tried with; 0.02 moves it by 1 mrad in 0.3 s."""
 DRIVEN_SCALES = np.geomspace(1.0, 300.0, 8)
 
@@ -106,8 +106,8 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
     return Motion(start, knots, scale**2 * (walk @ (shape.T @ solved)), best - still)
 
 
-def held_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, Motion]:
-    """Motions of those held joints that moved during the probe beyond their encoder's noise."""
+def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, Motion]:
+    """Motions of those locked joints that moved during the probe beyond their encoder's noise."""
     found = {}
     times_s = np.concatenate([run.before_times_s, run.times_s])
     for name in joints:
@@ -115,7 +115,7 @@ def held_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, M
         readings = run.held_position.get(name)
         if drive is None or readings is None or np.ptp(readings) == 0.0 or robot.model.joint(name).kind == "prismatic":
             continue
-        motion = smooth(times_s, readings, drive.reading_std, HELD_SCALES)
+        motion = smooth(times_s, readings, drive.reading_std, LOCKED_SCALES)
         if motion.evidence > MOVED_EVIDENCE:
             found[name] = motion
     return found
@@ -130,8 +130,8 @@ def loads_of_yielding(
 
     Args:
         robot: whose drive trains yield.
-        run: with the held joints' positions.
-        motions: of the held joints that moved.
+        run: with the locked joints' positions.
+        motions: of the locked joints that moved.
         facts: where the payload sits and how its mass is spread.
         noise: standard deviation of a reading of the driven joint [rad].
 

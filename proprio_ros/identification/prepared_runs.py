@@ -14,7 +14,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.coefficients import Coefficients, arm_coefficients, slide_coefficients
-from proprio_ros.identification.locked_joints import Motion, held_motions, loads_of_yielding
+from proprio_ros.identification.locked_joints import Motion, loads_of_yielding, locked_motions
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
@@ -217,7 +217,7 @@ def _reduced(robot: Robot, run: Run) -> tuple[Run, Coefficients, dict[str, Motio
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
-    motions = {} if run.free else held_motions(robot, run, coefficients.pose)
+    motions = {} if run.free else locked_motions(robot, run, coefficients.pose)
     if motions:
         starts = {name: motion.start for name, motion in motions.items()}
         run = replace(run, held={**run.held, **starts})

@@ -305,7 +305,7 @@ class Problem:
         return mass[:, None] * per_mass, changes
 
     def _shift(self, name: str, reading: float, values: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
-        """True position less reading of a held joint, shape (S,), and what it changes with."""
+        """True position less reading of a locked joint, shape (S,), and what it changes with."""
         terms = [("zero", 1.0), ("ripple_cos", -np.cos(reading)), ("ripple_sin", -np.sin(reading))]
         present = [(self.index[kind, name], float(factor)) for kind, factor in terms if (kind, name) in self.index]
         return sum((values[:, row] * factor for row, factor in present), np.zeros(len(values))), present

@@ -32,7 +32,7 @@ def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:
     arm, driven = np.zeros((2, 0, 2, 2)), np.zeros((2, 2))
     if len(position):
         poses = [{**run.held, run.joint: float(position[row])} for row in (0, -1)]
-        with suppress(RobotError):  # held joints that nobody recorded: the fit asks for those that matter to it
+        with suppress(RobotError):  # locked joints that nobody recorded: the fit asks for those that matter to it
             arm, driven = side_view(robot, run.joint, poses)
     return RecordedRun(
         run.name,

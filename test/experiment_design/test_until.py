@@ -205,7 +205,7 @@ def test_a_push_tells_what_was_foreseen() -> None:
     promised: list[tuple[float, float]] = []
     for _ in range(4):
         push = catalogue.rank(known, lambda starts: np.full(len(starts), 2.0))[0]
-        foreseen = catalogue.foreseen(known, push)
+        foreseen = catalogue.predicted(known, push)
         assert foreseen.std == pytest.approx(push.std, rel=0.02)
         recording = record(
             hidden, push.joint, {**push.start, GRIPPER: 0.0}, push.current_A, push.duration_s, ball(0.05, 0.04), rng,

@@ -11,11 +11,11 @@ import pytest
 
 from proprio_ros.identification.locked_joints import (
     DRIVEN_SCALES,
-    HELD_SCALES,
+    LOCKED_SCALES,
     MOVED_EVIDENCE,
-    held_motions,
     joint_torque,
     loads_of_yielding,
+    locked_motions,
     smooth,
 )
 from proprio_ros.pipeline.loading import bag_runs
@@ -32,7 +32,7 @@ def test_a_known_motion_is_read_back() -> None:
     rng = np.random.default_rng(3)
     since = np.maximum(TIMES, 0.0)
     truth = 0.3 + 0.02 * (1.0 - np.exp(-((since / 0.25) ** 2)))
-    motion = smooth(TIMES, truth + SIGMA * rng.standard_normal(len(TIMES)), SIGMA, HELD_SCALES)
+    motion = smooth(TIMES, truth + SIGMA * rng.standard_normal(len(TIMES)), SIGMA, LOCKED_SCALES)
     assert motion.evidence > 100.0
     assert motion.start == pytest.approx(0.3, abs=0.5e-3)
     away, velocity, acceleration = motion.at(since)
@@ -46,7 +46,7 @@ def test_a_known_motion_is_read_back() -> None:
 
 def test_a_motion_is_consistent_with_itself() -> None:
     """Velocity and acceleration are the derivatives of the position, also at the first knot, and nothing moves before 0."""
-    motion = smooth(TIMES, 0.01 * np.maximum(TIMES, 0.0) ** 2, SIGMA, HELD_SCALES)
+    motion = smooth(TIMES, 0.01 * np.maximum(TIMES, 0.0) ** 2, SIGMA, LOCKED_SCALES)
     motion = replace(motion, acceleration=np.random.default_rng(1).normal(size=len(motion.knots_s)))
     times = np.linspace(0.0, 0.6, 60001)
     position, velocity, acceleration = motion.at(times)
@@ -64,7 +64,7 @@ def test_a_joint_that_stands_still_is_left_alone() -> None:
     called = 0
     for _ in range(200):
         reading = 0.4 + 0.5e-3 * rng.standard_normal(len(TIMES))
-        called += smooth(TIMES, counts * np.round(reading / counts), SIGMA, HELD_SCALES).evidence > MOVED_EVIDENCE
+        called += smooth(TIMES, counts * np.round(reading / counts), SIGMA, LOCKED_SCALES).evidence > MOVED_EVIDENCE
     assert called <= 4
 
 
@@ -138,7 +138,7 @@ def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(mujoco_arm
     """What the driven joint feels, at the recorded motion: moving joints less the same joints at rest."""
     robot = load_robot("open_manipulator_x")
     (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", Request(robot))
-    motions = held_motions(robot, run, ("joint1", "joint2", "joint4"))
+    motions = locked_motions(robot, run, ("joint1", "joint2", "joint4"))
     assert "joint2" in motions  # the shoulder gives way by 8 mrad
     begins, loads = loads_of_yielding(robot, run, motions, LOAD, SIGMA)
     assert begins[0] == 0.0 and loads.shape == (len(begins), 2)

@@ -258,7 +258,7 @@ class SphereUntilSure(CatalogueChooser):
         values = np.array([known.get(unknown.key, unknown.value) for unknown in problem.unknowns])
         runs, keys = problem.runs, self._shared.keys
         columns, variance = self._shared.columns_of(problem)
-        q, v, dq, x, dx = problem.foresee(values, columns)
+        q, v, dq, x, dx = problem.predict(values, columns)
         # of joints that none of them drives
         lacks = [place for place, key in enumerate(keys) if key not in problem.index]
         dq[..., lacks] = dx[..., lacks] = 0.0

@@ -408,7 +408,7 @@ class ContainerProblem(Problem):
         off = [seen.between @ paths[seen.rolling_row][0] - seen.track.position for seen in self._seen]
         return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
 
-    def foresee(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    def predict(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, ...]:
         """What runs that have not been made would show, all of them with a sphere, in one launch.
 
         Args:

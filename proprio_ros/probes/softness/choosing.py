@@ -139,7 +139,8 @@ class SqueezesUntilSure(Chooser):
         sigma = np.hypot(runs[0].sigma[0], np.where(alive, np.abs(v), 0.0) * robot.stamp_jitter_s)
         times = runs[0].times_s
         columns, variance = self._shared.columns_of(problem)
-        rows = np.take_along_axis(dq, np.searchsorted(problem.free, columns)[:, None], axis=2)
+        at = np.searchsorted(problem.free, columns)
+        rows = np.stack([dq[run][:, own] for run, own in enumerate(at)])
         rows = np.where(alive[..., None], rows / sigma[..., None], 0.0)
         stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
         place = self._shared.at["youngs_modulus"]
