@@ -204,11 +204,9 @@ class Chooser(ABC):
         known = self._found.runs > 0
         half = self.half
 
-        def end(by: str, reason: str, others: Sequence[Push] = ()) -> Decision:
+        def end(by: str, reason: str, others: tuple[Push, ...] = ()) -> Decision:
             took = time.perf_counter() - began
-            return Decision(
-                None, reason, by, self._found.value, half, half, None, tuple(others), took, self.sought, known
-            )
+            return Decision(None, reason, by, self._found.value, half, half, None, others, took, self.sought, known)
 
         if known and half <= target and self._whole is not None:
             whole = self._whole(runs)
@@ -261,11 +259,8 @@ class Chooser(ABC):
             promised = self._half(push.std)
             reason = f"{push.words} promises {said(promised)} after {push.time_s:.1f} s"
             others = _varied(in_time[number + 1 :], push)
-            took = time.perf_counter() - began
             self._last = push
-            return Decision(
-                run, reason, "", self._found.value, half, promised, push, others, took, self.sought, known
-            )  # fmt: skip
+            return replace(end("", reason, others), run=run, promised=promised, push=push)
         return end("nothing", "no way to any start keeps the clearance: move the arm to a higher pose")
 
     def leave_out(self, decision: Decision) -> None:

@@ -14,6 +14,7 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 
 from proprio_ros.identification import solvers
+from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import FIRST_SWING_ERROR, PreparedRun
 from proprio_ros.identification.problem import Problem
@@ -92,7 +93,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     solution = solvers.levenberg_marquardt(
         problem, _starts(problem), problem.simulator.windows, iterations=most, persistent=swings
     )
-    values = problem.all_values(problem.coordinates.physical(solution.internal[solution.best][None]))[0]
+    values = FitResult.of(problem, solution).values
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         better = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
@@ -101,7 +102,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
         again = solvers.levenberg_marquardt(problem, start, None, iterations=again_most, persistent=swings)
-        values = problem.all_values(problem.coordinates.physical(again.internal))[0]
+        values = FitResult.of(problem, again).values
         if settled:
             break
     posterior = Posterior(problem, values)

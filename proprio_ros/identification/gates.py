@@ -235,10 +235,7 @@ def contradicting(posterior: Posterior) -> int | None:
     count = len(posterior.problem.runs)
     if count < 2:
         return None
-    held_out = [posterior.held_out(row) for row in range(count)]
-    ratios = [
-        held.chi2 / max(CONTRADICTION * held.samples, chi2_limit(held.samples)) if held.samples else 0.0
-        for held in held_out
-    ]
+    held_out = [(len(residual), chi2) for residual, chi2 in map(posterior.held_out, range(count))]
+    ratios = [chi2 / max(CONTRADICTION * k, chi2_limit(k)) if k else 0.0 for k, chi2 in held_out]
     worst = int(np.argmax(ratios))
     return worst if ratios[worst] > 1.0 else None

@@ -3,28 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from proprio_ros.identification.estimate import RunFit
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """One run as the others predict it.
-
-    Attributes:
-        residual: measured less predicted at each used sample [rad], shape (K,).
-        chi2: of these residuals under the covariance of the prediction; near K where the run fits the others.
-        samples: K.
-    """
-
-    residual: np.ndarray
-    chi2: float
-    samples: int
 
 
 class Posterior:
@@ -81,13 +65,18 @@ class Posterior:
         """Variance of the fitted value of each sample in units of the sample's own, shape (M,)."""
         return np.einsum("mf,fg,mg->m", self.sensitivity, self.covariance, self.sensitivity)
 
-    def held_out(self, run: int) -> HeldOut:
-        """A run as predicted without it (exact for a linear model: deletion residuals, Cook & Weisberg 1982, sec. 2.2)."""
+    def held_out(self, run: int) -> tuple[np.ndarray, float]:
+        """A run as the others predict it (exact for a linear model: deletion residuals, Cook & Weisberg 1982, sec. 2.2).
+
+        Returns:
+            Measured less predicted at each of the K used samples [rad], shape (K,); their chi-square under the covariance of the
+            prediction, near K where the run fits the others.
+        """
         rows = self.run == run
         own = self.sensitivity[rows]
         kept = np.eye(int(rows.sum())) - own @ self.covariance @ own.T
         whitened = np.linalg.solve(kept, self.residual[rows])
-        return HeldOut(whitened / self._weight[rows], float(self.residual[rows] @ whitened), int(rows.sum()))
+        return whitened / self._weight[rows], float(self.residual[rows] @ whitened)
 
 
 def run_fits(

@@ -341,9 +341,10 @@ def _delay_on_bound(fitted: Fitted) -> list[str]:
 def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
     entries = []
     for row, run in enumerate(fitted.problem.runs):
-        held = fitted.posterior.held_out(row)
-        rms = float(np.sqrt(np.mean(held.residual**2)))
-        entries.append(HeldOutRun(run.run.name, run.run.joint, rms, held.chi2 / held.samples, held.samples))
+        off, chi2 = fitted.posterior.held_out(row)
+        entries.append(
+            HeldOutRun(run.run.name, run.run.joint, float(np.sqrt(np.mean(off**2))), chi2 / len(off), len(off))
+        )
     return tuple(entries)
 
 
