@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -41,6 +41,7 @@ class Conclusion:
         opened: The fit in which all that is open moves; its covariance is given.
         found: On the way here.
         run_count: How many runs there were, the unusable ones included.
+        against: What speaks against the recording before one run is compared with another, the worst first.
 
     Attributes:
         probe: Its name; name: of the unknown that it is for.
@@ -58,6 +59,7 @@ class Conclusion:
     opened: FitResult
     found: Findings
     run_count: int
+    against: Sequence[Refusal] = field(default=(), kw_only=True)
 
     probe: ClassVar[str]
     name: ClassVar[str]
@@ -109,10 +111,6 @@ class Conclusion:
     def guess(self) -> list[Guess]:
         """Facts that were not stated, and what that puts on the value."""
         return []
-
-    def untrusted(self) -> Iterator[Refusal]:
-        """What speaks against the recording before one run is compared with another."""
-        yield from ()
 
     def refusals(self) -> Iterator[Refusal]:
         """What else speaks against the answer, the worst first."""
@@ -230,7 +228,7 @@ class Conclusion:
         if not np.isfinite(self.fit.chi2):
             unsimulated = f"no guess of the {self.searched_for} could be simulated"
             yield rejected("unsimulated", unsimulated, f"{unsimulated}: {self.check}")
-        yield from self.untrusted()
+        yield from self.against
         if self.apart is not None and self.apart.half is None:
             yield rejected("runs_contradict", "the runs contradict each other", self.apart.sentence)
         yield from self.refusals()

@@ -29,7 +29,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.nodes.arguments import check_arguments
-from proprio_ros.probes import all_probes, virtual_objects
+from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import HasBaseline
 
 RELEASE_S = "15.0"
@@ -55,8 +55,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "object",
         default_value="0.05",
-        description="What the virtual hand holds in a probe: "
-        + ", ".join(["a mass [kg]", *(f"{each.kind}:.." for each in virtual_objects()), "or none."]),
+        description="What the virtual hand holds in a probe: a mass [kg], payload:.., container:.., block:.., or none.",
     ),
     DeclareLaunchArgument(
         "seed", default_value="", description="Draws the virtual arm's hidden numbers. Empty: as in the parameter files (1)."

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,11 +24,13 @@ from support.rolling_box import (
 )
 
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.fit import FitResult
-from proprio_ros.probes.container import identify as container
-from proprio_ros.probes.container.identify import find_sphere
+from proprio_ros.identification.gates import Findings
+from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.probes.container import search as container_search
+from proprio_ros.probes.container.identify import WeighedSphere, compared, find_sphere
 from proprio_ros.probes.container.problem import SphereTrack
-from proprio_ros.probes.container.search import ContainerOptions
+from proprio_ros.probes.container.search import ContainerOptions, SphereSearch
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -137,8 +137,8 @@ def test_where_nobody_can_say_where_the_sphere_is(robot: Robot, monkeypatch: pyt
     estimate = find_sphere(robot, [run], facts)
     assert any("bounces make its place unpredictable" in reason for reason in estimate.reasons), estimate.reasons
     assert estimate.detail.paths[0].times_s[-1] < run.times_s[-1]
-    monkeypatch.setattr(container, "LOST_SHARE", 1e-6)
-    monkeypatch.setattr(container, "LOST_GROWTH", 0.5)
+    monkeypatch.setattr(container_search, "LOST_SHARE", 1e-6)
+    monkeypatch.setattr(container_search, "LOST_GROWTH", 0.5)
     estimate = find_sphere(robot, [run], facts)
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and "bounces too chaotically" in estimate.reasons[0]
 
@@ -146,27 +146,18 @@ def test_where_nobody_can_say_where_the_sphere_is(robot: Robot, monkeypatch: pyt
 def test_more_than_one_mass(robot: Robot) -> None:
     """Two ends of the search that explain the recording alike are both named."""
     _, run, _ = drawn(0)
-    seen: list[FitResult] = []
-    with pytest.MonkeyPatch.context() as patch:
-        conclude = container._conclude
-
-        def twice(*arguments: Any) -> Any:
-            fit = arguments[5]
-            column = list(fit.problem.free).index(fit.problem.index["sphere_mass"])
-            other = fit.solution.internal[fit.solution.best].copy()
-            other[column] += 0.5
-            solution = replace(
-                fit.solution,
-                internal=np.array([fit.solution.internal[fit.solution.best], other]),
-                cost=fit.solution.cost[fit.solution.best] + np.array([0.0, 0.5]),
-                path=np.stack([fit.solution.path[:, fit.solution.best]] * 2, axis=1),
-                path_cost=np.stack([fit.solution.path_cost[:, fit.solution.best]] * 2, axis=1),
-            )
-            seen.append(replace(fit, solution=solution))
-            return conclude(*arguments[:5], seen[0], *arguments[6:])
-
-        patch.setattr(container, "_conclude", twice)
-        estimate = find_sphere(robot, [run], FACTS)
+    search = SphereSearch(robot, FACTS, ContainerOptions()).added(prepare_run(robot, run, None, FACTS.shell), True)
+    nominal, fit = search.fits()
+    other = fit.solution.internal[fit.solution.best].copy()
+    other[fit.column("sphere_mass")] += 0.5
+    solution = replace(
+        fit.solution,
+        internal=np.array([fit.solution.internal[fit.solution.best], other]),
+        cost=fit.solution.cost[fit.solution.best] + np.array([0.0, 0.5]),
+        path=np.stack([fit.solution.path[:, fit.solution.best]] * 2, axis=1),
+        path_cost=np.stack([fit.solution.path_cost[:, fit.solution.best]] * 2, axis=1),
+    )
+    estimate = WeighedSphere(nominal, replace(fit, solution=solution), Findings(), 1, search).estimate()
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
     assert estimate.reasons[0].startswith("more than one mass explains the recording: ")
     masses = [float(words.split()[0]) for words in estimate.reasons[0].split(": ")[1].split(";")[0].split(", ")]
@@ -211,31 +202,24 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
     ],
 )
 def test_when_masses_contradict_each_other(
-    monkeypatch: pytest.MonkeyPatch, one_g: float, others_g: float, half_g: float | None, code: str | None
+    one_g: float, others_g: float, half_g: float | None, code: str | None
 ) -> None:
     """Masses within 1 g or 10 % do not contradict each other, and half of the difference is uncertainty."""
-    names = ("odd", "second", "third", "empty")
-    data = container.ContainerRuns(
-        tuple(SimpleNamespace(run=SimpleNamespace(name=name)) for name in names),  # type: ignore[misc]
-        (True, True, True, False),
-        (None,) * 4,
-    )
-
-    def solve(robot: Any, part: Any, facts: Any, options: Any, role: Any, start: Any = None) -> Any:
-        fitted = [run.run.name for run in part.runs]
-        assert fitted in (["odd", "empty"], ["second", "third", "empty"]), "each with the empty container's run"
-        mass = 1e-3 * (one_g if "odd" in fitted else others_g)
-        return SimpleNamespace(values=[mass], problem=SimpleNamespace(index={"sphere_mass": 0}))
-
-    monkeypatch.setattr(container, "solve", solve)
-    nothing: Any = None
-    together = 0.5e-3 * (one_g + others_g)
-    apart = container._apart(nothing, data, FACTS, ContainerOptions(), 0, together)
+    apart = compared("odd", 1e-3 * one_g, 1e-3 * others_g, 0.5e-3 * (one_g + others_g))
     assert getattr(apart.sentence, "code", None) == code
     assert apart.half is None if half_g is None else apart.half == pytest.approx(1e-3 * half_g)
-    # nothing to compare with: an empty run, or the only one with a sphere
-    assert container._apart(nothing, data, FACTS, ContainerOptions(), 3, together).half is None
-    assert container._apart(nothing, data.without([1, 2]), FACTS, ContainerOptions(), 0, together).half is None
+
+
+def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: Robot) -> None:
+    """An empty run, or the only one with a sphere; each part of a comparison keeps the empty container's runs."""
+    whole = SphereSearch(robot, FACTS, ContainerOptions())
+    for number, rolls in ((0, True), (6, True), (1, False)):
+        whole = whole.added(prepare_run(robot, drawn(number)[1], None, FACTS.shell), rolls)
+    assert whole.without([0]).rolling == (True, False) and whole.without([0]).runs == whole.runs[1:]
+    for search, outlier in ((whole, 2), (whole.without([1]), 0)):
+        fit = search.solve(Role.FROZEN)
+        apart = WeighedSphere(fit, fit, Findings(), 3, search).contradiction(outlier)
+        assert apart.half is None and "contradicts the other runs" in apart.sentence
 
 
 @pytest.mark.parametrize(("factor", "accepted"), [(1.02, True), (1.3, False)])

@@ -35,7 +35,6 @@ from proprio_ros.probes.container.identify import STILL_M
 from proprio_ros.probes.container.problem import LEVEL, ContainerFacts, ContainerProblem, sphere_run, start_prior
 from proprio_ros.probes.container.search import (
     ContainerOptions,
-    ContainerRuns,
     SphereSearch,
     check_shell,
     fit_empty,
@@ -88,18 +87,18 @@ class SphereUntilSure(CatalogueChooser):
     ) -> None:
         super().__init__(robot, sequence, Sought("sphere_mass", "kg", label="sphere's mass"), whole)
         check_shell(facts, baseline)
-        self._options = options
         self._turning: dict[tuple[str, tuple[tuple[str, float], ...]], SphereRun] = {}
         # where it comes to rest, whatever is stated about where it was in the sample recordings
         self._resting = replace(facts, start=None, settled=True)
         joints = candidate_joints(robot)
-        prepared = [prepare_run(robot, run, None, facts.shell) for run in baseline]
-        empty = tuple(run for run in prepared if not unusable(run))
-        self._data = ContainerRuns(empty, (False,) * len(empty), (None,) * len(empty))
-        weighed = fit_empty(robot, empty, facts, options) if empty else None
+        search = SphereSearch(robot, facts, options)
+        for prepared in [prepare_run(robot, run, None, facts.shell) for run in baseline]:
+            if not unusable(prepared):
+                search = search.added(prepared, False)
+        weighed = fit_empty(robot, search.runs, facts, options) if search.runs else None
         if weighed is not None:
-            facts = replace(facts, mass=float(weighed.values[weighed.problem.index["payload_mass"]]))
-        self._facts = facts
+            facts = replace(facts, mass=weighed.value_of("payload_mass"))
+        self._search = replace(search, facts=facts)
         rest = bent_pose(robot)
         still = tuple(
             prepare_run(robot, still_run(joint, rest, 0.01, max(DURATIONS_S)), None, facts.shell) for joint in joints
@@ -128,16 +127,12 @@ class SphereUntilSure(CatalogueChooser):
     # ------------------------------------------------------------------------------------------------- what is known
 
     def learn(self, runs: Sequence[Run]) -> Found:
-        new = [prepare_run(self.robot, run, None, self._facts.shell) for run in runs[self._taken :]]
+        new = [prepare_run(self.robot, run, None, self._search.facts.shell) for run in runs[self._taken :]]
         self._taken = len(runs)
-        usable = tuple(run for run in new if not unusable(run))
+        usable = [run for run in new if not unusable(run)]
+        for run in usable:
+            self._search = self._search.added(run, True)
         if usable:
-            data = self._data
-            self._data = ContainerRuns(
-                data.runs + usable,
-                data.rolling + (True,) * len(usable),
-                data.tracks + (None,) * len(usable),
-            )
             self._fit = self._fitted(self._fit)
             self._cut_what_is_lost()
         if self._fit is None:
@@ -147,19 +142,18 @@ class SphereUntilSure(CatalogueChooser):
         return Found(
             self._values["sphere_mass"],
             float(np.sqrt(self._covariance[at, at])),
-            int(sum(self._data.rolling)),
+            int(sum(self._search.rolling)),
             self._fit.reduced_chi2,
         )
 
     def _fitted(self, before: FitResult | None) -> FitResult:
         """All runs together, from where those before ended."""
-        search = SphereSearch(self.robot, self._data, self._facts, self._options)
         if before is not None:
-            fit = search.solve(Role.FREE, before, rough=True)
+            fit = self._search.solve(Role.FREE, before, rough=True)
             if fit.explains or not before.explains:
                 return fit
         # the first run, or one that shows that the valley found so far was a wrong one
-        _, whole = search.fits()
+        _, whole = self._search.fits()
         return whole if before is None or whole.chi2 < fit.chi2 else fit
 
     def _cut_what_is_lost(self) -> None:
@@ -168,8 +162,8 @@ class SphereUntilSure(CatalogueChooser):
         cut = lost_at(self._fit)
         if not cut:
             return
-        self._data, lost = self._data.before_lost(cut)
-        if not any(self._data.rolling):
+        self._search, lost = self._search.before_lost(cut)
+        if not any(self._search.rolling):
             self._fit = None
         else:  # runs have moved up where some were lost, so that what was their own is no start
             self._fit = self._fitted(None if lost else self._fit)
@@ -272,7 +266,7 @@ class SphereUntilSure(CatalogueChooser):
         seen = np.where(alive[..., None, None], across[:, None] @ dx, 0.0)
         stds, spreads = self._shared.stds_along(rows, variance, self._covariance, "sphere_mass", seen)
         counted = alive.sum(axis=1)
-        told = np.minimum([known_until(spread, self._facts) for spread in spreads], counted)
+        told = np.minimum([known_until(spread, self._search.facts) for spread in spreads], counted)
         rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
         return off, rolled, np.stack([counted, told], axis=1), stds
 
@@ -280,8 +274,9 @@ class SphereUntilSure(CatalogueChooser):
 
     def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
         """Runs that have not been made as a problem."""
-        data = ContainerRuns(tuple(runs), (True,) * len(runs), (None,) * len(runs))
-        return SphereSearch(self.robot, data, self._facts, self._options).problem(Role.FREE)[0]
+        every = (True,) * len(runs)
+        search = replace(self._search, runs=tuple(runs), rolling=every, tracks=(None,) * len(runs))
+        return search.problem(Role.FREE)[0]
 
     def _geometry(self, run: PreparedRun) -> SphereRun:
         key = run.run.joint, tuple(run.run.held.items())
@@ -308,4 +303,4 @@ class SphereUntilSure(CatalogueChooser):
         """Whether the sphere comes to rest elsewhere with the joint at another position."""
         places = [start_prior(run, self._resting, position).mean for position in (one, other)]
         moved = float(np.linalg.norm(run.across @ (places[1] - places[0])))
-        return moved > ROLLED_SHARE * float(self._facts.enclosure.room.min())
+        return moved > ROLLED_SHARE * float(self._search.facts.enclosure.room.min())

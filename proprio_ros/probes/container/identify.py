@@ -25,7 +25,7 @@ from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, 
 from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
 from proprio_ros.identification.gates import CONTRADICTION, MIN_USED, Contradiction, Findings, admitted, contradiction
 from proprio_ros.identification.judge import Guess, Refusal, Useful, positive, rejected
-from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
+from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
@@ -33,7 +33,6 @@ from proprio_ros.probes.container.problem import LIGHTEST_KG, ContainerFacts, Co
 from proprio_ros.probes.container.search import (
     DISTINCT,
     ContainerOptions,
-    ContainerRuns,
     SphereSearch,
     check_shell,
     fit_empty,
@@ -83,38 +82,31 @@ def find_sphere(
     """
     options = options or ContainerOptions()
     check_shell(facts, baseline)
-    found = Findings()
-    usable: list[tuple[PreparedRun, bool, SphereTrack | None]] = []
-    seen = tracks or [None] * len(runs)
-    with_sphere = [(run, True, track) for run, track in zip(runs, seen, strict=True)]
+    found, search = Findings(), SphereSearch(robot, facts, options)
+    with_sphere = [(run, True, track) for run, track in zip(runs, tracks or [None] * len(runs), strict=True)]
     for run, rolls, track in [*with_sphere, *((run, False, None) for run in baseline)]:
         prepared = prepare_run(robot, run, None, facts.shell)
         if admitted(robot, prepared, found):
-            usable.append((prepared, rolls, track))
-    data = ContainerRuns(
-        tuple(run for run, _, _ in usable),
-        tuple(rolls for _, rolls, _ in usable),
-        tuple(track for _, _, track in usable),
-    )
-    if not any(data.rolling):
+            search = search.added(prepared, rolls, track)
+    if not any(search.rolling):
         return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-    if options.signals == "camera" and not any(data.tracks):
+    if options.signals == "camera" and not any(search.tracks):
         raise ConfigurationError("solver.signals=camera needs what a camera saw: state sphere.camera")
-    not_empty, search = "", SphereSearch(robot, data, facts, options)
-    if not all(data.rolling):
-        empty, not_empty = _screen_baseline(search)
+    against: list[Refusal] = []
+    if not all(search.rolling):
+        empty, against = _screen_baseline(search)
         search = replace(search, facts=replace(facts, mass=empty))
 
     nominal, opened = search.fits()
     if cut := lost_at(opened):
         for row, used in cut.items():
-            whole = data.runs[row]
+            whole = search.runs[row]
             found.reasons.append(
                 f"{whole.run.name}: after {whole.times_s[used]:.2f} s the sphere's bounces make its place unpredictable; "
                 f"{whole.used - used} later samples were left out"
             )
-        search = replace(search, data=data.before_lost(cut)[0])
-        if not any(search.data.rolling):
+        search, _ = search.before_lost(cut)
+        if not any(search.rolling):
             found.reasons.insert(
                 0,
                 "the sphere bounces too chaotically to determine its mass: tilt instead of shaking, or use less current",
@@ -122,7 +114,7 @@ def find_sphere(
             return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
         nominal = search.solve(Role.FROZEN)
         opened = search.solve(Role.FREE, nominal)
-    return WeighedSphere(nominal, opened, found, len(runs), search, not_empty).estimate()
+    return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
 
 
 def half_of(estimate: Estimate) -> float | None:
@@ -131,49 +123,49 @@ def half_of(estimate: Estimate) -> float | None:
     return Z95 * std if estimate.verdict is Verdict.ACCEPTED and isinstance(std, float) else None
 
 
-def _screen_baseline(search: SphereSearch) -> tuple[float, str]:
-    """What the empty container weighs, and why it may not have been empty (an empty string where all is well)."""
-    data, facts = search.data, search.facts
-    baseline = data.without(np.flatnonzero(data.rolling).tolist())
+def _screen_baseline(search: SphereSearch) -> tuple[float, list[Refusal]]:
+    """What the empty container weighs [kg], and why it may not have been empty."""
+    facts, baseline = search.facts, search.without(np.flatnonzero(search.rolling).tolist())
     empty = baseline.runs
     still = fit_empty(search.robot, empty, facts, search.options)
     mass, std = still.determined("payload_mass")
     names = ", ".join(run.run.name for run in empty)
+    not_empty, moving = "", None
     if not still.explains:
         unknown_mass = replace(facts, mass=mass, mass_std=np.inf)
-        rolled = replace(baseline, rolling=(True,) * len(empty))
-        moving = fit_opened(replace(search, data=rolled, facts=unknown_mass).solve)
-        if moving.explains:
-            inside = moving.value_of("sphere_mass")
-            return mass, (
-                f"the baseline was not empty: {names} is explained with {1e3 * inside:.1f} g rolling in the container, and not "
-                "without; take it out and record the baseline again"
-            )
-        # a little coarser than the encoder is no sphere, and the fit of all runs is widened for it
-        if still.reduced_chi2 > CONTRADICTION:
-            return mass, (
-                f"the baseline is not explained by an empty container (reduced chi-square {still.reduced_chi2:.1f}): was it empty, "
-                "held as it is now, and has the robot changed since its calibration?"
-            )
-    if np.isfinite(facts.mass_std) and abs(mass - facts.mass) > EMPTY_SIGMAS * np.hypot(std, facts.mass_std):
-        return mass, (
+        moving = fit_opened(replace(baseline, facts=unknown_mass, rolling=(True,) * len(empty)).solve)
+    if moving is not None and moving.explains:
+        not_empty = (
+            f"the baseline was not empty: {names} is explained with {1e3 * moving.value_of('sphere_mass'):.1f} g rolling in the "
+            "container, and not without; take it out and record the baseline again"
+        )
+    # a little coarser than the encoder is no sphere, and the fit of all runs is widened for it
+    elif moving is not None and still.reduced_chi2 > CONTRADICTION:
+        not_empty = (
+            f"the baseline is not explained by an empty container (reduced chi-square {still.reduced_chi2:.1f}): was it empty, "
+            "held as it is now, and has the robot changed since its calibration?"
+        )
+    elif np.isfinite(facts.mass_std) and abs(mass - facts.mass) > EMPTY_SIGMAS * np.hypot(std, facts.mass_std):
+        not_empty = (
             f"the baseline was not empty, or container.mass is wrong: {names} says that the empty container weighs "
             f"{1e3 * mass:.1f} g, container.mass {1e3 * facts.mass:.1f} g"
         )
-    return mass, ""
+    withheld = "the baseline contradicts what was stated"
+    return mass, [rejected("baseline_not_empty", withheld, not_empty)] if not_empty else []
+
+
+def compared(name: str, one: float, others: float, together: float) -> Contradiction:
+    """What a run says of the mass against what the others say, and all of them together [kg]."""
+    question = "was the same sphere in the same container, held in the same place?"
+    alike = max(ALIKE_SHARE * abs(together), ALIKE_KG)
+    return contradiction(name, "kg", one, others, alike, SAME_KG, question)
 
 
 @dataclass(eq=False)
 class WeighedSphere(Conclusion):
-    """What a fit says about the mass of a sphere.
-
-    Args:
-        search: The runs that were fitted, and how.
-        not_empty: What the baseline says against what was stated.
-    """
+    """What a fit says about the mass of a sphere; ``search`` has the runs that were fitted, and how."""
 
     search: SphereSearch
-    not_empty: str
 
     probe, name = "container", "sphere_mass"
     check = "check container.inner_size, sphere.radius and the robot file's inertias"
@@ -183,7 +175,7 @@ class WeighedSphere(Conclusion):
         super().__post_init__()
         assert isinstance(self.opened.problem, ContainerProblem)
         self.problem = self.opened.problem
-        self.facts, self.rolling = self.search.facts, np.flatnonzero(self.search.data.rolling).tolist()
+        self.facts, self.rolling = self.search.facts, np.flatnonzero(self.search.rolling).tolist()
         if np.isfinite(seen := self.problem.camera_rms(self.fit.values)):
             self.found.notes.append(
                 f"the simulated sphere is {1e3 * seen:.1f} mm rms from where the camera saw it"
@@ -242,7 +234,7 @@ class WeighedSphere(Conclusion):
 
     def comparable(self) -> bool:
         # two more fits, which a fit that is refused for a worse reason is spared
-        return super().comparable() and not self.not_empty
+        return super().comparable() and not self.against
 
     def contradiction(self, outlier: int) -> Contradiction:
         mass, name = self.assessed.value, self.runs[outlier].run.name
@@ -256,16 +248,8 @@ class WeighedSphere(Conclusion):
                 )
             )
         # each with the empty container's runs
-        one, rest = (
-            fit_opened(replace(self.search, data=self.search.data.without(rows)).solve).value_of(self.name)
-            for rows in (others, [outlier])
-        )
-        question = "was the same sphere in the same container, held in the same place?"
-        return contradiction(name, "kg", one, rest, max(ALIKE_SHARE * abs(mass), ALIKE_KG), SAME_KG, question)
-
-    def untrusted(self) -> Iterator[Refusal]:
-        if self.not_empty:
-            yield rejected("baseline_not_empty", "the baseline contradicts what was stated", self.not_empty)
+        one, rest = (fit_opened(self.search.without(rows).solve).value_of(self.name) for rows in (others, [outlier]))
+        return compared(name, one, rest, mass)
 
     def refusals(self) -> Iterator[Refusal]:
         yield from self.misfit(self._bounces)
@@ -274,14 +258,13 @@ class WeighedSphere(Conclusion):
 
     def _bounces(self) -> list[str]:
         """A sentence if the first halves of the runs are explained, and only what comes after is not."""
-        data = self.search.data
         halves = [
             shortened(run, (run.used + 1) // 2, run.cut_reason) if rolls else run
-            for run, rolls in zip(data.runs, data.rolling, strict=True)
+            for run, rolls in zip(self.runs, self.search.rolling, strict=True)
         ]
         if min(halves[row].used for row in self.rolling) < MIN_USED:
             return []
-        fit = fit_opened(replace(self.search, data=replace(data, runs=tuple(halves))).solve)
+        fit = fit_opened(replace(self.search, runs=tuple(halves)).solve)
         if not fit.explains:
             return []
         return [

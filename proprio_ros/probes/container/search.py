@@ -63,28 +63,39 @@ class ContainerOptions:
 
 
 @dataclass(frozen=True)
-class ContainerRuns:
-    """The runs of a fit.
+class SphereSearch:
+    """Runs that are fitted together, and how.
 
     Attributes:
-        runs: all of them, in any order.
-        rolling: which have a sphere; tracks: what a camera saw of it, or None.
+        robot: Model, drive trains and their uncertainty.
+        facts: What is stated about container and sphere.
+        options: Solver and limits.
+        runs: In any order.
+        rolling: Which have a sphere; tracks: what a camera saw of it, or None.
     """
 
-    runs: tuple[PreparedRun, ...]
-    rolling: tuple[bool, ...]
-    tracks: tuple[SphereTrack | None, ...]
+    robot: Robot
+    facts: ContainerFacts
+    options: ContainerOptions
+    runs: tuple[PreparedRun, ...] = ()
+    rolling: tuple[bool, ...] = ()
+    tracks: tuple[SphereTrack | None, ...] = ()
 
-    def without(self, rows: Sequence[int]) -> ContainerRuns:
-        """All but some."""
+    def added(self, run: PreparedRun, rolls: bool, track: SphereTrack | None = None) -> SphereSearch:
+        """With another run."""
+        return replace(self, runs=(*self.runs, run), rolling=(*self.rolling, rolls), tracks=(*self.tracks, track))
+
+    def without(self, rows: Sequence[int]) -> SphereSearch:
+        """All runs but some."""
         kept = [row for row in range(len(self.runs)) if row not in rows]
-        return ContainerRuns(
-            tuple(self.runs[row] for row in kept),
-            tuple(self.rolling[row] for row in kept),
-            tuple(self.tracks[row] for row in kept),
+        return replace(
+            self,
+            runs=tuple(self.runs[row] for row in kept),
+            rolling=tuple(self.rolling[row] for row in kept),
+            tracks=tuple(self.tracks[row] for row in kept),
         )
 
-    def before_lost(self, cut: Mapping[int, int]) -> tuple[ContainerRuns, list[int]]:
+    def before_lost(self, cut: Mapping[int, int]) -> tuple[SphereSearch, list[int]]:
         """The runs up to where the sphere's place gets lost, and which are too short then and left out.
 
         Args:
@@ -94,41 +105,23 @@ class ContainerRuns:
         lost = [row for row in cut if runs[row].used < MIN_USED]
         return replace(self, runs=tuple(runs)).without(lost), lost
 
-
-@dataclass(frozen=True)
-class SphereSearch:
-    """Runs that are fitted together, and how.
-
-    Attributes:
-        robot: Model, drive trains and their uncertainty.
-        data: The runs.
-        facts: What is stated about container and sphere.
-        options: Solver and limits.
-    """
-
-    robot: Robot
-    data: ContainerRuns
-    facts: ContainerFacts
-    options: ContainerOptions
-
     def problem(self, role: Role) -> tuple[ContainerProblem, list[np.ndarray]]:
         """The problem, and the guesses of where the sphere lies in each run that has one."""
-        robot, data, facts, options = self.robot, self.data, self.facts, self.options
+        robot, facts, options = self.robot, self.facts, self.options
         priors = []
-        for run, rolls in zip(data.runs, data.rolling, strict=True):
-            if rolls:
-                nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
-                priors.append(start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value))
-        unknowns = container_unknowns(robot, data.runs, data.rolling, facts, priors, role)
+        for run in (run for run, rolls in zip(self.runs, self.rolling, strict=True) if rolls):
+            nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
+            priors.append(start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value))
+        unknowns = container_unknowns(robot, self.runs, self.rolling, facts, priors, role)
         problem = ContainerProblem(
             robot,
-            data.runs,
+            self.runs,
             facts,
-            data.rolling,
+            self.rolling,
             unknowns,
             options.integrator,
             options.step_s,
-            data.tracks,
+            self.tracks,
             options.signals,
         )
         return problem, [prior.guesses for prior in priors]
@@ -159,7 +152,7 @@ class SphereSearch:
         places = max(len(guess) for guess in guesses)
         starts = np.tile(problem.base, (places * len(masses), 1))
         starts[:, problem.index["sphere_mass"]] = np.tile(masses, places)
-        for row, guess in zip(np.flatnonzero(self.data.rolling).tolist(), guesses, strict=True):
+        for row, guess in zip(np.flatnonzero(self.rolling).tolist(), guesses, strict=True):
             columns = [problem.index[f"sphere_{axis}", row] for axis in "xyz"]
             starts[:, columns] = np.repeat(guess[np.arange(places) % len(guess)], len(masses), axis=0)
         internal = problem.coordinates.internal(starts[:, free])
@@ -170,7 +163,7 @@ class SphereSearch:
 
     def fits(self) -> tuple[FitResult, FitResult]:
         """The fit with the robot as it is stated, and the one in which all that is open moves."""
-        known = self.robot.is_calibrated(joints_of(self.data.runs))
+        known = self.robot.is_calibrated(joints_of(self.runs))
         return fit_both(self.solve, lambda _, opened: not opened.explains and not known)
 
 

@@ -45,7 +45,6 @@ from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identif
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.swings import (
     FRICTION_LAW,
     FRICTION_LAW_SHARE,
@@ -140,7 +139,7 @@ def weigh(
             "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, under its "
             "priors"
         )
-    return Weighed(nominal, opened, found, len(runs), facts, options, drift, still=still).estimate()
+    return Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift).estimate()
 
 
 def _weigh_swings(
@@ -163,15 +162,24 @@ def _weigh_swings(
         robot = replace(robot, swing_error=error)
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
         opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
-    share = missed_share(posterior)
-    misfit = said_missed(share) if share > MISSED_SHARE else ""
-    if not misfit and known and error > MUCH_WORSE * known:
-        misfit = Reason(
-            "misfit",
+    against: list[Refusal] = []
+    unexplained = "the model does not explain the recording"
+    if (share := missed_share(posterior)) > MISSED_SHARE:
+        against.append(rejected("misfit", unexplained, said_missed(share)))
+    elif known and error > MUCH_WORSE * known:
+        worse = (
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
-            "torque off all the time, and is the object's place and shape as stated?",
+            "torque off all the time, and is the object's place and shape as stated?"
         )
-    return Weighed(searched, opened, found, run_count, facts, options, misfit_of_swing=misfit).estimate()
+        against.append(rejected("misfit", unexplained, worse))
+    if not robot.is_calibrated(joints_of(runs)) and not known_exactly(robot, runs):
+        # all that moves may be lighter or heavier together: a ridge along which no interval around the best fit holds
+        nothing = (
+            "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with swings "
+            "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)"
+        )
+        against.append(not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing))
+    return Weighed(searched, opened, found, run_count, facts, options, against=against).estimate()
 
 
 def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
@@ -181,25 +189,28 @@ def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[
     return tuple(doubling * share for share in SWING_STARTS)
 
 
-def _drift(robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions) -> str:
-    """What an empty hand that does not weigh nothing says about the calibration; empty where all is well."""
+def _drift(
+    robot: Robot, baseline: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+) -> list[Refusal]:
+    """What an empty hand that does not weigh nothing says against the calibration."""
     if not baseline:
-        return ""
+        return []
     runs = [replace(run, load=None) for run in baseline]
     fit = fit_opened(partial(solve_load, robot, runs, facts, options))
     mass, std = fit.determined("payload_mass")
     since = "its calibration" if robot.is_calibrated() else "its robot file was written"
+    drift = ""
     if not fit.explains:
-        return (
+        drift = (
             f"drift: the empty-hand run is no longer explained by the robot as it was at {since} (reduced chi-square "
             f"{fit.reduced_chi2:.1f}): calibrate again"
         )
-    if abs(mass) > DRIFT_SIGMAS * std:
-        return (
+    elif abs(mass) > DRIFT_SIGMAS * std:
+        drift = (
             f"drift: the empty hand now weighs {1e3 * mass:+.1f} g, where {1e3 * std:.1f} g is the standard deviation: the robot "
             f"has changed since {since}; calibrate again"
         )
-    return ""
+    return [rejected("drift", "the robot has changed since its calibration", drift)] if drift else []
 
 
 @dataclass(eq=False)
@@ -209,15 +220,11 @@ class Weighed(Conclusion):
     Args:
         facts: Shape and place of the payload.
         options: Solver and limits.
-        drift: What an empty hand says against the calibration.
-        misfit_of_swing: Why free swings are not explained.
         still: Runs that are of no use because their joint hardly moved.
     """
 
     facts: PayloadFacts
     options: WeighingOptions
-    drift: str = ""
-    misfit_of_swing: str = ""
     still: Sequence[PreparedRun] = ()
 
     probe, name = "payload", "payload_mass"
@@ -274,20 +281,6 @@ class Weighed(Conclusion):
             return []
         taken = f"[{', '.join(f'{1e3 * place:g}' for place in self.facts.com)}] mm"
         return [Guess("payload.com", taken, f"{1e3 * GUESSED_PLACE_M:g} mm per axis", off)]
-
-    def untrusted(self) -> Iterator[Refusal]:
-        if self.drift:
-            yield rejected("drift", "the robot has changed since its calibration", self.drift)
-        if self.misfit_of_swing:
-            yield rejected("misfit", "the model does not explain the recording", self.misfit_of_swing)
-        if self.swings and self._is_open:
-            # all that moves may be lighter or heavier together: a ridge along which no interval around the best fit holds
-            yield not_identifiable(
-                "not_calibrated",
-                "a free swing alone does not tell a mass",
-                "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with "
-                "swings of two known loads (calibrate --reference BAG=KG --reference BAG=KG)",
-            )
 
     def refusals(self) -> Iterator[Refusal]:
         fit, mass = self.fit, self.assessed.value
