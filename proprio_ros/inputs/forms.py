@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from reprlib import Repr
@@ -267,13 +267,17 @@ def mapping(value: Any) -> Mapping[str, Any]:
     return value
 
 
+def did_you_mean(key: object, known: Iterable[str]) -> str:
+    """A question after the nearest of the known keys; empty where none is near."""
+    close = difflib.get_close_matches(str(key)[:100], list(known), n=1)
+    return f"did you mean {close[0]!r}? " if close else ""
+
+
 def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
     """Raises: FormError: A key is not among those known, with the one that is nearest to it."""
     for key in given:
         if key not in known:
-            close = difflib.get_close_matches(str(key)[:100], known, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            raise FormError(f"unknown key {shortly(key)}; {hint}valid keys: {', '.join(known)}")
+            raise FormError(f"unknown key {shortly(key)}; {did_you_mean(key, known)}valid keys: {', '.join(known)}")
 
 
 def section(value: Any, fields: Mapping[str, Field | Form]) -> dict[str, Any]:

@@ -168,13 +168,3 @@ def read(key: str, value: Any, form: Form) -> Any:
         return form.read(value)
     except FormError as error:
         raise ConfigurationError(f"{key}: {error}") from None
-
-
-def number(key: str, value: Any) -> float:
-    """A finite number.
-
-    Raises:
-        ConfigurationError: It is none.
-    """
-    checked: float = read(key, value, Number())
-    return checked

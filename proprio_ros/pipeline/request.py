@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, RobotError
-from proprio_ros.inputs.settings import Settings, number
+from proprio_ros.inputs.forms import Number
+from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.recordings.description import robot_named
@@ -197,7 +198,7 @@ def _unit(options: Options, driver: Driver | None) -> str | None:
 
 def _locked(robot: Robot, settings: Settings) -> dict[str, float]:
     """The user's ``held.JOINT`` settings [rad or m]; they are taken out."""
-    locked = {name: number(f"held.{name}", value) for name, value in settings.take_prefix("held.").items()}
+    locked = {name: read(f"held.{name}", value, Number()) for name, value in settings.take_prefix("held.").items()}
     for name in locked:
         robot.model.joint(name)
     return locked

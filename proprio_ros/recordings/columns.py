@@ -14,7 +14,7 @@ from proprio_ros.recordings.topics import OUR_DRIVER, Conventions, InputTopic, T
 from proprio_ros.records import FloatArray, TimeArray
 
 
-class Columns(NamedTuple):
+class JointColumns(NamedTuple):
     """Messages as columns by joint, rows in the order of recording."""
 
     bag_ns: TimeArray  # (M,)
@@ -36,7 +36,7 @@ class Columns(NamedTuple):
 
 def joint_state_columns(
     bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
-) -> Columns:
+) -> JointColumns:
     """Columns of a JointState topic.
 
     Args:
@@ -85,7 +85,7 @@ def joint_state_columns(
         notes.append(f"{topic.name}: the order of the joints changes between messages; they were matched by name.")
     for quantity in {"position", "velocity"} & values.keys():
         values[quantity] *= conventions.radians
-    return Columns(bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes)
+    return JointColumns(bag_ns, np.concatenate([part.stamp_ns for part in rows]), names, values, notes)
 
 
 def _marked(values: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ def array_columns(
     joint_order: Sequence[str],
     recorded: Sequence[str],
     conventions: Conventions,
-) -> Columns:
+) -> JointColumns:
     """Columns of an array of what drives the joints, as the quantity ``effort``.
 
     A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
@@ -156,7 +156,7 @@ def array_columns(
             columns = [names.index(label) for label in named]
             values[row : row + len(part.bag_ns), columns] = _marked(part.values["data"])
         row += len(part.bag_ns)
-    return Columns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
+    return JointColumns(times_ns, np.zeros_like(times_ns), names, {"effort": values}, list(notes))
 
 
 def _labels(bag: Bag, topic: Topic, message: Any, known: set[str], conventions: Conventions) -> tuple[str, ...] | None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import some
+from proprio_ros.recordings.effort import EFFORT_UNITS, ampere
 from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.records import ZERO_CURRENT_A, FloatArray, JointRecord, Recording
 from proprio_ros.robot import ReducedModel, Robot
@@ -436,15 +437,13 @@ def effort_units(
         constants: Torque constants [N m/A]; empty where nobody stated them.
         per_count_A: Current of a raw count [A].
     """
-    sizes = {"N.m": None, "A": 1.0, "mA": 1e-3, "raw": per_count_A}
     result = []
-    for unit, ampere in sizes.items():
-        if ampere is not None and not constants:
-            continue
+    for unit in EFFORT_UNITS:
+        torque = unit == "N.m"
         ratio = {
-            name: value * (1.0 if ampere is None else ampere * constants[name])
+            name: value * (1.0 if torque else ampere(unit, per_count_A) * constants[name])
             for name, value in per_torque.items()
-            if ampere is None or name in constants
+            if torque or name in constants
         }
         if ratio:
             middle = float(np.median(list(ratio.values())))

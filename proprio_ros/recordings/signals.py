@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from proprio_ros.errors import RecordingError, printable
-from proprio_ros.recordings.columns import Columns, array_columns, joint_state_columns
+from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere, held, known_or_none
 from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.reader import Bag, open_bag
@@ -135,7 +135,7 @@ def read_recording(
 
 
 def _joint_record(
-    path: Path, topic: Topic, columns: Columns, inputs: InputRecord | None, asked: _Asked, notes: list[str]
+    path: Path, topic: Topic, columns: JointColumns, inputs: InputRecord | None, asked: _Asked, notes: list[str]
 ) -> JointRecord:
     """What the joints did, out of the columns of their states."""
     driven: list[str] = []
@@ -149,7 +149,7 @@ def _joint_record(
     return asked.effort.record(times, names, values["position"], known_or_none(values["velocity"]), effort)
 
 
-def _torque_off(bag: Bag, state: Topic, columns: Columns, notes: list[str]) -> tuple[tuple[int, int], ...]:
+def _torque_off(bag: Bag, state: Topic, columns: JointColumns, notes: list[str]) -> tuple[tuple[int, int], ...]:
     """When torque was off, on the clock of the joint states, until the last of these."""
     candidates = bag.topics.called(TORQUE_ENABLED, [BOOL], state.namespace)
     if len(candidates) != 1:
@@ -187,7 +187,7 @@ def _of(mask: BoolArray) -> str:
     return f"{int(mask.sum())} of {mask.size}"
 
 
-def _times(columns: Columns, topic: Topic, notes: list[str]) -> TimeArray:
+def _times(columns: JointColumns, topic: Topic, notes: list[str]) -> TimeArray:
     """Header stamps; where there are none, the recorder's time on the same clock."""
     missing = columns.stamp_ns == 0
     if missing.any():
@@ -214,7 +214,7 @@ def _note_gaps(times: TimeArray, topic: Topic, notes: list[str]) -> None:
 
 
 def _state_rows(
-    path: Path, topic: Topic, columns: Columns, driven: Sequence[str], expected: Sequence[str], notes: list[str]
+    path: Path, topic: Topic, columns: JointColumns, driven: Sequence[str], expected: Sequence[str], notes: list[str]
 ) -> tuple[TimeArray, tuple[str, ...], dict[str, FloatArray]]:
     """One row per usable message in the order of time, one column per joint that has a position.
 
@@ -299,7 +299,7 @@ def _check_positions(path: Path, names: Sequence[str], position: FloatArray, exp
 
 
 def _commands(
-    bag: Bag, topic: Topic, means: InputTopic, states: Columns, asked: _Asked, notes: list[str]
+    bag: Bag, topic: Topic, means: InputTopic, states: JointColumns, asked: _Asked, notes: list[str]
 ) -> InputRecord:
     """Input from a command topic, on the clock of the joint states."""
     if topic.msgtype == JOINT_STATE:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -28,6 +27,7 @@ from proprio_ros.inputs.forms import (
     Text,
     Truth,
     Whole,
+    did_you_mean,
     mapping,
     section,
     shortly,
@@ -209,7 +209,12 @@ def nested_settings(joints: Sequence[str], overrides: Mapping[str, Any]) -> dict
     settings: dict[str, Any] = {}
     for key, value in overrides.items():
         if key not in paths:
-            raise RobotError(_unknown_override(key, paths, joints))
+            top = [path for path in paths if not path.startswith("joints.")]
+            raise RobotError(
+                f"unknown robot setting {shortly(key)}; {did_you_mean(key, paths)}valid: {', '.join(top)}, "
+                f"joints.JOINT.motor.({'|'.join(MOTOR)}), joints.JOINT.drive_train.({'|'.join(DRIVE_TRAIN)}), "
+                f"joints.JOINT.({'|'.join(JOINT)}), where JOINT is one of {', '.join(joints)}"
+            )
         if value is None:
             raise RobotError(f"robot setting {key}: expected a value, got null")
         addition: Any = copy.deepcopy(value)
@@ -217,17 +222,6 @@ def nested_settings(joints: Sequence[str], overrides: Mapping[str, Any]) -> dict
             addition = {part: addition}
         settings = merged(settings, addition)
     return settings
-
-
-def _unknown_override(key: str, paths: Mapping[str, tuple[str, ...]], joints: Sequence[str]) -> str:
-    close = difflib.get_close_matches(key[:100], paths, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    top = [path for path in paths if not path.startswith("joints.")]
-    return (
-        f"unknown robot setting {shortly(key)}; {hint}valid: {', '.join(top)}, "
-        f"joints.JOINT.motor.({'|'.join(MOTOR)}), joints.JOINT.drive_train.({'|'.join(DRIVE_TRAIN)}), "
-        f"joints.JOINT.({'|'.join(JOINT)}), where JOINT is one of {', '.join(joints)}"
-    )
 
 
 def merged(base: Any, addition: Any) -> Any:

@@ -9,20 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from proprio_ros.robot.geometry import FloatArray, inertia_about_origin
 from proprio_ros.robot.tree import ReducedModel
 
-FloatArray = NDArray[np.float64]
 PARAMETERS = 10
 """Of a body: m [kg], m c [kg m] (3), I [kg m^2] about the body's origin: xx, xy, xz, yy, yz, zz."""
 
 
 def body_parameters(pseudo_inertia: FloatArray) -> FloatArray:
     """The ten parameters of a body from its pseudo-inertia, shape (4, 4)."""
-    second = pseudo_inertia[:3, :3]
-    inertia = np.trace(second) * np.eye(3) - second
-    upper = inertia[np.triu_indices(3)]
+    upper = inertia_about_origin(pseudo_inertia)[np.triu_indices(3)]
     return np.concatenate([[pseudo_inertia[3, 3]], pseudo_inertia[:3, 3], upper])
 
 

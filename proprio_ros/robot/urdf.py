@@ -159,8 +159,9 @@ class UrdfReader:
         return name
 
     def _numbers(
-        self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None
+        self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None, count: int = 3
     ) -> list[float]:
+        """So many numbers of an attribute."""
         text = element.get(attribute, default)
         if text is None:
             self._fail(f"{where}: <{element.tag}> has no {attribute}; add it")
@@ -173,26 +174,20 @@ class UrdfReader:
         largest = _LARGEST.get(element.tag, _LARGEST.get(attribute, math.inf))
         if max(map(abs, values), default=0.0) > largest:
             self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> is over {largest:g}: units are kg, m and rad")
+        if len(values) != count:
+            needed = "one number" if count == 1 else "three numbers"
+            self._fail(f"{where}: {attribute} of <{element.tag}> must be {needed}, got {len(values)}")
         return values
 
     def _number(self, element: ElementTree.Element, attribute: str, where: str, default: str | None = None) -> float:
-        values = self._numbers(element, attribute, where, default)
-        if len(values) != 1:
-            self._fail(f"{where}: {attribute} of <{element.tag}> must be one number, got {len(values)}")
-        return values[0]
-
-    def _vector(self, element: ElementTree.Element, attribute: str, where: str, default: str) -> FloatArray:
-        values = self._numbers(element, attribute, where, default)
-        if len(values) != 3:
-            self._fail(f"{where}: {attribute} of <{element.tag}> must be three numbers, got {len(values)}")
-        return np.array(values)
+        return self._numbers(element, attribute, where, default, 1)[0]
 
     def _origin(self, element: ElementTree.Element, where: str) -> FloatArray:
         origin = element.find("origin")
         if origin is None:
             return np.eye(4)
-        rotation = rotation_from_rpy(self._vector(origin, "rpy", where, "0 0 0"))
-        return transform(rotation, self._vector(origin, "xyz", where, "0 0 0"))
+        rotation = rotation_from_rpy(self._numbers(origin, "rpy", where, "0 0 0"))
+        return transform(rotation, self._numbers(origin, "xyz", where, "0 0 0"))
 
     def _link(self, element: ElementTree.Element) -> Link:
         name = self._name(element)
@@ -243,7 +238,7 @@ class UrdfReader:
         axis = np.array([1.0, 0.0, 0.0])
         axis_element = element.find("axis")
         if axis_element is not None and kind != "fixed":
-            axis = self._vector(axis_element, "xyz", where, "1 0 0")
+            axis = np.array(self._numbers(axis_element, "xyz", where, "1 0 0"))
             length = float(np.linalg.norm(axis))
             if length < 1e-9:
                 self._fail(f"{where}: the axis is zero; give it a direction, e.g. 0 0 1")
