@@ -7,7 +7,6 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +80,7 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
     try:
         if episode.problem:
             return _finished([failed_row(episode, job, episode.problem, "unreadable")], started)
-        request = _request(job.as_text(), _Once(job))
+        request = _request(job)
         spans = spans_of(episode, job, request)
         rows = _answered(episode, job, request, spans)
         # a cut may go through a push: only motions are answered in parts
@@ -172,22 +171,16 @@ def _place(row: Row, span: Span) -> Row:
     return {"start_s": begin_s, "end_s": None if row["end_s"] is None else begin_s + row["end_s"]}
 
 
-class _Once:
-    """A job that a cache does not look at: its text is the key."""
-
-    def __init__(self, job: Job) -> None:
-        self.job = job
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Once)
-
-    def __hash__(self) -> int:
-        return 0
+def _request(job: Job) -> Request:
+    """Read once for all episodes of a job that this process gets."""
+    text = job.as_text()
+    if text not in _READ:
+        _READ.clear()
+        _READ[text] = request_of(job.options)
+    return _READ[text]
 
 
-@lru_cache(maxsize=1)
-def _request(_text: str, once: _Once) -> Request:
-    return request_of(once.job.options)
+_READ: dict[str, Request] = {}
 
 
 def _finished(rows: list[Row], started: float) -> list[Row]:

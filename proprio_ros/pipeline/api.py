@@ -38,8 +38,33 @@ Paths = AnyPath | Sequence[AnyPath]
 _Row = TypeVar("_Row")
 
 
+class _Answered:
+    """What every answer has.
+
+    Attributes:
+        estimate: Everything that was found out: fits of the runs, unknowns, and what else its kind has.
+    """
+
+    estimate: Estimate | CalibrationEstimate
+
+    @property
+    def verdict(self) -> str:
+        """``accepted``, ``too_wide`` (for a number), ``rejected`` (by the model) or ``not_identifiable`` (by this recording)."""
+        return self.estimate.verdict.value
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the answer can be used."""
+        return self.verdict == "accepted"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences on what is wrong or worth knowing; some have a ``code``."""
+        return self.estimate.reasons
+
+
 @dataclass(frozen=True, repr=False)
-class Weighing:
+class Weighing(_Answered):
     """What the hand holds.
 
     Attributes:
@@ -51,21 +76,6 @@ class Weighing:
     estimate: Estimate
     bags: tuple[str, ...]
     call: str
-
-    @property
-    def verdict(self) -> str:
-        """``accepted``, ``too_wide`` (for a number), ``rejected`` (by the model) or ``not_identifiable`` (by this recording)."""
-        return self.estimate.verdict.value
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the number can be used."""
-        return self.verdict == "accepted"
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Sentences on what is wrong or worth knowing; some have a ``code``."""
-        return self.estimate.reasons
 
     @property
     def values(self) -> dict[str, Value]:
@@ -173,7 +183,7 @@ class Weighing:
 
 
 @dataclass(frozen=True, repr=False)
-class CalibrationResult(os.PathLike[str]):
+class CalibrationResult(_Answered, os.PathLike[str]):
     """What is known about the robot now; give it to ``weigh(..., calibration=result)``.
 
     It stands for a calibration file: the one that was asked for, or else one that is deleted with this object.
@@ -188,21 +198,6 @@ class CalibrationResult(os.PathLike[str]):
     path: Path | None
     call: str
     _folder: Any = field(default=None, compare=False)
-
-    @property
-    def verdict(self) -> str:
-        """``accepted``, ``rejected`` or ``not_identifiable``."""
-        return self.estimate.verdict.value
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the calibration can be used."""
-        return self.verdict == "accepted"
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Sentences on what is wrong or worth knowing; some have a ``code``."""
-        return self.estimate.reasons
 
     @property
     def calibration(self) -> Calibration | None:

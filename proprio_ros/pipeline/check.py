@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.text import is_text_recording, read_text_recording
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.voltage import voltage_driven
-from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, InputRecord, Recording, Run
+from proprio_ros.records import LOST_AFTER_PERIODS, MEASURED_EFFORT, FloatArray, InputRecord, Recording, Run
 from proprio_ros.robot import Robot, is_description
 from proprio_ros.threads import one_blas_thread
 
@@ -62,8 +63,7 @@ def check_bags(paths: str | Path | Sequence[str | Path], options: Options | None
     described = read_request(replace(options, effort_unit="N.m", driver=None), _any_object)
     request = replace(described, options=options)
     checks = [
-        _text_check(request.robot, path) if is_text_recording(path) else _of_driver(_bag_check(request, path), request)
-        for path in given
+        _text_check(request.robot, path) if is_text_recording(path) else _bag_check(request, path) for path in given
     ]
     return request.robot.name, checks
 
@@ -74,17 +74,21 @@ def _any_object(settings: Settings) -> None:
         settings.take_prefix(start)
 
 
-def _of_driver(check: BagCheck, request: Request) -> BagCheck:
-    """The same with the profile that was stated, and those that would fit."""
-    fitting = drivers_of((name, kind) for name, kind, _ in check.topics)
-    return replace(check, driver=request.driver, fitting=tuple(driver.name for driver in fitting))
-
-
 def _bag_check(request: Request, path: Path) -> BagCheck:
     robot, options, effort_unit = request.robot, request.options, request.unit
     contents = look_into(path, options.state_topic, options.command_topic, request.conventions)
+    types = {name: kind for name, kind, _ in contents.topics}
+    fitting = tuple(driver.name for driver in drivers_of(types.items()))
+    check = BagCheck(
+        str(path),
+        topics=contents.topics,
+        state_topic=contents.states,
+        problem=contents.problem,
+        driver=request.driver,
+        fitting=fitting,
+    )
     if contents.problem:
-        return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=contents.problem)
+        return check
     problem = ""
     try:
         recording = bag_recording(path, request)
@@ -100,7 +104,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
                 conventions=request.conventions,
             )
         except RecordingError as worse:
-            return BagCheck(str(path), topics=contents.topics, state_topic=contents.states, problem=str(worse))
+            return replace(check, problem=str(worse))
     runs: tuple[RunCheck, ...] = ()
     motion: Motion | None = None
     if not problem:
@@ -129,33 +133,37 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     per_torque, units = ({}, ()) if by_voltage else plausible_units(recording, robot, useless)
     # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
     tells = None if by_voltage and len(robot.drive_trains) == 1 else _motion_check(robot, recording, motion)
-    times_s = 1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])
+    driven_by, driven_in = _input_of(recording, runs, types, effort_unit)
+    check = replace(
+        check,
+        joints=recording.joints.names,
+        **_spacing(1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])),
+        input=driven_by or None,
+        input_unit=driven_in or None,
+        runs=runs,
+        problem=problem,
+        notes=recording.notes + (() if motion is not None else unit_not_used(recording.inputs, options.effort_unit)),
+        motion=motion,
+        moves=moved,
+        still=tuple(name for name in recording.joints.names if name not in moved),
+        findings=seen,
+        effort_units=units,
+        effort_per_N_m=per_torque,
+        tells=tells,
+    )
+    return replace(check, record=_advice(robot, recording, check))
+
+
+def _spacing(times_s: FloatArray) -> dict[str, Any]:
+    """How long joint states were recorded and how densely, as `BagCheck` has it."""
     intervals = np.diff(times_s)
     period = float(np.median(intervals))
-    driven_by, driven_in = _input_of(recording, runs, {name: kind for name, kind, _ in contents.topics}, effort_unit)
-    return BagCheck(
-        str(path),
-        recording.joints.names,
-        float(times_s[-1]),
-        1.0 / period,
-        int(np.sum(intervals > LOST_AFTER_PERIODS * period)),
-        float(intervals.max()),
-        contents.topics,
-        contents.states,
-        driven_by or None,
-        driven_in or None,
-        runs,
-        problem,
-        recording.notes + (() if motion is not None else unit_not_used(recording.inputs, options.effort_unit)),
-        motion,
-        moved,
-        tuple(name for name in recording.joints.names if name not in moved),
-        seen,
-        units,
-        per_torque,
-        tells,
-        _advice(robot, recording, moved, seen, runs, tells, 1.0 / period),
-    )
+    return {
+        "duration_s": float(times_s[-1]),
+        "rate_Hz": 1.0 / period,
+        "gaps": int(np.sum(intervals > LOST_AFTER_PERIODS * period)),
+        "longest_gap_s": float(intervals.max()),
+    }
 
 
 def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tuple[Finding, ...]:
@@ -220,37 +228,29 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
     return MotionCheck(motion.moved, float(motion.times_s[-1]), width_kg, per_kg if stated else None)
 
 
-def _advice(
-    robot: Robot,
-    recording: Recording,
-    moved: Sequence[str],
-    seen: Sequence[Finding],
-    runs: Sequence[RunCheck],
-    tells: MotionCheck | None,
-    rate_Hz: float,
-) -> tuple[str, ...]:
+def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, ...]:
     """What to record instead, or beside it."""
     advice = []
     record = recording.joints
-    free = any(run.free for run in runs)
+    free = any(run.free for run in check.runs)
     if recording.inputs is None and record.reported_effort is None and not free:
         advice.append(
             "what the motors gave, too: their torque or current as effort in /joint_states, or commands in /applied_effort or "
             "/current_command"
         )
-    if not free and any(finding.code in DOUBTFUL_EFFORT for finding in seen):
+    if not free and any(finding.code in DOUBTFUL_EFFORT for finding in check.findings):
         advice.append("effort as it was measured, with its sign, read anew for each joint state")
-    if rate_Hz < SLOWEST_HZ:
-        advice.append(f"at 50 Hz or more: {rate_Hz:.0f} Hz is too slow for a motion")
-    if not moved:
+    if check.rate_Hz < SLOWEST_HZ:
+        advice.append(f"at 50 Hz or more: {check.rate_Hz:.0f} Hz is too slow for a motion")
+    if not check.moves:
         advice.append("a motion: nothing moves here")
-    elif tells is not None:
-        short = tells.duration_s < 15.0
+    elif check.tells is not None:
+        short = check.tells.duration_s < 15.0
         advice.append(
             "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
             + (" and both for 15 s or longer" if short else "")
         )
-    elif any(not run.problem for run in runs) and not free and not robot.is_calibrated():
+    elif any(not run.problem for run in check.runs) and not free and not robot.is_calibrated():
         advice.append("runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold")
     return tuple(advice)
 
@@ -309,27 +309,21 @@ def _unusable_closing(run: PreparedRun) -> str:
 def _text_check(robot: Robot, path: Path) -> BagCheck:
     """A text recording is one run, driven by the torque that its setting states."""
     text = read_text_recording(path)
-    intervals = np.diff(text.times_s)
     drive = robot.drive_trains.get(text.joint)
-    known = "" if drive is not None else f"{robot.name} has no drive train for {text.joint}"
-    nominal = float("nan") if drive is None else drive.nominal_effort_per_current
     run = RunCheck(
         text.name,
         text.joint,
-        float(text.times_s[-1]),
-        float(text.relative_position[-1]),
-        "rad",
-        float(text.setting["torque_N_m"]) / nominal,
-        len(text.times_s),
-        known,
+        duration_s=float(text.times_s[-1]),
+        travel=float(text.relative_position[-1]),
+        unit="rad",
+        current_A=float(text.setting["torque_N_m"]) / (np.nan if drive is None else drive.nominal_effort_per_current),
+        samples=len(text.times_s),
+        problem="" if drive is not None else f"{robot.name} has no drive train for {text.joint}",
     )
     return BagCheck(
         str(path),
         (text.joint,),
-        float(text.times_s[-1]),
-        1.0 / float(np.median(intervals)),
-        int(np.sum(intervals > LOST_AFTER_PERIODS * np.median(intervals))),
-        float(intervals.max()),
+        **_spacing(text.times_s),
         input="the torque in setting.json",
         input_unit="N m",
         runs=(run,),
