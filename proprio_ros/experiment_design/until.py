@@ -164,7 +164,7 @@ def chosen_refresh(
     catalogue = Catalogue(aged)
     known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
     for push in pushes:
-        known = replace(catalogue.predicted(known, push), mass=WEIGHED_KG)
+        known = catalogue.predicted(known, push)
     half, now = half_of(then.std), half_of(known.std)
     return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
 
@@ -175,7 +175,7 @@ def _predicted_weighing(catalogue: Catalogue, weighed_kg: float, sequence: Probe
     known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
     for _ in range(WEIGHED_PUSHES):
         push = max(catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain)
-        known = replace(catalogue.predicted(known, push), mass=weighed_kg)
+        known = catalogue.predicted(known, push)
         pushes.append(push)
     return known, pushes
 
@@ -189,8 +189,7 @@ def _chosen(
     load_kg: float,
 ) -> list[ProbeRun]:
     """Pushes with a known load, one after the other, for the sake of a predicted weighing."""
-    robot, weighed_kg = catalogue.robot, known.mass
-    machine = ExcitationMachine(robot)
+    robot, machine = catalogue.robot, ExcitationMachine(catalogue.robot)
     here, elapsed_s = bent_pose(robot), 0.0
     for run in sequence.runs:
         here |= run.start
@@ -204,7 +203,7 @@ def _chosen(
         else:
             break
         elapsed_s += push.time_s
-        known = replace(catalogue.predicted(known, push, load_kg), mass=weighed_kg)
+        known = catalogue.predicted(known, push, load_kg)
         # where it ends
         here = {**push.start, push.joint: push.start[push.joint] + push.travel}
         chosen.append(run)
