@@ -36,12 +36,10 @@ from proprio_ros.sim.joint_kernels import (
     VEC3,
     JointData,
     joint_law,
-    observe,
+    plain_joint_law,
     plain_rate,
-    schedule,
-    taped,
 )
-from proprio_ros.sim.rollout import TIME_EPS, rollout
+from proprio_ros.sim.rollout import TIME_EPS, PlainLaw, observe, rollout, schedule, taped
 from proprio_ros.sim.runtime import FLOAT
 
 INDEX = {name: row for row, name in enumerate(PARAMETERS)}
@@ -83,14 +81,16 @@ class JointRun:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Every step of some rollouts, on the device: what the adjoint follows.
+    """Some rollouts without tangents, on the device, with every step for the adjoint to follow.
 
     Attributes:
+        states: at the samples, shape (W, T).
         step, step_by_delay: length of each step and its change with the delay, shape (W, N).
         given: the input during each step, shape (W, N).
         steps: how many of each world, shape (W,); sample_step: after which each sample is taken, -1 before all, shape (W, T).
     """
 
+    states: wp.array
     step: wp.array
     step_by_delay: wp.array
     given: wp.array
@@ -98,16 +98,12 @@ class Schedule:
     sample_step: wp.array
 
     @classmethod
-    def empty(cls, worlds: int, capacity: int, samples: int, device: str) -> "Schedule":
+    def empty(cls, state: Any, worlds: int, capacity: int, samples: int, device: str) -> "Schedule":
         """Arrays to be filled by a kernel."""
-        step, by_delay = (wp.zeros((worlds, capacity), dtype=FLOAT, device=device) for _ in range(2))
-        return cls(
-            step,
-            by_delay,
-            wp.zeros((worlds, capacity), dtype=VEC3, device=device),
-            wp.zeros(worlds, dtype=wp.int32, device=device),
-            wp.zeros((worlds, samples), dtype=wp.int32, device=device),
-        )
+        kinds = {"states": (state, samples), "step": (FLOAT, capacity), "step_by_delay": (FLOAT, capacity)}
+        kinds |= {"given": (VEC3, capacity), "sample_step": (wp.int32, samples)}
+        arrays = {name: wp.zeros((worlds, n), dtype=kind, device=device) for name, (kind, n) in kinds.items()}
+        return cls(steps=wp.zeros(worlds, dtype=wp.int32, device=device), **arrays)
 
     def inputs(self) -> list[wp.array]:
         """What a taped kernel reads, in its order."""
@@ -220,9 +216,9 @@ class JointSimulator:
         law = joint_law(size, stribeck)
         return rollout(law, self.integrator), law.out
 
-    def _plain_law(self) -> tuple[Any, Any]:
-        """The rate and the type of ``_data``, for the kernels without tangents."""
-        return plain_rate, JointData
+    def _plain_law(self) -> PlainLaw:
+        """The law for the kernels without tangents."""
+        return plain_joint_law(plain_rate, JointData)
 
     def _data(self) -> Any:
         """What the law knows about the runs."""
@@ -239,28 +235,19 @@ class JointSimulator:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         return [wp.zeros((worlds, self._width), dtype=kind, device=self.device) for kind in (FLOAT, FLOAT, vec)]
 
-    def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
-        plan = Schedule.empty(len(p), capacity, self._width, self.device)
-        runtime.launch(
-            schedule(*self._plain_law(), self.integrator),
+    def _forward(self, runs: wp.array, p: wp.array, capacity: int, record_cmd: bool = False) -> tuple[Schedule, Any]:
+        """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps."""
+        law = self._plain_law()
+        plan = Schedule.empty(law.state, len(p), max(capacity, 1), self._width, self.device)
+        command = runtime.launch(
+            schedule(law, self.integrator),
             dim=len(p),
             inputs=[*self._run_data(self._full_counts), runs, p, capacity],
-            outputs=[*plan.inputs(), plan.sample_step],
+            outputs=[plan.states, *plan.inputs(), plan.sample_step],
             device=self.device,
+            record_cmd=record_cmd,
         )
-        return plan
-
-    def _roll(self, runs: wp.array, p: wp.array, delay_at: wp.array, plan: Schedule, capacity: int) -> wp.array:
-        """Launch the taped rollout; every position, shape (W, N + 1)."""
-        q, v = (wp.zeros((len(p), capacity + 1), dtype=FLOAT, device=self.device, requires_grad=True) for _ in range(2))
-        runtime.launch(
-            taped(*self._plain_law(), self.integrator),
-            dim=len(p),
-            inputs=[self._data(), runs, p, delay_at, *plan.inputs()],
-            outputs=[q, v],
-            device=self.device,
-        )
-        return q
+        return plan, command
 
     def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants, shapes (W, T); arguments as in ``jacobian``."""
@@ -386,16 +373,24 @@ class TapedRollout:
         self._samples = owner._width
         runs = wp.array(world_run, dtype=wp.int32, device=device)
         self._p = wp.array(p, dtype=FLOAT, device=device, requires_grad=True)
-        plan = owner._schedule(runs, self._p, capacity)
+        plan, _ = owner._forward(runs, self._p, capacity)
+        law = owner._plain_law()
         self._sampled = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device, requires_grad=True)
         delay_at = wp.array(p[:, DELAY].copy(), dtype=FLOAT, device=device)
         self._tape = wp.Tape()
         with self._tape:
-            q = owner._roll(runs, self._p, delay_at, plan, capacity)
+            y = wp.zeros((worlds, capacity + 1), dtype=law.state, device=device, requires_grad=True)
             runtime.launch(
-                observe,
+                taped(law, owner.integrator),
+                dim=worlds,
+                inputs=[owner._data(), runs, self._p, delay_at, *plan.inputs()],
+                outputs=[y],
+                device=device,
+            )
+            runtime.launch(
+                observe(law),
                 dim=(worlds, owner._width),
-                inputs=[owner._samples, runs, self._p, plan.sample_step, q],
+                inputs=[owner._samples, owner._data(), runs, self._p, plan.sample_step, y],
                 outputs=[self._sampled],
                 device=device,
             )

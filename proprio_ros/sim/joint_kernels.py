@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from proprio_ros.sim import runtime
-from proprio_ros.sim.rollout import TIME_EPS, Law
+from proprio_ros.sim.rollout import Law, PlainLaw
 from proprio_ros.sim.runtime import FLOAT
 
 PARAMETERS = (
@@ -163,6 +163,17 @@ def linearised_acceleration(directions: int, stribeck: bool) -> Any:
     return linearised
 
 
+@cache
+def standstill(state: Any, data_type: Any) -> Any:
+    """Whether a joint is, or may come within a step, near standstill, as a Warp function of a state that begins with q and v."""
+
+    @wp.func
+    def still(y: state, k: state, data: data_type, r: wp.int32, step: FLOAT):
+        return wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
+
+    return still
+
+
 def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
     """The law of a state (q, v), whatever its rates."""
     vec = wp.types.vector(length=directions, dtype=FLOAT)
@@ -183,10 +194,6 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
         return VEC2(z[1], k[1]), wp.matrix_from_rows(dz[1], dk[1])
 
     @wp.func
-    def still(y: VEC2, k: VEC2, data: data_type, r: wp.int32, step: FLOAT):
-        return wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
-
-    @wp.func
     def record(out: Out, w: wp.int32, k: wp.int32, y: VEC2, dy: mat, lead: FLOAT, d_lead: vec):
         out.v[w, k] = y[1]
         if lead < FLOAT(0.0):
@@ -196,7 +203,9 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
             out.q[w, k] = y[0]
             out.dq[w, k] = dy[0]
 
-    return Law(directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, still, record)
+    return Law(
+        directions, VEC2, VEC3, mat, data_type, Out, DELAY, start, rates, moved, standstill(VEC2, data_type), record
+    )
 
 
 @cache
@@ -240,188 +249,25 @@ def plain_rate(
 
 
 @cache
-def plain_step(rate: Callable[..., Any], data_type: Any, integrator: str) -> Any:
-    """Position and velocity of one joint a step later as a Warp function that is right for ``wp.Tape``.
+def plain_joint_law(rate: Callable[..., Any], data_type: Any) -> PlainLaw:
+    """The law of a state (q, v) without tangents.
 
     Args:
         rate: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function.
+        data_type: the struct of what is known about the runs.
     """
-    rk4 = integrator == "rk4"
 
     @wp.func
-    def step(
-        q: FLOAT,
-        v: FLOAT,
-        h: FLOAT,
-        command: FLOAT,
-        extra: FLOAT,
-        p: wp.array2d(dtype=FLOAT),
-        w: wp.int32,
-        data: data_type,
-        r: wp.int32,
-    ):
-        a1 = rate(q, v, command, extra, p, w, data, r)
-        if wp.static(rk4):
-            half = FLOAT(0.5)
-            two = FLOAT(2.0)
-            v2 = v + half * h * a1
-            a2 = rate(q + half * h * v, v2, command, extra, p, w, data, r)
-            v3 = v + half * h * a2
-            a3 = rate(q + half * h * v2, v3, command, extra, p, w, data, r)
-            v4 = v + h * a3
-            a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
-            sixth = h / FLOAT(6.0)
-            return q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4)
-        else:
-            later = v + h * a1
-            return q + h * later, later
+    def start(p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32):
+        return VEC2(p[w, Q0], p[w, V0])
 
-    return step
+    @wp.func
+    def rates(y: VEC2, u: VEC3, p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32):
+        extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
+        return VEC2(y[1], rate(y[0], y[1], u[CURRENT], extra, p, w, data, r))
 
+    @wp.func
+    def moved(y: VEC2, z: VEC2, k: VEC2, data: data_type, r: wp.int32):
+        return VEC2(z[1], k[1])
 
-@cache
-def schedule(rate: Callable[..., Any], data_type: Any, integrator: str) -> Any:
-    """Rollout without tangents that writes down every step it takes, for the adjoint to follow."""
-    step = plain_step(rate, data_type, integrator)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def kernel(
-        # Run data:
-        sample_times: wp.array2d(dtype=FLOAT),
-        sample_count: wp.array(dtype=wp.int32),
-        input_times: wp.array2d(dtype=FLOAT),
-        inputs: wp.array2d(dtype=VEC3),
-        input_count: wp.array(dtype=wp.int32),
-        steps: wp.array2d(dtype=FLOAT),
-        data: data_type,
-        # World data in:
-        world_run: wp.array(dtype=wp.int32),
-        p_in: wp.array2d(dtype=FLOAT),
-        capacity: wp.int32,
-        # World data out: step length, its change with the delay, input, and the step after which each sample is taken
-        step_out: wp.array2d(dtype=FLOAT),
-        step_by_delay_out: wp.array2d(dtype=FLOAT),
-        input_out: wp.array2d(dtype=VEC3),
-        steps_out: wp.array(dtype=wp.int32),
-        sample_step_out: wp.array2d(dtype=wp.int32),
-    ):
-        w = wp.tid()
-        r = world_run[w]
-        vs = data.constants[r, FRICTION_VELOCITY]
-        coarse = steps[r, 0]
-        fine = steps[r, 1]
-        delay = p_in[w, DELAY]
-        q = p_in[w, Q0]
-        v = p_in[w, V0]
-        t = FLOAT(0.0)
-        moved = FLOAT(0.0)  # d t / d delay
-        segment = wp.int32(0)
-        u = inputs[r, 0]
-        extra = u[LOAD] + p_in[w, CARRIED] * u[LOAD_PER_KG]
-        n = wp.int32(0)
-        for k in range(sample_count[r]):
-            goal = sample_times[r, k] - delay
-            sample_step_out[w, k] = -1
-            if goal > FLOAT(0.0):
-                arrived = wp.int32(0)
-                while arrived == 0:
-                    end = goal
-                    d_end = FLOAT(-1.0)
-                    switches = wp.int32(0)
-                    if segment + 1 < input_count[r]:
-                        if input_times[r, segment + 1] < goal:
-                            end = input_times[r, segment + 1]
-                            d_end = FLOAT(0.0)
-                            switches = 1
-                    last = wp.int32(0)
-                    while last == 0 and n < capacity:
-                        a1 = rate(q, v, u[CURRENT], extra, p_in, w, data, r)
-                        h = coarse
-                        if fine < coarse:
-                            if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a1) * coarse:
-                                h = fine
-                        dh = FLOAT(0.0)
-                        if t + h > end - FLOAT(TIME_EPS):
-                            h = end - t
-                            dh = d_end - moved
-                            last = 1
-                        step_out[w, n] = h
-                        step_by_delay_out[w, n] = dh
-                        input_out[w, n] = u
-                        q_next, v_next = step(q, v, h, u[CURRENT], extra, p_in, w, data, r)
-                        q = q_next
-                        v = v_next
-                        n = n + 1
-                        t = t + h
-                        if last == 1:
-                            t = end
-                            moved = d_end
-                    if n >= capacity:
-                        arrived = 1
-                    elif switches == 1:
-                        segment = segment + 1
-                        u = inputs[r, segment]
-                        extra = u[LOAD] + p_in[w, CARRIED] * u[LOAD_PER_KG]
-                    else:
-                        arrived = 1
-                sample_step_out[w, k] = n
-        steps_out[w] = n
-
-    return kernel
-
-
-@cache
-def taped(rate: Callable[..., Any], data_type: Any, integrator: str) -> Any:
-    """A kernel whose adjoint is right: every step writes its own row, no state is overwritten."""
-    step = plain_step(rate, data_type, integrator)
-
-    @wp.kernel(module="unique")
-    def roll(
-        # Run data:
-        data: data_type,
-        # World data in:
-        world_run: wp.array(dtype=wp.int32),
-        p_in: wp.array2d(dtype=FLOAT),
-        delay_at: wp.array(dtype=FLOAT),
-        step_in: wp.array2d(dtype=FLOAT),
-        step_by_delay_in: wp.array2d(dtype=FLOAT),
-        input_in: wp.array2d(dtype=VEC3),
-        steps_in: wp.array(dtype=wp.int32),
-        # World data out:
-        q_out: wp.array2d(dtype=FLOAT),
-        v_out: wp.array2d(dtype=FLOAT),
-    ):
-        w = wp.tid()
-        r = world_run[w]
-        delay = p_in[w, DELAY]
-        q_out[w, 0] = p_in[w, Q0]
-        v_out[w, 0] = p_in[w, V0]
-        for n in range(steps_in[w]):
-            h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
-            u = input_in[w, n]
-            extra = u[LOAD] + p_in[w, CARRIED] * u[LOAD_PER_KG]
-            q_next, v_next = step(q_out[w, n], v_out[w, n], h, u[CURRENT], extra, p_in, w, data, r)
-            q_out[w, n + 1] = q_next
-            v_out[w, n + 1] = v_next
-
-    return roll
-
-
-@wp.kernel(module="unique")
-def observe(
-    # Run data:
-    sample_times: wp.array2d(dtype=FLOAT),
-    # World data in:
-    world_run: wp.array(dtype=wp.int32),
-    p_in: wp.array2d(dtype=FLOAT),
-    sample_step_in: wp.array2d(dtype=wp.int32),
-    q_in: wp.array2d(dtype=FLOAT),
-    # World data out:
-    sampled_out: wp.array2d(dtype=FLOAT),
-):
-    w, k = wp.tid()
-    step = sample_step_in[w, k]
-    if step < 0:
-        sampled_out[w, k] = p_in[w, Q0] + p_in[w, V0] * (sample_times[world_run[w], k] - p_in[w, DELAY])
-    else:
-        sampled_out[w, k] = q_in[w, step]
+    return PlainLaw(VEC2, VEC3, data_type, DELAY, start, rates, moved, standstill(VEC2, data_type))

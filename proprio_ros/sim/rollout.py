@@ -10,7 +10,10 @@ change along any direction in state and parameters. What a kernel does with a la
 * RK4, or semi-implicit Euler, which is equation (2) of the paper (Chen et al. 2025, arXiv:2410.03920).
 
 State and rates are one vector, tangents one matrix with a column for each direction. They cost no time against code written
-out for each law: the compiler takes them apart again.
+out for each law: the compiler takes them apart again, for the sphere's 11 rows up to 16 columns (``sphere_kernels.py``).
+
+Beside the walk with tangents there is one without, which writes down every step that it takes, and a kernel for ``wp.Tape`` that
+takes those steps again. Its adjoint is right because every step writes its own row: no state is overwritten.
 """
 
 from collections.abc import Callable
@@ -175,5 +178,211 @@ def rollout(law: Law, integrator: str) -> Any:
                         segment = segment + 1
                         u = inputs[r, segment]
             record(out, w, k, y, dy, wp.min(goal, FLOAT(0.0)), d_goal)
+
+    return kernel
+
+
+@dataclass(frozen=True, eq=False)
+class PlainLaw:
+    """What a walk without tangents needs, right for ``wp.Tape``: as in `Law`, with ``dp`` and all that begins with d left out.
+
+    The first two entries of the state are position and velocity of the joint.
+
+    Attributes:
+        start: (p, w, data, r) -> y.
+        rates: (y, u, p, w, data, r) -> k.
+        moved: (y, z, k, data, r) -> k with the rates of positions made anew from the velocities in z.
+        still: as in `Law`.
+    """
+
+    state: Any
+    input: Any
+    data: Any
+    delay: int
+    start: Callable[..., Any]
+    rates: Callable[..., Any]
+    moved: Callable[..., Any]
+    still: Callable[..., Any]
+
+
+@cache
+def _plain_step(law: PlainLaw, integrator: str) -> Any:
+    """The state a step later as a Warp function."""
+    state, rates, moved = law.state, law.rates, law.moved
+    rk4 = integrator == "rk4"
+
+    @wp.func
+    def step(
+        y: state,
+        h: FLOAT,
+        u: law.input,
+        p: wp.array2d(dtype=FLOAT),
+        w: wp.int32,
+        data: law.data,
+        r: wp.int32,
+    ):
+        k1 = rates(y, u, p, w, data, r)
+        if wp.static(rk4):
+            half = FLOAT(0.5)
+            two = FLOAT(2.0)
+            k2 = rates(y + (half * h) * k1, u, p, w, data, r)
+            k3 = rates(y + (half * h) * k2, u, p, w, data, r)
+            k4 = rates(y + h * k3, u, p, w, data, r)
+            return y + (h / FLOAT(6.0)) * (k1 + two * k2 + two * k3 + k4)
+        else:
+            return y + h * moved(y, y + h * k1, k1, data, r)
+
+    return step
+
+
+@cache
+def schedule(law: PlainLaw, integrator: str) -> Any:
+    """Rollout without tangents (thread = world); where ``capacity`` is above 0 it writes down every step, for the adjoint."""
+    state, start, rates, still = law.state, law.start, law.rates, law.still
+    delay_column = law.delay
+    step = _plain_step(law, integrator)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def kernel(
+        # Run data:
+        sample_times: wp.array2d(dtype=FLOAT),
+        sample_count: wp.array(dtype=wp.int32),
+        input_times: wp.array2d(dtype=FLOAT),
+        inputs: wp.array2d(dtype=law.input),
+        input_count: wp.array(dtype=wp.int32),
+        steps: wp.array2d(dtype=FLOAT),
+        data: law.data,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p: wp.array2d(dtype=FLOAT),
+        capacity: wp.int32,
+        # World data out: the state at each sample; step length, its change with the delay, input, and the step after which each
+        # sample is taken
+        y_out: wp.array2d(dtype=state),
+        step_out: wp.array2d(dtype=FLOAT),
+        step_by_delay_out: wp.array2d(dtype=FLOAT),
+        input_out: wp.array2d(dtype=law.input),
+        steps_out: wp.array(dtype=wp.int32),
+        sample_step_out: wp.array2d(dtype=wp.int32),
+    ):
+        w = wp.tid()
+        r = world_run[w]
+        delay = p[w, delay_column]
+        coarse = steps[r, 0]
+        fine = steps[r, 1]
+        y = start(p, w, data, r)
+        t = FLOAT(0.0)
+        dt = FLOAT(0.0)  # d t / d delay
+        segment = wp.int32(0)
+        u = inputs[r, 0]
+        n = wp.int32(0)
+        for k in range(sample_count[r]):
+            goal = sample_times[r, k] - delay
+            sample_step_out[w, k] = -1
+            if goal > FLOAT(0.0):
+                arrived = wp.int32(0)
+                while arrived == 0:
+                    end = goal
+                    d_end = FLOAT(-1.0)
+                    arrived = wp.int32(1)
+                    if segment + 1 < input_count[r]:
+                        if input_times[r, segment + 1] < goal:
+                            end = input_times[r, segment + 1]
+                            d_end = FLOAT(0.0)
+                            arrived = 0
+                    last = wp.int32(0)
+                    while last == 0 and (capacity == 0 or n < capacity):
+                        h = coarse
+                        if fine < coarse:
+                            if still(y, rates(y, u, p, w, data, r), data, r, coarse):
+                                h = fine
+                        dh = FLOAT(0.0)
+                        if t + h > end - FLOAT(TIME_EPS):
+                            h = end - t
+                            dh = d_end - dt
+                            last = 1
+                        if n < capacity:
+                            step_out[w, n] = h
+                            step_by_delay_out[w, n] = dh
+                            input_out[w, n] = u
+                        y = step(y, h, u, p, w, data, r)
+                        n = n + 1
+                        t = t + h
+                        if last == 1:
+                            t = end
+                            dt = d_end
+                    if last == 0:
+                        arrived = 1  # there is no room for more steps
+                    if arrived == 0:
+                        segment = segment + 1
+                        u = inputs[r, segment]
+                sample_step_out[w, k] = n
+            seen = y
+            seen[0] = y[0] + y[1] * wp.min(goal, FLOAT(0.0))
+            y_out[w, k] = seen
+        steps_out[w] = n
+
+    return kernel
+
+
+@cache
+def taped(law: PlainLaw, integrator: str) -> Any:
+    """A kernel whose adjoint is right, on the steps of `schedule`."""
+    start = law.start
+    delay_column = law.delay
+    step = _plain_step(law, integrator)
+
+    @wp.kernel(module="unique")
+    def roll(
+        # Run data:
+        data: law.data,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p: wp.array2d(dtype=FLOAT),
+        delay_at: wp.array(dtype=FLOAT),
+        step_in: wp.array2d(dtype=FLOAT),
+        step_by_delay_in: wp.array2d(dtype=FLOAT),
+        input_in: wp.array2d(dtype=law.input),
+        steps_in: wp.array(dtype=wp.int32),
+        # World data out:
+        y_out: wp.array2d(dtype=law.state),
+    ):
+        w = wp.tid()
+        r = world_run[w]
+        delay = p[w, delay_column]
+        y_out[w, 0] = start(p, w, data, r)
+        for n in range(steps_in[w]):
+            h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
+            y_out[w, n + 1] = step(y_out[w, n], h, input_in[w, n], p, w, data, r)
+
+    return roll
+
+
+@cache
+def observe(law: PlainLaw) -> Any:
+    """The joint's position at the samples (thread = world, sample), from every step of `taped`."""
+    start = law.start
+    delay_column = law.delay
+
+    @wp.kernel(module="unique")
+    def kernel(
+        # Run data:
+        sample_times: wp.array2d(dtype=FLOAT),
+        data: law.data,
+        # World data in:
+        world_run: wp.array(dtype=wp.int32),
+        p: wp.array2d(dtype=FLOAT),
+        sample_step_in: wp.array2d(dtype=wp.int32),
+        y_in: wp.array2d(dtype=law.state),
+        # World data out:
+        sampled_out: wp.array2d(dtype=FLOAT),
+    ):
+        w, k = wp.tid()
+        step = sample_step_in[w, k]
+        if step < 0:
+            y = start(p, w, data, world_run[w])
+            sampled_out[w, k] = y[0] + y[1] * (sample_times[world_run[w], k] - p[w, delay_column])
+        else:
+            sampled_out[w, k] = y_in[w, step][0]
 
     return kernel

@@ -36,22 +36,23 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint import JointRun, JointSimulator, Schedule, harmless, kinds_of_kernel, plain_kernel
+from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.joint_kernels import VEC3
+from proprio_ros.sim.rollout import PlainLaw, rollout
 from proprio_ros.sim.runtime import FLOAT
 from proprio_ros.sim.sphere_kernels import (
     GEOMETRY,
     SPHERE_PARAMETERS,
     SphereData,
-    forward_kernel,
-    tangent_kernel,
-    taped_kernel,
+    plain_sphere_law,
+    sphere_law,
 )
 
 SPHERE_INDEX = {name: row for row, name in enumerate(SPHERE_PARAMETERS)}
 SHAPES = ("box", "cylinder", "sphere")
 LAWS = ("ramped", "paper")
-_SIZES = (1, 8, 16, len(SPHERE_PARAMETERS))
+_SIZES = (1, 8, 16)
+"""More directions than the last go in several launches: see ``sphere_kernels.py``."""
 
 
 @dataclass(frozen=True)
@@ -231,32 +232,48 @@ class SphereSimulator(JointSimulator):
 
     def states(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forward pass alone: q, v (W, T) and the sphere's position, velocity and spin (W, T, 3) at the sample instants."""
-        runs, given = self._worlds(world_run, p)
-        outputs, command = self.record_forward(runs, given)
+        states, command = self.record_forward(world_run, p)
         command.launch()
-        return tuple(output.numpy().copy() for output in outputs)
+        return self.parts(states)
 
-    def record_forward(self, runs: wp.array, p: wp.array) -> tuple[list[wp.array], Any]:
-        """The forward pass as a command to launch again and again, and its outputs."""
-        outputs = self._forward_outputs(len(p))
-        nothing = Schedule.empty(len(p), 1, 1, self.device)
-        command = self._forward(runs, p, outputs, nothing, capacity=0, record_cmd=True)
-        return outputs, command
+    def record_forward(self, world_run: np.ndarray, p: np.ndarray) -> tuple[wp.array, Any]:
+        """The forward pass as a command to launch again and again, and the states that it fills, shape (W, T)."""
+        runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device=self.device)
+        plan, command = self._forward(runs, self._array(p), 0, record_cmd=True)
+        return plan.states, command
 
-    def _worlds(self, world_run: np.ndarray, p: np.ndarray) -> tuple[wp.array, wp.array]:
-        return wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device=self.device), self._array(p)
+    @staticmethod
+    def parts(states: wp.array) -> tuple[np.ndarray, ...]:
+        """A copy of states: q, v (W, T), x, u and spin (W, T, 3)."""
+        y = states.numpy().copy()
+        return y[..., 0], y[..., 1], y[..., 2:5], y[..., 5:8], y[..., 8:]
 
     def _launch(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
     ) -> tuple[np.ndarray, ...]:
-        self._last = super()._launch(world_run, p, dp, counts)
+        most = self.tangent_sizes[-1]
+        if dp.shape[2] <= most:
+            self._last = super()._launch(world_run, p, dp, counts)
+        else:
+            blocks = [dp[:, :, at : at + most] for at in range(0, dp.shape[2], most)]
+            found = [
+                [each.copy() for each in super(SphereSimulator, self)._launch(world_run, p, block, counts)]
+                for block in blocks
+            ]
+            q, v, _, x, _ = found[0]
+            dq, dx = (np.concatenate([each[n] for each in found], axis=-1) for n in (2, 4))
+            self._last = q, v, dq, x, dx
         lost = ~np.isfinite(p).all(axis=1)
         if lost.any():
             self._last[3][lost] = np.nan
         return self._last
 
     def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
-        return tangent_kernel(size, self.integrator, stribeck, self.enclosure.shape, self.law)
+        law = sphere_law(size, stribeck, self.enclosure.shape, self.law)
+        return rollout(law, self.integrator), law.out
+
+    def _plain_law(self) -> PlainLaw:
+        return plain_sphere_law(self.enclosure.shape, self.law)
 
     def _data(self) -> Any:
         data = SphereData()
@@ -272,49 +289,6 @@ class SphereSimulator(JointSimulator):
             wp.zeros(shape, dtype=mat, device=self.device),
         ]
 
-    def _forward_outputs(self, worlds: int) -> list[wp.array]:
-        return [
-            wp.zeros((worlds, self._width), dtype=kind, device=self.device) for kind in (FLOAT, FLOAT, VEC3, VEC3, VEC3)
-        ]
-
-    def _forward(
-        self,
-        runs: wp.array,
-        p: wp.array,
-        outputs: list[wp.array],
-        plan: Schedule,
-        capacity: int,
-        record_cmd: bool = False,
-    ) -> Any:
-        return runtime.launch(
-            forward_kernel(self.integrator, self.enclosure.shape, self.law),
-            dim=len(p),
-            inputs=[*self._run_data(self._full_counts), runs, p, capacity],
-            outputs=[*outputs, *plan.inputs(), plan.sample_step],
-            device=self.device,
-            record_cmd=record_cmd,
-        )
-
-    def _schedule(self, runs: wp.array, p: wp.array, capacity: int) -> Schedule:
-        plan = Schedule.empty(len(p), capacity, self._width, self.device)
-        self._forward(runs, p, self._forward_outputs(len(p)), plan, capacity)
-        return plan
-
-    def _roll(self, runs: wp.array, p: wp.array, delay_at: wp.array, plan: Schedule, capacity: int) -> wp.array:
-        rows = (len(p), capacity + 1)
-        states = [
-            wp.zeros(rows, dtype=kind, device=self.device, requires_grad=True)
-            for kind in (FLOAT, FLOAT, VEC3, VEC3, VEC3)
-        ]
-        runtime.launch(
-            taped_kernel(self.integrator, self.enclosure.shape, self.law),
-            dim=len(p),
-            inputs=[self._data(), runs, p, delay_at, *plan.inputs()],
-            outputs=states,
-            device=self.device,
-        )
-        return states[0]
-
 
 def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "rk4", *, rises: bool = True) -> None:
     """Compile and load the kernels of one shape of container, for whoever cannot wait for them later; again it costs nothing.
@@ -325,7 +299,7 @@ def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "
         integrator: the same.
         rises: whether friction may rise towards standstill; kernels for that are as many again.
     """
-    kernels = [
-        tangent_kernel(size, integrator, stribeck, shape, law)[0] for size, stribeck in kinds_of_kernel(_SIZES, rises)
-    ]
+    # of the two launches with all directions either may have that of the rise
+    kinds = dict.fromkeys([*kinds_of_kernel(_SIZES, rises), (_SIZES[-2], True)])
+    kernels = [rollout(sphere_law(*kind, shape, law), integrator) for kind in kinds]
     runtime.load([*kernels, plain_kernel(len(SPHERE_PARAMETERS), integrator)], "cpu")

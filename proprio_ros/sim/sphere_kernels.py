@@ -1,8 +1,9 @@
-"""The enclosed sphere for Warp: its rates, their exact change along any direction, and the walk through time.
+"""The law of a joint with an enclosed sphere, for Warp: its rates and their exact change along any direction.
 
-The walk here is that of ``rollout.py`` written out for this law, because its RK4
-keeps the joint and the sphere's three vectors apart: one matrix of tangents with 11 rows and up to 23 columns is beyond what the
-compiler takes apart, which already costs the joint's 2 x 24 matrix 15 %. This was estimated, not tried on the sphere.
+Joint and sphere are one state of 11 entries. The compiler takes apart its matrix of tangents up to 16 columns, where the walk of
+``rollout.py`` takes 0.89 to 0.97 of the time of one written out for this law (5 and 16 directions, 8 worlds: 2.9 and 4.2 ms), and
+not above: 23 columns take 2.1 times as long. So all 23 directions go in two launches of 16 and 8, which together take 0.86 of the
+time of one launch of a walk of its own (7.2 against 8.4 ms). The numbers are the same to the last bit.
 """
 
 from functools import cache
@@ -14,7 +15,6 @@ from proprio_ros.sim.joint_kernels import (
     CARRIED,
     CURRENT,
     DELAY,
-    FRICTION_VELOCITY,
     GRAVITY_CONSTANT,
     LOAD,
     LOAD_PER_KG,
@@ -24,8 +24,9 @@ from proprio_ros.sim.joint_kernels import (
     VEC3,
     acceleration,
     linearised_acceleration,
+    standstill,
 )
-from proprio_ros.sim.rollout import TIME_EPS
+from proprio_ros.sim.rollout import Law, PlainLaw
 from proprio_ros.sim.runtime import FLOAT
 
 SPHERE_TERMS = (
@@ -50,6 +51,17 @@ RADIUS, INERTIA_FACTOR, RAMP_DEPTH, GEOMETRY = 19, 20, 21, 22
 """Columns of ``SphereData.geometry`` where they start, and how many there are."""
 FACES = {"box": 6, "cylinder": 3, "sphere": 1}
 MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
+STATE = wp.types.vector(length=11, dtype=FLOAT)
+
+
+@wp.func
+def _state(q: FLOAT, v: FLOAT, x: VEC3, u: VEC3, s: VEC3):
+    return STATE(q, v, x[0], x[1], x[2], u[0], u[1], u[2], s[0], s[1], s[2])
+
+
+@wp.func
+def _part(y: STATE, row: wp.int32):
+    return VEC3(y[row], y[row + 1], y[row + 2])
 
 
 @wp.struct
@@ -151,29 +163,36 @@ def _as_in_the_paper(
     return force
 
 
+@wp.func
+def _start(p: wp.array2d(dtype=FLOAT), world: wp.int32, geometry: wp.array2d(dtype=FLOAT), run: wp.int32):
+    """Position, velocity and spin of a sphere that moves with the container."""
+    x = _triple(p, world, START_X)
+    axis = _triple(geometry, run, AXIS)
+    turn = geometry[run, TURNS]
+    v = p[world, V0]
+    return x, v * _container_velocity(x, axis, _triple(geometry, run, ORIGIN), turn), (turn * v) * axis
+
+
 @cache
-def _primal(shape: str, law: str, integrator: str) -> Any:
-    """One step of everything as a Warp function, right for ``wp.Tape``."""
+def plain_sphere_law(shape: str, law: str) -> PlainLaw:
+    """Joint and sphere without tangents: q, v, then the sphere's position, velocity and spin."""
     wall = _wall(shape)
     contact = _ramped if law == "ramped" else _as_in_the_paper
     faces = FACES[shape]
 
     @wp.func
-    def rates(
-        q: FLOAT,
-        v: FLOAT,
-        x: VEC3,
-        u: VEC3,
-        s: VEC3,
-        command: FLOAT,
-        extra: FLOAT,
-        p: wp.array2d(dtype=FLOAT),
-        world: wp.int32,
-        constants: wp.array2d(dtype=FLOAT),
-        geometry: wp.array2d(dtype=FLOAT),
-        run: wp.int32,
-    ):
-        """Time derivatives of joint velocity, sphere position, velocity and spin."""
+    def start(p: wp.array2d(dtype=FLOAT), w: wp.int32, data: SphereData, r: wp.int32):
+        x, u, s = _start(p, w, data.geometry, r)
+        return _state(p[w, Q0], p[w, V0], x, u, s)
+
+    @wp.func
+    def rates(y: STATE, given: VEC3, p: wp.array2d(dtype=FLOAT), world: wp.int32, data: SphereData, run: wp.int32):
+        q = y[0]
+        v = y[1]
+        x = _part(y, 2)
+        u = _part(y, 5)
+        s = _part(y, 8)
+        geometry = data.geometry
         axis = _triple(geometry, run, AXIS)
         origin = _triple(geometry, run, ORIGIN)
         turn = geometry[run, TURNS]
@@ -198,99 +217,32 @@ def _primal(shape: str, law: str, integrator: str) -> Any:
                 push = push + f
                 spin = spin - wp.cross(n, f) / (geometry[run, INERTIA_FACTOR] * radius)
                 reaction = reaction + wp.dot(lever, f)
-        a = acceleration(q, v, command, extra + p[world, SPHERE_MASS] * reaction, p, world, constants, run)
+        extra = given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + p[world, SPHERE_MASS] * reaction
+        a = acceleration(q, v, given[CURRENT], extra, p, world, data.constants, run)
         turning = (turn * v) * axis
         moving = u - v * _container_velocity(x, axis, origin, turn)
-        return a, moving, push - wp.cross(turning, u), spin - wp.cross(turning, s)
+        return _state(v, a, moving, push - wp.cross(turning, u), spin - wp.cross(turning, s))
 
     @wp.func
-    def rk4(
-        q: FLOAT,
-        v: FLOAT,
-        x: VEC3,
-        u: VEC3,
-        s: VEC3,
-        h: FLOAT,
-        command: FLOAT,
-        extra: FLOAT,
-        p: wp.array2d(dtype=FLOAT),
-        world: wp.int32,
-        constants: wp.array2d(dtype=FLOAT),
-        geometry: wp.array2d(dtype=FLOAT),
-        run: wp.int32,
-    ):
-        g = FLOAT(0.5) * h
-        a1, x1, u1, s1 = rates(q, v, x, u, s, command, extra, p, world, constants, geometry, run)
-        v2 = v + g * a1
-        a2, x2, u2, s2 = rates(
-            q + g * v, v2, x + g * x1, u + g * u1, s + g * s1, command, extra, p, world, constants, geometry, run
-        )
-        v3 = v + g * a2
-        a3, x3, u3, s3 = rates(
-            q + g * v2, v3, x + g * x2, u + g * u2, s + g * s2, command, extra, p, world, constants, geometry, run
-        )
-        v4 = v + h * a3
-        a4, x4, u4, s4 = rates(
-            q + h * v3, v4, x + h * x3, u + h * u3, s + h * s3, command, extra, p, world, constants, geometry, run
-        )
-        sixth = h / FLOAT(6.0)
-        two = FLOAT(2.0)
-        return (
-            q + sixth * (v + two * v2 + two * v3 + v4),
-            v + sixth * (a1 + two * a2 + two * a3 + a4),
-            x + sixth * (x1 + two * x2 + two * x3 + x4),
-            u + sixth * (u1 + two * u2 + two * u3 + u4),
-            s + sixth * (s1 + two * s2 + two * s3 + s4),
-        )
-
-    @wp.func
-    def semi_implicit(
-        q: FLOAT,
-        v: FLOAT,
-        x: VEC3,
-        u: VEC3,
-        s: VEC3,
-        h: FLOAT,
-        command: FLOAT,
-        extra: FLOAT,
-        p: wp.array2d(dtype=FLOAT),
-        world: wp.int32,
-        constants: wp.array2d(dtype=FLOAT),
-        geometry: wp.array2d(dtype=FLOAT),
-        run: wp.int32,
-    ):
+    def moved(y: STATE, z: STATE, k: STATE, data: SphereData, r: wp.int32):
         """The paper's equation (2): velocities first, and positions with them."""
-        a, _x, du, ds = rates(q, v, x, u, s, command, extra, p, world, constants, geometry, run)
-        v2 = v + h * a
-        u2 = u + h * du
-        lever = _container_velocity(
-            x, _triple(geometry, run, AXIS), _triple(geometry, run, ORIGIN), geometry[run, TURNS]
-        )
-        return q + h * v2, v2, x + h * (u2 - v2 * lever), u2, s + h * ds
+        axis = _triple(data.geometry, r, AXIS)
+        lever = _container_velocity(_part(y, 2), axis, _triple(data.geometry, r, ORIGIN), data.geometry[r, TURNS])
+        return _state(z[1], k[1], _part(z, 5) - z[1] * lever, _part(k, 5), _part(k, 8))
 
-    return rates, rk4 if integrator == "rk4" else semi_implicit
-
-
-@wp.func
-def _start(p: wp.array2d(dtype=FLOAT), world: wp.int32, geometry: wp.array2d(dtype=FLOAT), run: wp.int32):
-    """Position, velocity and spin of a sphere that moves with the container."""
-    x = _triple(p, world, START_X)
-    axis = _triple(geometry, run, AXIS)
-    turn = geometry[run, TURNS]
-    v = p[world, V0]
-    return x, v * _container_velocity(x, axis, _triple(geometry, run, ORIGIN), turn), (turn * v) * axis
+    return PlainLaw(STATE, VEC3, SphereData, DELAY, start, rates, moved, standstill(STATE, SphereData))
 
 
 @cache
-def tangent_kernel(directions: int, integrator: str, stribeck: bool, shape: str, law: str) -> tuple[Any, Any]:
-    """Rollout with ``directions`` exact forward sensitivities (thread = world), and the struct of its results."""
+def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
+    """Joint and sphere with tangents; state as in `plain_sphere_law`."""
     vec = wp.types.vector(length=directions, dtype=FLOAT)
     mat = wp.types.matrix(shape=(3, directions), dtype=FLOAT)
+    whole = wp.types.matrix(shape=(11, directions), dtype=FLOAT)
     linearised = linearised_acceleration(directions, stribeck)
     wall = _wall(shape)
     curved = shape != "box"
     ramped = law == "ramped"
-    rk4 = integrator == "rk4"
 
     @wp.func
     def touched(
@@ -470,371 +422,71 @@ def tangent_kernel(directions: int, integrator: str, stribeck: bool, shape: str,
         x: wp.array2d(dtype=VEC3)
         dx: wp.array2d(dtype=mat)
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def kernel(
-        # Run data:
-        sample_times: wp.array2d(dtype=FLOAT),
-        sample_count: wp.array(dtype=wp.int32),
-        input_times: wp.array2d(dtype=FLOAT),
-        inputs: wp.array2d(dtype=VEC3),
-        input_count: wp.array(dtype=wp.int32),
-        steps: wp.array2d(dtype=FLOAT),
-        data: SphereData,
-        # World data in:
-        world_run: wp.array(dtype=wp.int32),
-        p_in: wp.array2d(dtype=FLOAT),
-        dp_in: wp.array2d(dtype=vec),
-        # World data out:
-        out: Out,
-    ):
-        w = wp.tid()
-        r = world_run[w]
-        constants = data.constants
-        geometry = data.geometry
-        delay = p_in[w, DELAY]
-        d_delay = dp_in[w, DELAY]
-        carried = p_in[w, CARRIED]
-        vs = constants[r, FRICTION_VELOCITY]
-        coarse = steps[r, 0]
-        fine = steps[r, 1]
-        given = inputs[r, 0]
-        extra = p_in[w, GRAVITY_CONSTANT] + given[LOAD] + carried * given[LOAD_PER_KG]
-        d_extra = dp_in[w, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp_in[w, CARRIED]
+    @wp.func
+    def start(p: wp.array2d(dtype=FLOAT), dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
+        x, u, s = _start(p, w, data.geometry, r)
+        axis = _triple(data.geometry, r, AXIS)
+        turn = data.geometry[r, TURNS]
+        dv = dp[w, V0]
+        dx = wp.matrix_from_rows(dp[w, START_X], dp[w, START_Y], dp[w, START_Z])
+        lever = _container_velocity(x, axis, _triple(data.geometry, r, ORIGIN), turn)
+        du = wp.outer(lever, dv) + (turn * p[w, V0] * _cross_of(axis)) @ dx
+        return _state(p[w, Q0], p[w, V0], x, u, s), joined(dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv))
 
-        q = p_in[w, Q0]
-        v = p_in[w, V0]
-        dq = dp_in[w, Q0]
-        dv = dp_in[w, V0]
-        axis = _triple(geometry, r, AXIS)
-        turn = geometry[r, TURNS]
-        x, u, s = _start(p_in, w, geometry, r)
-        dx = mat()
-        dx[0] = dp_in[w, START_X]
-        dx[1] = dp_in[w, START_Y]
-        dx[2] = dp_in[w, START_Z]
-        du = (
-            wp.outer(_container_velocity(x, axis, _triple(geometry, r, ORIGIN), turn), dv)
-            + (turn * v * _cross_of(axis)) @ dx
+    @wp.func
+    def joined(dq: vec, dv: vec, dx: mat, du: mat, ds: mat):
+        return wp.matrix_from_rows(dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2])
+
+    @wp.func
+    def three(dy: whole, row: wp.int32):
+        return wp.matrix_from_rows(dy[row], dy[row + 1], dy[row + 2])
+
+    @wp.func
+    def rates(
+        y: STATE,
+        dy: whole,
+        given: VEC3,
+        p: wp.array2d(dtype=FLOAT),
+        dp: wp.array2d(dtype=vec),
+        w: wp.int32,
+        data: SphereData,
+        r: wp.int32,
+    ):
+        extra = p[w, GRAVITY_CONSTANT] + given[LOAD] + p[w, CARRIED] * given[LOAD_PER_KG]
+        d_extra = dp[w, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp[w, CARRIED]
+        x1, dx1, u1, du1, s1, ds1, load, d_load = sphere_rates(
+            y[0], y[1], _part(y, 2), _part(y, 5), _part(y, 8), dy[0], dy[1], three(dy, 2), three(dy, 5), three(dy, 8),
+            p, dp, w, data.geometry, r,
+        )  # fmt: skip
+        a, da = linearised(
+            y[0], y[1], dy[0], dy[1], given[CURRENT], extra + load, d_extra + d_load, p, dp, w, data.constants, r
         )
-        ds = wp.outer(turn * axis, dv)
-        t = FLOAT(0.0)
-        dt = vec()
-        segment = wp.int32(0)
-        segments = input_count[r]
-        for k in range(sample_count[r]):
-            goal = sample_times[r, k] - delay
-            if goal <= FLOAT(0.0):
-                out.q[w, k] = q + v * goal
-                out.v[w, k] = v
-                out.dq[w, k] = dq + goal * dv - v * d_delay
-                out.x[w, k] = x
-                out.dx[w, k] = dx
-            else:
-                arrived = wp.int32(0)
-                while arrived == 0:
-                    end = goal
-                    d_end = -d_delay
-                    switches = wp.int32(0)
-                    if segment + 1 < segments:
-                        if input_times[r, segment + 1] < goal:
-                            end = input_times[r, segment + 1]
-                            d_end = vec()
-                            switches = 1
-                    last = wp.int32(0)
-                    while last == 0:
-                        # stages of Runge-Kutta, or the one of Euler; each starts from the state plus `reach` of the rates before
-                        h = coarse
-                        dh = vec()
-                        reach = FLOAT(0.0)
-                        qj = q
-                        vj = v
-                        xj = x
-                        uj = u
-                        sj = s
-                        dqj = dq
-                        dvj = dv
-                        dxj = dx
-                        duj = du
-                        dsj = ds
-                        q_sum = FLOAT(0.0)
-                        v_sum = FLOAT(0.0)
-                        x_sum = VEC3()
-                        u_sum = VEC3()
-                        s_sum = VEC3()
-                        dq_sum = vec()
-                        dv_sum = vec()
-                        dx_sum = mat()
-                        du_sum = mat()
-                        ds_sum = mat()
-                        stage = wp.int32(0)
-                        stages = wp.int32(wp.static(4 if rk4 else 1))
-                        while stage < stages:
-                            x1, dx1, u1, du1, s1, ds1, load, d_load = sphere_rates(
-                                qj, vj, xj, uj, sj, dqj, dvj, dxj, duj, dsj, p_in, dp_in, w, geometry, r
-                            )
-                            a, da = linearised(
-                                qj,
-                                vj,
-                                dqj,
-                                dvj,
-                                given[CURRENT],
-                                extra + load,
-                                d_extra + d_load,
-                                p_in,
-                                dp_in,
-                                w,
-                                constants,
-                                r,
-                            )
-                            if stage == 0:
-                                if fine < coarse:
-                                    if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a) * coarse:
-                                        h = fine
-                                if t + h > end - FLOAT(TIME_EPS):
-                                    h = end - t
-                                    dh = d_end - dt
-                                    last = 1
-                            if wp.static(rk4):
-                                weight = FLOAT(1.0) / FLOAT(3.0)
-                                share = FLOAT(0.5)
-                                if stage == 0 or stage == 3:
-                                    weight = FLOAT(1.0) / FLOAT(6.0)
-                                if stage == 2:
-                                    share = FLOAT(1.0)
-                                q_sum = q_sum + weight * vj
-                                v_sum = v_sum + weight * a
-                                x_sum = x_sum + weight * x1
-                                u_sum = u_sum + weight * u1
-                                s_sum = s_sum + weight * s1
-                                dq_sum = dq_sum + weight * dvj
-                                dv_sum = dv_sum + weight * da
-                                dx_sum = dx_sum + weight * dx1
-                                du_sum = du_sum + weight * du1
-                                ds_sum = ds_sum + weight * ds1
-                                if stage < 3:
-                                    reach = share * h
-                                    by = share * dh
-                                    qj = q + reach * vj
-                                    dqj = dq + reach * dvj + vj * by
-                                    vj = v + reach * a
-                                    dvj = dv + reach * da + a * by
-                                    xj = x + reach * x1
-                                    uj = u + reach * u1
-                                    sj = s + reach * s1
-                                    dxj = dx + reach * dx1
-                                    duj = du + reach * du1
-                                    dsj = ds + reach * ds1
-                                    if last == 1:
-                                        dxj = dxj + wp.outer(x1, by)
-                                        duj = duj + wp.outer(u1, by)
-                                        dsj = dsj + wp.outer(s1, by)
-                            else:
-                                lever = _container_velocity(x, axis, _triple(geometry, r, ORIGIN), turn)
-                                v_sum = a
-                                dv_sum = da
-                                u_sum = u1
-                                du_sum = du1
-                                s_sum = s1
-                                ds_sum = ds1
-                                q_sum = v + h * a
-                                dq_sum = dv + h * da + a * dh
-                                x_sum = u + h * u1 - q_sum * lever
-                                dx_sum = du + h * du1 + wp.outer(u1, dh) - wp.outer(lever, dq_sum)
-                                dx_sum = dx_sum - (turn * q_sum * _cross_of(axis)) @ dx
-                            stage = stage + 1
-                        q = q + h * q_sum
-                        v = v + h * v_sum
-                        x = x + h * x_sum
-                        u = u + h * u_sum
-                        s = s + h * s_sum
-                        dq = dq + h * dq_sum + q_sum * dh
-                        dv = dv + h * dv_sum + v_sum * dh
-                        dx = dx + h * dx_sum
-                        du = du + h * du_sum
-                        ds = ds + h * ds_sum
-                        t = t + h
-                        if last == 1:
-                            dx = dx + wp.outer(x_sum, dh)
-                            du = du + wp.outer(u_sum, dh)
-                            ds = ds + wp.outer(s_sum, dh)
-                            t = end
-                            dt = d_end
-                    if switches == 1:
-                        segment = segment + 1
-                        given = inputs[r, segment]
-                        extra = p_in[w, GRAVITY_CONSTANT] + given[LOAD] + carried * given[LOAD_PER_KG]
-                        d_extra = dp_in[w, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp_in[w, CARRIED]
-                    else:
-                        arrived = 1
-                out.q[w, k] = q
-                out.v[w, k] = v
-                out.dq[w, k] = dq
-                out.x[w, k] = x
-                out.dx[w, k] = dx
+        return _state(y[1], a, x1, u1, s1), joined(dy[1], da, dx1, du1, ds1)
 
-    return kernel, Out
+    @wp.func
+    def moved(y: STATE, dy: whole, z: STATE, dz: whole, k: STATE, dk: whole, data: SphereData, r: wp.int32):
+        axis = _triple(data.geometry, r, AXIS)
+        turn = data.geometry[r, TURNS]
+        lever = _container_velocity(_part(y, 2), axis, _triple(data.geometry, r, ORIGIN), turn)
+        dx = three(dz, 5) - wp.outer(lever, dz[1]) - (turn * z[1] * _cross_of(axis)) @ three(dy, 2)
+        return (
+            _state(z[1], k[1], _part(z, 5) - z[1] * lever, _part(k, 5), _part(k, 8)),
+            joined(dz[1], dk[1], dx, three(dk, 5), three(dk, 8)),
+        )
 
+    @wp.func
+    def record(out: Out, w: wp.int32, k: wp.int32, y: STATE, dy: whole, lead: FLOAT, d_lead: vec):
+        out.v[w, k] = y[1]
+        if lead < FLOAT(0.0):
+            out.q[w, k] = y[0] + y[1] * lead
+            out.dq[w, k] = dy[0] + lead * dy[1] + y[1] * d_lead
+        else:
+            out.q[w, k] = y[0]
+            out.dq[w, k] = dy[0]
+        out.x[w, k] = _part(y, 2)
+        out.dx[w, k] = three(dy, 2)
 
-@cache
-def forward_kernel(integrator: str, shape: str, law: str) -> Any:
-    """Rollout without tangents; where ``capacity`` is above 0 it writes down every step for the adjoint to follow."""
-    rates, step = _primal(shape, law, integrator)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def kernel(
-        # Run data:
-        sample_times: wp.array2d(dtype=FLOAT),
-        sample_count: wp.array(dtype=wp.int32),
-        input_times: wp.array2d(dtype=FLOAT),
-        inputs: wp.array2d(dtype=VEC3),
-        input_count: wp.array(dtype=wp.int32),
-        steps: wp.array2d(dtype=FLOAT),
-        data: SphereData,
-        # World data in:
-        world_run: wp.array(dtype=wp.int32),
-        p_in: wp.array2d(dtype=FLOAT),
-        capacity: wp.int32,
-        # World data out:
-        q_out: wp.array2d(dtype=FLOAT),
-        v_out: wp.array2d(dtype=FLOAT),
-        x_out: wp.array2d(dtype=VEC3),
-        u_out: wp.array2d(dtype=VEC3),
-        s_out: wp.array2d(dtype=VEC3),
-        # step length, its change with the delay, input, and the step after which each sample is taken
-        step_out: wp.array2d(dtype=FLOAT),
-        step_by_delay_out: wp.array2d(dtype=FLOAT),
-        input_out: wp.array2d(dtype=VEC3),
-        steps_out: wp.array(dtype=wp.int32),
-        sample_step_out: wp.array2d(dtype=wp.int32),
-    ):
-        w = wp.tid()
-        r = world_run[w]
-        constants = data.constants
-        geometry = data.geometry
-        vs = constants[r, FRICTION_VELOCITY]
-        coarse = steps[r, 0]
-        fine = steps[r, 1]
-        delay = p_in[w, DELAY]
-        q = p_in[w, Q0]
-        v = p_in[w, V0]
-        x, u, s = _start(p_in, w, geometry, r)
-        t = FLOAT(0.0)
-        moved = FLOAT(0.0)  # d t / d delay
-        segment = wp.int32(0)
-        given = inputs[r, 0]
-        extra = given[LOAD] + p_in[w, CARRIED] * given[LOAD_PER_KG]
-        n = wp.int32(0)
-        for k in range(sample_count[r]):
-            goal = sample_times[r, k] - delay
-            if capacity > 0:
-                sample_step_out[w, k] = -1
-            if goal <= FLOAT(0.0):
-                q_out[w, k] = q + v * goal
-            else:
-                arrived = wp.int32(0)
-                while arrived == 0:
-                    end = goal
-                    d_end = FLOAT(-1.0)
-                    switches = wp.int32(0)
-                    if segment + 1 < input_count[r]:
-                        if input_times[r, segment + 1] < goal:
-                            end = input_times[r, segment + 1]
-                            d_end = FLOAT(0.0)
-                            switches = 1
-                    last = wp.int32(0)
-                    while last == 0:
-                        h = coarse
-                        if fine < coarse:
-                            a, _x, _u, _s = rates(q, v, x, u, s, given[CURRENT], extra, p_in, w, constants, geometry, r)
-                            if wp.abs(v) < FLOAT(20.0) * vs + wp.abs(a) * coarse:
-                                h = fine
-                        dh = FLOAT(0.0)
-                        if t + h > end - FLOAT(TIME_EPS):
-                            h = end - t
-                            dh = d_end - moved
-                            last = 1
-                        if n < capacity:
-                            step_out[w, n] = h
-                            step_by_delay_out[w, n] = dh
-                            input_out[w, n] = given
-                        q2, v2, x2, u2, s2 = step(
-                            q, v, x, u, s, h, given[CURRENT], extra, p_in, w, constants, geometry, r
-                        )
-                        q = q2
-                        v = v2
-                        x = x2
-                        u = u2
-                        s = s2
-                        n = n + 1
-                        t = t + h
-                        if last == 1:
-                            t = end
-                            moved = d_end
-                    if switches == 1:
-                        segment = segment + 1
-                        given = inputs[r, segment]
-                        extra = given[LOAD] + p_in[w, CARRIED] * given[LOAD_PER_KG]
-                    else:
-                        arrived = 1
-                q_out[w, k] = q
-                if capacity > 0:
-                    sample_step_out[w, k] = n
-            v_out[w, k] = v
-            x_out[w, k] = x
-            u_out[w, k] = u
-            s_out[w, k] = s
-        steps_out[w] = n
-
-    return kernel
-
-
-@cache
-def taped_kernel(integrator: str, shape: str, law: str) -> Any:
-    """A kernel whose adjoint is right: every step writes its own row, no state is overwritten."""
-    _rates, step = _primal(shape, law, integrator)
-
-    @wp.kernel(module="unique")
-    def roll(
-        # Run data:
-        data: SphereData,
-        # World data in:
-        world_run: wp.array(dtype=wp.int32),
-        p_in: wp.array2d(dtype=FLOAT),
-        delay_at: wp.array(dtype=FLOAT),
-        step_in: wp.array2d(dtype=FLOAT),
-        step_by_delay_in: wp.array2d(dtype=FLOAT),
-        input_in: wp.array2d(dtype=VEC3),
-        steps_in: wp.array(dtype=wp.int32),
-        # World data out:
-        q_out: wp.array2d(dtype=FLOAT),
-        v_out: wp.array2d(dtype=FLOAT),
-        x_out: wp.array2d(dtype=VEC3),
-        u_out: wp.array2d(dtype=VEC3),
-        s_out: wp.array2d(dtype=VEC3),
-    ):
-        w = wp.tid()
-        r = world_run[w]
-        constants = data.constants
-        geometry = data.geometry
-        delay = p_in[w, DELAY]
-        x0, u0, s0 = _start(p_in, w, geometry, r)
-        q_out[w, 0] = p_in[w, Q0]
-        v_out[w, 0] = p_in[w, V0]
-        x_out[w, 0] = x0
-        u_out[w, 0] = u0
-        s_out[w, 0] = s0
-        for n in range(steps_in[w]):
-            h = step_in[w, n] + step_by_delay_in[w, n] * (delay - delay_at[w])
-            given = input_in[w, n]
-            extra = given[LOAD] + p_in[w, CARRIED] * given[LOAD_PER_KG]
-            q2, v2, x2, u2, s2 = step(
-                q_out[w, n], v_out[w, n], x_out[w, n], u_out[w, n], s_out[w, n], h, given[CURRENT], extra, p_in, w,
-                constants, geometry, r,
-            )  # fmt: skip
-            q_out[w, n + 1] = q2
-            v_out[w, n + 1] = v2
-            x_out[w, n + 1] = x2
-            u_out[w, n + 1] = u2
-            s_out[w, n + 1] = s2
-
-    return roll
+    return Law(
+        directions, STATE, VEC3, whole, SphereData, Out, DELAY, start, rates, moved, standstill(STATE, SphereData), record,
+        weights=(1.0 / 6.0, 1.0 / 3.0, 1.0), max_unroll=3,
+    )  # fmt: skip

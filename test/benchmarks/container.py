@@ -450,11 +450,11 @@ def _forward_rows(box: Boxed) -> list[Row]:
     rows = []
     for name, run, p in easy_and_hard(box):
         simulator = SphereSimulator([run], box.facts.enclosure)
-        outputs, launch = simulator.record_forward(*simulator._worlds(np.zeros(len(p), dtype=np.int32), p))
+        states, launch = simulator.record_forward(np.zeros(len(p), dtype=np.int32), p)
         launch.launch()
         with tempfile.TemporaryDirectory() as folder:
             plain = SpherePass(simulator, p, folder)
-            off = apart([output.numpy() for output in outputs], plain())
+            off = apart(simulator.parts(states), plain())
             what = f"gcc {' '.join(FLAGS)}, sphere's forward pass, {name}"
             if not off <= EQUAL:
                 rows.append(Row(what, None, "void", False, f"results differ by {off:.1e}"))
@@ -471,7 +471,7 @@ def _tangent_rows(box: Boxed) -> list[Row]:
     simulator = box.problem.simulator.special
     p, dp = box.parameters(STARTS_KG)
     worlds = np.zeros(len(p), dtype=np.int32)
-    _, forward = simulator.record_forward(*simulator._worlds(worlds, p))
+    _, forward = simulator.record_forward(worlds, p)
 
     def passing(directions: int) -> Callable[[], object]:
         given = np.zeros((*p.shape, directions))
@@ -570,7 +570,7 @@ def _bias_rows(box: Boxed) -> list[Row]:
             joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
             simulator = SphereSimulator([replace(run, joint=joint)], box.facts.enclosure, law, integrator)
             worlds, p = np.zeros(len(STARTS_KG), dtype=np.int32), np.tile(p, (len(STARTS_KG), 1))
-            _, forward = simulator.record_forward(*simulator._worlds(worlds, p))
+            _, forward = simulator.record_forward(worlds, p)
             timing = measure(forward.launch, repeats=15, calls=10, warm_up=3)
             biases = ", ".join(f"{name} {100.0 * off:+.4f} %" for name, off in offs.items())
             rows.append(Row(f"ours: forward pass, law {law}, {steps}", timing, note=f"bias of the mass: {biases}"))
