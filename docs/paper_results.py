@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from proprio_ros.paper.experiments import Rows, published
+from proprio_ros.paper.cases import Rows
+from proprio_ros.paper.experiments import published
 from proprio_ros.paper.page import paper_parts
 from proprio_ros.report.html import STYLE
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.paper.experiments import Rows
+from proprio_ros.paper.cases import Rows
 from proprio_ros.report.html import table
 
 COLORS = ("agreeing", "answer", "current", "measured", "apart")

@@ -7,29 +7,41 @@ numbers taken as exact; the schedule is long enough to reach the least error, so
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification import solvers
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.fit import SearchOptions, solve_load
-from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
-from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import load_unknowns
+from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.paper.hand import CAMERA_STD_M, HungPayload, known_robot, learnt_robot, play, stated_robot
+from proprio_ros.paper.cases import (
+    CUBE_KG,
+    CUBES,
+    EDGE_M,
+    GAP_M,
+    LIFT,
+    OBJECTS,
+    SPHERE_STARTS_KG,
+    STARTS_KG,
+    Rows,
+    box,
+    calibrated_robot,
+    payload,
+    robots,
+    soft_cube,
+    squeezed,
+)
+from proprio_ros.paper.hand import CAMERA_STD_M, HungPayload, known_robot, play
 from proprio_ros.paper.hung import Hung, weigh_hung
+from proprio_ros.paper.searches import landscapes, optimisers
 from proprio_ros.paper.speed import speed
 from proprio_ros.paper.ways import (
     Answer,
-    SphereLastFrame,
     answered,
     ours,
     paper_cube,
@@ -40,55 +52,16 @@ from proprio_ros.paper.ways import (
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.container.identify import find_sphere
-from proprio_ros.probes.container.problem import ContainerFacts, SphereTrack
+from proprio_ros.probes.container.problem import SphereTrack
 from proprio_ros.probes.container.search import ContainerOptions
-from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.probes.payload.identify import WeighingOptions, weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
 from proprio_ros.probes.softness.identify import find_softness
-from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
-from proprio_ros.probes.softness.virtual_object import SoftBlock
+from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
-from proprio_ros.sim.sphere import Enclosure
-from proprio_ros.virtual.objects import Payload
-
-Rows = dict[str, Any]
-"""What an experiment returns: lists of rows by name, all of it JSON."""
-
-OBJECTS: Mapping[str, tuple[float, str, float]] = {
-    "heavy ball": (0.050, "sphere", 0.045),
-    "light ball": (0.020, "sphere", 0.045),
-    "heavy cube": (0.023, "cube", 0.030),
-    "light cube": (0.010, "cube", 0.030),
-}
-"""Mass [kg], shape and size [m]; of the cubes, which the paper does not size, the edge is ours."""
-STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)
-"""First guesses from nothing to the paper's greatest."""
-CUBES: Mapping[str, tuple[float, float]] = {"light cube": (1694.6, 0.130), "heavy cube": (12824.6, 0.258)}
-"""Young's modulus [Pa] and Poisson's ratio of the Lame parameters that the paper found."""
-CUBE_KG = {"light cube": 0.010, "heavy cube": 0.023}
-EDGE_M, GAP_M, BLOCK_DAMPING = 0.03, 0.0005, 0.5
-SPHERE_STARTS_KG = (0.002, 0.006, 0.015, 0.04, 0.1)
-LIFT, LOWER = 0, 1
-"""Runs of the sequence ``payload_elbow``."""
-
-
-def payload(name: str) -> tuple[Payload, PayloadFacts]:
-    """An object of the table as the virtual hand holds it, and what is stated of it: shape and size."""
-    mass, shape, size = OBJECTS[name]
-    across = mass * (size**2 / 10.0 if shape == "sphere" else size**2 / 6.0)
-    held = Payload(mass, inertia_kg_m2=(across, across, across, 0.0, 0.0, 0.0))
-    return held, PayloadFacts(shape=PayloadShape.of(shape, size))
-
-
-def robots(seed: int, sequence: str) -> list[tuple[bool, Robot]]:
-    """The robot without and with a calibration of its own; only without where it refused what it learnt."""
-    learnt = learnt_robot(seed, sequence)
-    return [(False, stated_robot()), *([] if learnt is None else [(True, learnt)])]
-
 
 # --- table I, and one run against lift and lower ---------------------------------------------------------------------
 
@@ -178,14 +151,6 @@ def published(folder: Path) -> Rows:
 # --- V-B and V-F: the sphere in the box ------------------------------------------------------------------------------
 
 
-def box(stated_mass: bool) -> tuple[Container, ContainerFacts]:
-    """The box with its sphere, and what is stated of it; its shell was weighed, or is learnt from runs with the empty box."""
-    held = Container()
-    inner, centre = np.array(held.inner_size_m), np.array(held.centre_m)
-    facts = ContainerFacts(Enclosure("box", inner, held.sphere_radius_m), centre)
-    return held, replace(facts, mass=held.mass_kg, mass_std=0.0002) if stated_mass else facts
-
-
 def sphere(seed: int) -> Rows:
     """V-B: the sphere's mass from one lift of the wrist, and from three runs beside those of the empty box."""
     held, weighed = box(True)
@@ -215,7 +180,7 @@ def tracking(seed: int) -> Rows:
     held, facts = box(False)
     played = play("container", seed, held)
     baseline = play("container", seed, held.emptied).runs
-    robot = robots(seed, "empty_hand_container")[-1][1]
+    robot = calibrated_robot(seed, "empty_hand_container")
     assert played.sphere is not None
     tracks = [SphereTrack(*played.sphere.of_run(run), CAMERA_STD_M) for run in played.runs]
     rows = []
@@ -238,7 +203,7 @@ def extensions(seed: int) -> Rows:
 
 def _hung(seed: int) -> list[Rows]:
     """Lift and lowering of a ball that moves in the hand, as if it were rigid and on its joint; the joint's numbers are hidden."""
-    robot = robots(seed, "empty_hand_elbow")[-1][1]
+    robot = calibrated_robot(seed, "empty_hand_elbow")
     shape = PayloadShape.of("sphere", HUNG_SIZE_M)
     rng = np.random.default_rng((seed, 15))
     frequency, decay, stated = rng.uniform(14.0, 26.0), rng.uniform(1.5, 4.0), 1.0 + 0.1 * rng.standard_normal()
@@ -277,7 +242,7 @@ def _anywhere(seed: int) -> list[Rows]:
     """The sphere when nobody knows where in its box it begins."""
     held, weighed = box(True)
     _, open_box = box(False)
-    robot = robots(seed, "empty_hand_container")[-1][1]
+    robot = calibrated_robot(seed, "empty_hand_container")
     runs = play("container", seed, held, anywhere=True).runs
     baseline = play("container", seed, held.emptied).runs
     labels = {"part": "sphere", "truth": held.sphere_mass_kg}
@@ -301,8 +266,7 @@ def cubes(seed: int) -> Rows:
     facts = BlockFacts(np.full(3, EDGE_M))
     known = robots(seed, "empty_hand_gripper")
     for name, (modulus, ratio) in CUBES.items():
-        held = SoftBlock(modulus, (EDGE_M,) * 3, BLOCK_DAMPING, GAP_M, ratio)
-        runs = play("softness", seed, held).runs
+        runs = play("softness", seed, soft_cube(name)).runs
         for calibrated, robot in known:
             first = lame(2.0 * modulus, 0.3)
             theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, CUBE_KG[name], first)
@@ -318,216 +282,22 @@ def cubes(seed: int) -> Rows:
                 rows.append(answer.row(way="ours", quantity=quantity, truth=truth, **labels))
             value = estimate.value("youngs_modulus").value
             if calibrated and isinstance(value, float):
-                trace[name] = _squeeze_trace(
-                    robot, runs[-1], facts, {"wrong": 4.0 * modulus, "identified": value}, ratio
-                )
+                moduli = {"wrong": 4.0 * modulus, "identified": value}
+                trace[name] = _squeeze_trace(robot, runs[-1], moduli, ratio)
     return {"rows": rows, "trace": trace}
 
 
-def _squeeze(robot: Robot, run: Run, facts: BlockFacts) -> SqueezeProblem:
-    """One squeeze with nothing unknown but the modulus."""
-    prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)
-    unknowns = [
-        u if u.kind == "youngs_modulus" else replace(u, role=Role.FROZEN)
-        for u in block_unknowns(robot, [prepared], [True], facts, Role.FROZEN)
-    ]
-    return SqueezeProblem(robot, [prepared], facts, [True], unknowns, step_s=1.0 / 480.0)
-
-
-def _squeeze_trace(robot: Robot, run: Run, facts: BlockFacts, moduli: Mapping[str, float], ratio: float) -> Rows:
+def _squeeze_trace(robot: Robot, run: Run, moduli: Mapping[str, float], ratio: float) -> Rows:
     """The last squeeze as measured and as simulated with some moduli."""
-    problem = _squeeze(robot, run, facts)
-    values = np.tile(problem.base, (len(moduli), 1))
-    values[:, problem.index["youngs_modulus"]] = list(moduli.values())
-    values[:, problem.index["poissons_ratio"]] = ratio
-    values[:, problem.index["gap", 0]] = 2.0 * GAP_M
-    q, _, _ = problem.simulate(values, problem.free)
+    problem, q = squeezed(robot, run, list(moduli.values()), ratio)
     prepared = problem.runs[0]
     scale = 1e3 * prepared.drive.transmission
     return {
         "times_s": prepared.times_s.tolist(),
         "measured_mm": (scale * prepared.position).tolist(),
         "moduli_Pa": dict(moduli),
-        "simulated_mm": {name: (scale * q[n, 0, : prepared.used]).tolist() for n, name in enumerate(moduli)},
+        "simulated_mm": dict(zip(moduli, (scale * q).tolist(), strict=True)),
     }
-
-
-# --- figure 6: searches ----------------------------------------------------------------------------------------------
-
-EVALUATIONS = 150
-"""Simulations that each search may ask for."""
-
-
-def optimisers(seed: int) -> Rows:
-    """Figure 6: cost over simulations and over time, the same problem and first guess for every search."""
-    held, facts = payload("heavy ball")
-    run = play("payload_elbow", seed, held).runs[LIFT]
-    robot = robots(seed, "empty_hand_elbow")[-1][1]
-    prepared = prepare_run(robot, run, None, facts)
-    problem = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
-    coordinates = problem.coordinates
-    rng = np.random.default_rng((seed, 6))
-    first = coordinates.prior_mean.copy()
-    first[0] = float(np.exp(rng.uniform(np.log(0.002), np.log(0.5))))
-    start = coordinates.internal(first[None])
-
-    class Watched:
-        """The problem, with every cost and when it was known."""
-
-        def __init__(self) -> None:
-            self.coordinates = coordinates
-            self.cost: list[float] = []
-            self.seconds: list[float] = []
-            self.began = time.process_time()  # and later by what is not part of the search
-
-        def linearise(self, internal: np.ndarray, counts: Any = None) -> Any:
-            found = problem.linearise(internal, counts)
-            now = time.process_time()
-            self.seconds += [now - self.began] * len(internal)
-            # on a window that still grows the cost is another: what is drawn is that of all samples
-            self.cost += (found if counts is None else problem.linearise(internal))[0].tolist()
-            self.began += time.process_time() - now
-            return found
-
-    def lm(watched: Any) -> None:
-        solvers.levenberg_marquardt(watched, start, problem.simulator.windows)
-
-    def adam(watched: Any) -> None:
-        solvers.adam(watched, start, EVALUATIONS - 1)
-
-    def cma(watched: Any) -> None:
-        solvers.cma(watched, start, generations=EVALUATIONS // 7, seed=seed + 1)
-
-    def parzen(watched: Any) -> None:
-        natural = coordinates.natural
-        low, high = start[0] - 5.0 * natural, start[0] + 5.0 * natural
-        low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[:, 0]
-        tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], EVALUATIONS, rng)
-
-    # compiles, and loads the library, before anyone is timed
-    solvers.cma(problem, start, generations=1)
-    rows = []
-    for name, search in (
-        ("Levenberg-Marquardt (ours)", lm), ("Adam", adam), ("CMA-ES", cma), ("tree-structured Parzen", parzen),
-    ):  # fmt: skip
-        watched = Watched()
-        search(watched)
-        best = np.minimum.accumulate(np.where(np.isfinite(watched.cost), watched.cost, 1e12))[:EVALUATIONS]
-        rows.append({"search": name, "cost": best.tolist(), "seconds": watched.seconds[: len(best)]})
-    least = min(row["cost"][-1] for row in rows)
-    return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
-
-
-def tree_parzen(
-    cost: Callable[[np.ndarray], float],
-    low: np.ndarray,
-    high: np.ndarray,
-    first: np.ndarray,
-    evaluations: int,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """Tree-structured Parzen estimator (Bergstra et al. 2011) in a box, one coordinate at a time; the best point, shape (F,).
-
-    The best quarter of the points (at most 25) makes one density, the others make the other; of 24 draws from the first the one
-    with the greatest ratio of the two is tried next. Ten points come first, nine of them drawn evenly.
-    """
-    points, costs = [first], [cost(first)]
-    while len(points) < evaluations:
-        drawn = rng.uniform(low, high)
-        if len(points) >= 10:
-            order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
-            count = min(max(len(points) // 4, 2), 25)
-            good, bad = np.array(points)[order[:count]], np.array(points)[order[count:]]
-            for axis, ends in enumerate(zip(low, high, strict=True)):
-                better, worse = _Parzen(good[:, axis], *ends), _Parzen(bad[:, axis], *ends)
-                tried = better.draw(24, rng)
-                drawn[axis] = tried[np.argmax(better.logarithm(tried) - worse.logarithm(tried))]
-        points.append(drawn)
-        costs.append(cost(drawn))
-    return points[int(np.argmin(costs))]
-
-
-class _Parzen:
-    """A mixture of a normal density about every point, as wide as its neighbours are apart, and of a wide one over the interval."""
-
-    def __init__(self, points: np.ndarray, low: float, high: float) -> None:
-        ordered = np.sort(points)
-        gaps = np.diff(ordered, prepend=low, append=high)
-        span = high - low
-        widths = np.clip(np.maximum(gaps[:-1], gaps[1:]), span / min(100, len(points) + 1), span)
-        self._centres, self._widths = np.append(ordered, 0.5 * (low + high)), np.append(widths, span)
-        self._low, self._high = low, high
-
-    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Points, shape (count,)."""
-        chosen = rng.integers(len(self._centres), size=count)
-        drawn = self._centres[chosen] + self._widths[chosen] * rng.standard_normal(count)
-        return np.clip(drawn, self._low, self._high)
-
-    def logarithm(self, x: np.ndarray) -> np.ndarray:
-        """Of the density at x, shape (K,), less a constant."""
-        distance = (x[:, None] - self._centres) / self._widths
-        density: np.ndarray = np.log((np.exp(-0.5 * distance**2) / self._widths).mean(axis=1) + 1e-300)
-        return density
-
-
-# --- figure 7: landscapes --------------------------------------------------------------------------------------------
-
-
-def landscapes(seed: int) -> Rows:
-    """Figure 7: the cost of the three experiments over what is searched for: last frame, and all samples."""
-    held, facts = payload("heavy ball")
-    run = play("payload_elbow", seed, held).runs[LIFT]
-    robot = robots(seed, "empty_hand_elbow")[-1][1]
-    loss = last_frame_loss(robot, run, facts, PaperOptions())
-    masses = np.linspace(0.0, 0.15, 76)
-    prepared = prepare_run(robot, run, None, facts)
-    whole = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
-    inside = np.tile(whole.coordinates.prior_mean, (len(masses), 1))
-    inside[:, 0] = masses
-    rows = [
-        _landscape(
-            "payload", masses, held.mass_kg, loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside)
-        )
-    ]
-    box_held, box_facts = box(True)
-    rolling = play("container", seed, box_held).runs[LIFT]
-    robot = robots(seed, "empty_hand_container")[-1][1]
-    spheres = np.linspace(0.001, 0.04, 79)
-    frame = SphereLastFrame(robot, rolling, box_facts)
-    everything = SphereLastFrame(robot, rolling, box_facts, all_samples=True)
-    rows.append(
-        _landscape(
-            "sphere", spheres, box_held.sphere_mass_kg, frame(spheres[:, None])[0],
-            everything(spheres[:, None])[0] / everything.samples,
-        )
-    )  # fmt: skip
-    modulus, ratio = CUBES["heavy cube"]
-    squeeze = play("softness", seed, SoftBlock(modulus, (EDGE_M,) * 3, BLOCK_DAMPING, GAP_M, ratio)).runs[-1]
-    robot = robots(seed, "empty_hand_gripper")[-1][1]
-    problem = _squeeze(robot, squeeze, BlockFacts(np.full(3, EDGE_M)))
-    moduli = np.geomspace(1e3, 1e5, 61)
-    values = np.tile(problem.base, (len(moduli), 1))
-    values[:, problem.index["youngs_modulus"]] = moduli
-    values[:, problem.index["poissons_ratio"]] = ratio
-    values[:, problem.index["gap", 0]] = 2.0 * GAP_M
-    q, _, _ = problem.simulate(values, problem.free)
-    used = problem.runs[0].used
-    off = q[:, 0, :used] - problem.runs[0].position
-    rows.append(_landscape("squeeze", moduli, modulus, off[:, -1] ** 2, (off**2).mean(axis=1)))
-    return {"rows": rows}
-
-
-def _landscape(name: str, x: np.ndarray, truth: float, last: np.ndarray, every: np.ndarray) -> Rows:
-    return {"experiment": name, "x": x.tolist(), "truth": truth, "last": last.tolist(), "all": every.tolist()}
-
-
-def _mean_square(problem: Problem, free: np.ndarray) -> np.ndarray:
-    """Mean square of the residuals of a problem of one run [rad^2], shape (S,)."""
-    q, _, _ = problem.simulate(problem.all_values(free), problem.free)
-    run = problem.runs[0]
-    squares: np.ndarray = ((q[:, 0, : run.used] - run.position) ** 2).mean(axis=1)
-    return squares
 
 
 # --- what the paper leaves out ---------------------------------------------------------------------------------------

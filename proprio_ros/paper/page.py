@@ -14,8 +14,8 @@ import numpy as np
 
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.paper import quoted
+from proprio_ros.paper.cases import CUBES, OBJECTS, STARTS_KG, Rows
 from proprio_ros.paper.cells import COLORS, STATES, flat, half, holds, identified, labels, linked, over, rms
-from proprio_ros.paper.experiments import CUBES, OBJECTS, STARTS_KG, Rows
 from proprio_ros.paper.searches_page import effects, landscapes, optimisers
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import document, framed, provenance, table

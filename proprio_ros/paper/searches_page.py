@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from proprio_ros.paper.cases import Rows
 from proprio_ros.paper.cells import COLORS, flat, labels, linked, over, ranged
-from proprio_ros.paper.experiments import EVALUATIONS, Rows
+from proprio_ros.paper.searches import EVALUATIONS
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed
 

@@ -19,7 +19,8 @@ from typing import Any
 
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.inputs.resources import share_directory, write_in_one_step
-from proprio_ros.paper.experiments import EXPERIMENTS, Rows, experiment
+from proprio_ros.paper.cases import Rows
+from proprio_ros.paper.experiments import EXPERIMENTS, experiment
 from proprio_ros.threads import one_blas_thread
 
 Task = tuple[str, int]

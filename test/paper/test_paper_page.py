@@ -19,8 +19,10 @@ from support.pages import read
 
 from proprio_ros.cli import main
 from proprio_ros.errors import SimulationError
-from proprio_ros.paper import experiments, page, quoted, store
-from proprio_ros.paper.experiments import EXPERIMENTS, Experiment, Rows, tree_parzen
+from proprio_ros.paper import cases, page, quoted, store
+from proprio_ros.paper.cases import Rows
+from proprio_ros.paper.experiments import EXPERIMENTS, Experiment
+from proprio_ros.paper.searches import tree_parzen
 from proprio_ros.paper.store import Store, run, tasks_of
 from proprio_ros.report.html import STYLE
 
@@ -112,7 +114,7 @@ def synthetic() -> dict[str, list[Rows]]:
     found: dict[str, list[Rows]] = {name: [] for name in ("objects", "starts")}
     for seed, off in enumerate((-0.001, 0.002)):
         rows = []
-        for name, (mass, _, _) in experiments.OBJECTS.items():
+        for name, (mass, _, _) in cases.OBJECTS.items():
             for way, low, high in (("paper", None, None), ("ours", mass - 0.003, mass + 0.003)):
                 rows.append(
                     {
@@ -123,7 +125,7 @@ def synthetic() -> dict[str, list[Rows]]:
         found["objects"].append({"rows": rows, "trace": {}, "seed": seed})
         ends = [
             {"way": "ours", "calibrated": False, "start": start, "value": 0.05 + off, "truth": 0.05}
-            for start in experiments.STARTS_KG
+            for start in cases.STARTS_KG
         ]
         found["starts"].append({"rows": ends, "seed": seed})
     return found
@@ -224,7 +226,7 @@ def test_the_command_on_one_seed(tmp_path: Path, capsys: pytest.CaptureFixture[s
     starts = [row for row in kept["starts_000.json"] if row["calibrated"]]
     # wherever ours begins it ends at one mass, near the truth; the short schedule stops on its way
     ours = [row["value"] for row in starts if row["way"] == "ours"]
-    assert len(ours) == len(experiments.STARTS_KG) and np.ptp(ours) < 1e-4
+    assert len(ours) == len(cases.STARTS_KG) and np.ptp(ours) < 1e-4
     assert abs(ours[0] - 0.05) < 0.005
     short = [row["value"] for row in starts if row["way"] == "paper, 15 iterations"]
     assert np.ptp(short[:-1]) > 0.01 and short[-1] > 4.5

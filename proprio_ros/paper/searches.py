@@ -1,0 +1,187 @@
+"""Figures 6 and 7: searches with gradients and without on one problem, and what their cost looks like."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from proprio_ros.identification import solvers
+from proprio_ros.identification.prepared_runs import prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
+from proprio_ros.identification.unknowns import Role
+from proprio_ros.paper.cases import CUBES, LIFT, Rows, box, calibrated_robot, payload, soft_cube, squeezed
+from proprio_ros.paper.hand import play
+from proprio_ros.paper.ways import SphereLastFrame
+from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
+
+EVALUATIONS = 150
+"""Simulations that each search may ask for."""
+
+
+def optimisers(seed: int) -> Rows:
+    """Figure 6: cost over simulations and over time, the same problem and first guess for every search."""
+    held, facts = payload("heavy ball")
+    run = play("payload_elbow", seed, held).runs[LIFT]
+    robot = calibrated_robot(seed, "empty_hand_elbow")
+    prepared = prepare_run(robot, run, None, facts)
+    problem = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+    coordinates = problem.coordinates
+    rng = np.random.default_rng((seed, 6))
+    first = coordinates.prior_mean.copy()
+    first[0] = float(np.exp(rng.uniform(np.log(0.002), np.log(0.5))))
+    start = coordinates.internal(first[None])
+
+    class Watched:
+        """The problem, with every cost and when it was known."""
+
+        def __init__(self) -> None:
+            self.coordinates = coordinates
+            self.cost: list[float] = []
+            self.seconds: list[float] = []
+            self.began = time.process_time()  # and later by what is not part of the search
+
+        def linearise(self, internal: np.ndarray, counts: Any = None) -> Any:
+            found = problem.linearise(internal, counts)
+            now = time.process_time()
+            self.seconds += [now - self.began] * len(internal)
+            # on a window that still grows the cost is another: what is drawn is that of all samples
+            self.cost += (found if counts is None else problem.linearise(internal))[0].tolist()
+            self.began += time.process_time() - now
+            return found
+
+    def lm(watched: Any) -> None:
+        solvers.levenberg_marquardt(watched, start, problem.simulator.windows)
+
+    def adam(watched: Any) -> None:
+        solvers.adam(watched, start, EVALUATIONS - 1)
+
+    def cma(watched: Any) -> None:
+        solvers.cma(watched, start, generations=EVALUATIONS // 7, seed=seed + 1)
+
+    def parzen(watched: Any) -> None:
+        natural = coordinates.natural
+        low, high = start[0] - 5.0 * natural, start[0] + 5.0 * natural
+        low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[:, 0]
+        tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], EVALUATIONS, rng)
+
+    # compiles, and loads the library, before anyone is timed
+    solvers.cma(problem, start, generations=1)
+    rows = []
+    for name, search in (
+        ("Levenberg-Marquardt (ours)", lm), ("Adam", adam), ("CMA-ES", cma), ("tree-structured Parzen", parzen),
+    ):  # fmt: skip
+        watched = Watched()
+        search(watched)
+        best = np.minimum.accumulate(np.where(np.isfinite(watched.cost), watched.cost, 1e12))[:EVALUATIONS]
+        rows.append({"search": name, "cost": best.tolist(), "seconds": watched.seconds[: len(best)]})
+    least = min(row["cost"][-1] for row in rows)
+    return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
+
+
+def tree_parzen(
+    cost: Callable[[np.ndarray], float],
+    low: np.ndarray,
+    high: np.ndarray,
+    first: np.ndarray,
+    evaluations: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Tree-structured Parzen estimator (Bergstra et al. 2011) in a box, one coordinate at a time; the best point, shape (F,).
+
+    The best quarter of the points (at most 25) makes one density, the others make the other; of 24 draws from the first the one
+    with the greatest ratio of the two is tried next. Ten points come first, nine of them drawn evenly.
+    """
+    points, costs = [first], [cost(first)]
+    while len(points) < evaluations:
+        drawn = rng.uniform(low, high)
+        if len(points) >= 10:
+            order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
+            count = min(max(len(points) // 4, 2), 25)
+            good, bad = np.array(points)[order[:count]], np.array(points)[order[count:]]
+            for axis, ends in enumerate(zip(low, high, strict=True)):
+                better, worse = _Parzen(good[:, axis], *ends), _Parzen(bad[:, axis], *ends)
+                tried = better.draw(24, rng)
+                drawn[axis] = tried[np.argmax(better.logarithm(tried) - worse.logarithm(tried))]
+        points.append(drawn)
+        costs.append(cost(drawn))
+    return points[int(np.argmin(costs))]
+
+
+class _Parzen:
+    """A mixture of a normal density about every point, as wide as its neighbours are apart, and of a wide one over the interval."""
+
+    def __init__(self, points: np.ndarray, low: float, high: float) -> None:
+        ordered = np.sort(points)
+        gaps = np.diff(ordered, prepend=low, append=high)
+        span = high - low
+        widths = np.clip(np.maximum(gaps[:-1], gaps[1:]), span / min(100, len(points) + 1), span)
+        self._centres, self._widths = np.append(ordered, 0.5 * (low + high)), np.append(widths, span)
+        self._low, self._high = low, high
+
+    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Points, shape (count,)."""
+        chosen = rng.integers(len(self._centres), size=count)
+        drawn = self._centres[chosen] + self._widths[chosen] * rng.standard_normal(count)
+        return np.clip(drawn, self._low, self._high)
+
+    def logarithm(self, x: np.ndarray) -> np.ndarray:
+        """Of the density at x, shape (K,), less a constant."""
+        distance = (x[:, None] - self._centres) / self._widths
+        density: np.ndarray = np.log((np.exp(-0.5 * distance**2) / self._widths).mean(axis=1) + 1e-300)
+        return density
+
+
+# --- figure 7: landscapes --------------------------------------------------------------------------------------------
+
+
+def landscapes(seed: int) -> Rows:
+    """Figure 7: the cost of the three experiments over what is searched for: last frame, and all samples."""
+    held, facts = payload("heavy ball")
+    run = play("payload_elbow", seed, held).runs[LIFT]
+    robot = calibrated_robot(seed, "empty_hand_elbow")
+    loss = last_frame_loss(robot, run, facts, PaperOptions())
+    masses = np.linspace(0.0, 0.15, 76)
+    prepared = prepare_run(robot, run, None, facts)
+    whole = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+    inside = np.tile(whole.coordinates.prior_mean, (len(masses), 1))
+    inside[:, 0] = masses
+    rows = [
+        _landscape(
+            "payload", masses, held.mass_kg, loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside)
+        )
+    ]
+    box_held, box_facts = box(True)
+    rolling = play("container", seed, box_held).runs[LIFT]
+    robot = calibrated_robot(seed, "empty_hand_container")
+    spheres = np.linspace(0.001, 0.04, 79)
+    frame = SphereLastFrame(robot, rolling, box_facts)
+    everything = SphereLastFrame(robot, rolling, box_facts, all_samples=True)
+    rows.append(
+        _landscape(
+            "sphere", spheres, box_held.sphere_mass_kg, frame(spheres[:, None])[0],
+            everything(spheres[:, None])[0] / everything.samples,
+        )
+    )  # fmt: skip
+    modulus, ratio = CUBES["heavy cube"]
+    squeeze = play("softness", seed, soft_cube("heavy cube")).runs[-1]
+    moduli = np.geomspace(1e3, 1e5, 61)
+    problem, q = squeezed(calibrated_robot(seed, "empty_hand_gripper"), squeeze, moduli.tolist(), ratio)
+    off = q - problem.runs[0].position
+    rows.append(_landscape("squeeze", moduli, modulus, off[:, -1] ** 2, (off**2).mean(axis=1)))
+    return {"rows": rows}
+
+
+def _landscape(name: str, x: np.ndarray, truth: float, last: np.ndarray, every: np.ndarray) -> Rows:
+    return {"experiment": name, "x": x.tolist(), "truth": truth, "last": last.tolist(), "all": every.tolist()}
+
+
+def _mean_square(problem: Problem, free: np.ndarray) -> np.ndarray:
+    """Mean square of the residuals of a problem of one run [rad^2], shape (S,)."""
+    q, _, _ = problem.simulate(problem.all_values(free), problem.free)
+    run = problem.runs[0]
+    squares: np.ndarray = ((q[:, 0, : run.used] - run.position) ** 2).mean(axis=1)
+    return squares
