@@ -1,4 +1,4 @@
-"""Several driven joints at once, in a chain or a tree, with exact tangents and an adjoint.
+"""Several driven joints at once, in a chain or a tree, with exact tangents.
 
 Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920):
 
@@ -29,8 +29,8 @@ with ``F_i`` the sum of f over the subtree and ``dI_i`` the inertia that the dir
 ``H da = d tau - d(inverse dynamics)(q, v, a)`` re-uses the factor of ``H``.
 
 Code is unrolled over the joints for each tree (tuple of parents) and compiled once; geometry, kinds of joints and inertias are
-data. An adjoint in Warp is right only where no state is overwritten: the taped kernel writes each step to its own row, and in
-all functions that it shares with the others each component of a matrix is assigned once. The code is in ``chain_kernels.py``.
+data. In the functions without tangents each component of a matrix is assigned once, so that their adjoint is right: the tests hold
+the tangents against one. The code is in ``chain_kernels.py``.
 """
 
 from dataclasses import replace
@@ -47,11 +47,9 @@ from proprio_ros.paper.chain_kernels import (
     MAT33,
     ChainData,
     forward_kernel,
-    taped_kernels,
-    terms_kernel,
 )
 from proprio_ros.robot import ReducedModel, inertia_about_origin, rotation_about
-from proprio_ros.sim.joint import INTEGRATORS, MAX_STEPS
+from proprio_ros.sim.joint import INTEGRATORS
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.runtime import FLOAT
 
@@ -85,11 +83,13 @@ def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
     return result
 
 
-def _doubles(values: ArrayLike, dtype: Any, device: str, **kwargs: Any) -> wp.array:
+def doubles(values: ArrayLike, dtype: Any, device: str, **kwargs: Any) -> wp.array:
+    """An array on the device."""
     return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=device, **kwargs)
 
 
-def _constants(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike, device: str) -> Any:
+def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike, device: str) -> Any:
+    """What no parameter changes, as the kernels read it."""
     n = len(model.joint_names)
     turn = np.zeros((n, 3, 3, 3))
     shift = np.zeros((n, 2, 3))
@@ -103,63 +103,19 @@ def _constants(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayL
             turn[i, 0] = placed
             shift[i, 1] = placed @ axis
     fixed = ChainData()
-    fixed.turn = _doubles(turn, MAT33, device)
-    fixed.shift = _doubles(shift, VEC3, device)
-    fixed.axis = _doubles(model.axes, VEC3, device)
-    fixed.revolute = _doubles([kind == "revolute" for kind in model.kinds], FLOAT, device)
+    fixed.turn = doubles(turn, MAT33, device)
+    fixed.shift = doubles(shift, VEC3, device)
+    fixed.axis = doubles(model.axes, VEC3, device)
+    fixed.revolute = doubles([kind == "revolute" for kind in model.kinds], FLOAT, device)
     fixed.gravity = VEC3(*model.gravity)
-    fixed.friction_velocity = _doubles(friction_velocity, FLOAT, device)
-    fixed.supply = _doubles(supply, FLOAT, device)
+    fixed.friction_velocity = doubles(friction_velocity, FLOAT, device)
+    fixed.supply = doubles(supply, FLOAT, device)
     return fixed
 
 
-def _parents(model: ReducedModel) -> tuple[int, ...]:
+def parents_of(model: ReducedModel) -> tuple[int, ...]:
+    """Of each joint, the one that carries it; -1: none."""
     return tuple(int(parent) for parent in model.parents)
-
-
-def rigid_body_terms(
-    model: ReducedModel, q: ArrayLike, v: ArrayLike, a: ArrayLike, device: str = "cpu"
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass matrix and inverse dynamics of the bare bodies, without armature, friction and springs.
-
-    Args:
-        model: The bodies.
-        q: Positions [rad or m], shape (B, n).
-        v: Velocities [rad/s or m/s], shape (B, n).
-        a: Accelerations [rad/s^2 or m/s^2], shape (B, n); zero for the bias forces.
-        device: Warp device name.
-
-    Returns:
-        H (B, n, n) and the torques or forces H a + b(q, v) (B, n).
-    """
-    n = len(model.joint_names)
-    states = [np.asarray(values, dtype=np.float64).reshape(-1, n) for values in (q, v, a)]
-    vec = wp.types.vector(length=n, dtype=FLOAT)
-    p = np.concatenate([np.zeros(len(JOINT_PARAMETERS) * n), inertial_parameters(model.pseudo_inertia).ravel()])[None]
-    h = wp.zeros(len(states[0]), dtype=wp.types.matrix(shape=(n, n), dtype=FLOAT), device=device)
-    torque = wp.zeros(len(states[0]), dtype=vec, device=device)
-    wp.launch(
-        terms_kernel(_parents(model)),
-        dim=len(states[0]),
-        inputs=[
-            _constants(model, np.ones(n), np.zeros((n, 3)), device),
-            _doubles(p, FLOAT, device),
-            *(_doubles(x, vec, device) for x in states),
-        ],
-        outputs=[h, torque],
-        device=device,
-    )
-    return h.numpy().copy(), torque.numpy().copy()
-
-
-def mass_matrix(model: ReducedModel, q: ArrayLike) -> NDArray[np.float64]:
-    """H(q) without armature [kg m^2, kg m or kg], shape (B, n, n), at positions of shape (B, n)."""
-    return rigid_body_terms(model, q, np.zeros_like(q), np.zeros_like(q))[0]
-
-
-def bias(model: ReducedModel, q: ArrayLike, v: ArrayLike) -> NDArray[np.float64]:
-    """Gravity, centrifugal and Coriolis torques b(q, v) [N m or N], shape (B, n), at states of shape (B, n)."""
-    return rigid_body_terms(model, q, v, np.zeros_like(q))[1]
 
 
 class ChainSimulator:
@@ -244,12 +200,12 @@ class ChainSimulator:
             group: slice(stop - size, stop) for (group, size), stop in zip(sizes.items(), stops, strict=True)
         }
         self._n = n
-        self._parents = _parents(model)
+        self._parents = parents_of(model)
         self._vec = wp.types.vector(length=n, dtype=FLOAT)
-        self._fixed = _constants(model, smoothing, limits, device)
-        self._samples = _doubles(samples, FLOAT, device)
-        self._switches = _doubles(switches, FLOAT, device)
-        self._current = _doubles(current, self._vec, device)
+        self._fixed = constants_of(model, smoothing, limits, device)
+        self._samples = doubles(samples, FLOAT, device)
+        self._switches = doubles(switches, FLOAT, device)
+        self._current = doubles(current, self._vec, device)
         self._steps = (step_s, fine)
 
     def pack(self, **groups: ArrayLike) -> NDArray[np.float64]:
@@ -315,7 +271,7 @@ class ChainSimulator:
             dim=(worlds, -(-per_world // max(block, 1))),
             inputs=[
                 self._fixed, self._samples, self._switches, self._current, *self._steps,
-                _doubles(p, FLOAT, device), _doubles(dp, FLOAT, device), per_world,
+                doubles(p, FLOAT, device), doubles(dp, FLOAT, device), per_world,
             ],
             outputs=[q, v, dq, step, by_delay, segment, steps, sample_step],
             device=device,
@@ -357,58 +313,6 @@ class ChainSimulator:
         q, _, dq, *_ = self._launch(p, np.ascontiguousarray(directions.transpose(0, 2, 1)))
         sensitivities = dq.numpy().reshape(len(p), directions.shape[2], len(self._samples), self._n)
         return q.numpy().copy(), np.ascontiguousarray(sensitivities.transpose(0, 2, 3, 1))
-
-    def tape_gradient(self, p: ArrayLike, weights: ArrayLike) -> NDArray[np.float64]:
-        """Gradient of ``sum(weights * q)`` by reverse mode, on the steps that the rollout takes at the same parameters.
-
-        Their lengths follow the delay to first order, which is exact, and stay frozen otherwise.
-
-        Args:
-            p: Parameters of each world, shape (W, P).
-            weights: Shape (W, T, n).
-
-        Returns:
-            Shape (W, P).
-
-        Raises:
-            SimulationError: The parameters or weights have the wrong shape, or there are too many steps to keep.
-        """
-        p = self._checked(p)
-        seed = np.asarray(weights, dtype=np.float64)
-        shape = (len(p), len(self._samples), self._n)
-        if seed.shape != shape:
-            raise SimulationError(f"weights have shape {seed.shape}: give {shape}")
-        capacity = int(self._launch(p, None)[6].numpy().max())
-        if capacity > MAX_STEPS:
-            raise SimulationError(
-                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward "
-                "sensitivities"
-            )
-        step, by_delay, segment, steps, sample_step = self._launch(p, None, capacity)[3:]
-        device = self.device
-        p_array = _doubles(p, FLOAT, device, requires_grad=True)
-        delay_at = _doubles(p[:, self.columns["delay"]].ravel(), FLOAT, device)
-        q, v = (wp.zeros((len(p), capacity + 1), dtype=self._vec, device=device, requires_grad=True) for _ in range(2))
-        sampled = wp.zeros(shape[:2], dtype=self._vec, device=device, requires_grad=True)
-        roll, observe = taped_kernels(self._parents, self.integrator)
-        tape = wp.Tape()
-        with tape:
-            wp.launch(
-                roll,
-                dim=len(p),
-                inputs=[self._fixed, self._current, p_array, delay_at, step, by_delay, segment, steps],
-                outputs=[q, v],
-                device=device,
-            )
-            wp.launch(
-                observe,
-                dim=shape[:2],
-                inputs=[self._samples, p_array, sample_step, q],
-                outputs=[sampled],
-                device=device,
-            )
-        tape.backward(grads={sampled: _doubles(seed, self._vec, device)})
-        return p_array.grad.numpy().copy()
 
 
 # -------------------------------------------------------------------------------------------------------------- payload

@@ -437,46 +437,13 @@ def _way_to_base(parents: tuple[int, ...], joint: int) -> tuple[int, ...]:
     return tuple(way)
 
 
-def _module(parents: tuple[int, ...], purpose: str) -> Any:
+def module_of(parents: tuple[int, ...], purpose: str) -> Any:
     """A Warp module of its own for each tree.
 
     What unrolled loops select statically from ``parents`` is no part of Warp's hash of the source, so two trees in one module
     would silently share the first one's binary, also across processes through the kernel cache. The name keeps them apart.
     """
-    return wp.get_module("proprio_ros.paper.chain." + "_".join(str(parent + 1) for parent in parents) + "." + purpose)
-
-
-@cache
-def terms_kernel(parents: tuple[int, ...]) -> Any:
-    """Mass matrix and inverse dynamics without armature, in the functions that the rollouts use."""
-    n = len(parents)
-    vec = wp.types.vector(length=n, dtype=FLOAT)
-    square = wp.types.matrix(shape=(n, n), dtype=FLOAT)
-    tree = dynamics(parents)
-    poses, screws, inertias, velocities = tree.poses, tree.screws, tree.inertias, tree.velocities
-    mass_matrix_of, inverse_dynamics_of = tree.mass_matrix, tree.inverse_dynamics
-
-    @wp.kernel(module=_module(parents, "terms"), enable_backward=False)
-    def kernel(
-        # Model:
-        fixed: ChainData,
-        p_in: wp.array2d(dtype=FLOAT),
-        # World data in:
-        q_in: wp.array(dtype=vec),
-        v_in: wp.array(dtype=vec),
-        a_in: wp.array(dtype=vec),
-        # World data out:
-        h_out: wp.array(dtype=square),
-        torque_out: wp.array(dtype=vec),
-    ):
-        w = wp.tid()
-        x = poses(fixed, q_in[w])
-        s = screws(fixed, x)
-        inertia = inertias(p_in, 0, x)
-        h_out[w] = mass_matrix_of(s, inertia)
-        torque_out[w] = inverse_dynamics_of(fixed, s, inertia, velocities(s, v_in[w]), v_in[w], a_in[w])
-
-    return kernel
+    return wp.getmodule_of("proprio_ros.paper.chain." + "_".join(str(parent + 1) for parent in parents) + "." + purpose)
 
 
 @cache
@@ -513,7 +480,7 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
             da = block()
         return a, da
 
-    @wp.kernel(module=_module(parents, f"forward_{integrator}_{directions}"), enable_backward=False)
+    @wp.kernel(module=module_of(parents, f"forward_{integrator}_{directions}"), enable_backward=False)
     def kernel(
         # Run data:
         fixed: ChainData,
@@ -653,87 +620,3 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
             steps_out[w] = steps
 
     return kernel
-
-
-@cache
-def taped_kernels(parents: tuple[int, ...], integrator: str) -> tuple[Any, Any]:
-    """Kernels whose adjoint is right: every step writes its own row, no state is overwritten."""
-    n = len(parents)
-    delay_column = (len(JOINT_PARAMETERS) + INERTIAL) * n
-    vec = wp.types.vector(length=n, dtype=FLOAT)
-    acceleration = dynamics(parents).acceleration
-    rk4 = integrator == "rk4"
-
-    @wp.func
-    def state(p: wp.array2d(dtype=FLOAT), w: wp.int32, start: wp.int32):
-        result = vec()
-        for i in range(n):
-            result[i] = p[w, start + i]
-        return result
-
-    @wp.kernel(module=_module(parents, f"tape_{integrator}"))
-    def roll(
-        # Run data:
-        fixed: ChainData,
-        input_current: wp.array(dtype=vec),
-        # World data in:
-        p_in: wp.array2d(dtype=FLOAT),
-        delay_at: wp.array(dtype=FLOAT),
-        step_in: wp.array2d(dtype=FLOAT),
-        step_by_delay_in: wp.array2d(dtype=FLOAT),
-        segment_in: wp.array2d(dtype=wp.int32),
-        steps_in: wp.array(dtype=wp.int32),
-        # World data out:
-        q_out: wp.array2d(dtype=vec),
-        v_out: wp.array2d(dtype=vec),
-    ):
-        w = wp.tid()
-        delay = p_in[w, delay_column]
-        half = FLOAT(0.5)
-        sixth = FLOAT(1.0) / FLOAT(6.0)
-        two = FLOAT(2.0)
-        q_out[w, 0] = state(p_in, w, delay_column + 1)
-        v_out[w, 0] = state(p_in, w, delay_column + 1 + n)
-        for k in range(steps_in[w]):
-            h = step_in[w, k] + step_by_delay_in[w, k] * (delay - delay_at[w])
-            command = input_current[segment_in[w, k]]
-            q = q_out[w, k]
-            v = v_out[w, k]
-            a1 = acceleration(fixed, p_in, w, q, v, command)
-            if wp.static(rk4):
-                q2 = q + half * h * v
-                v2 = v + half * h * a1
-                a2 = acceleration(fixed, p_in, w, q2, v2, command)
-                q3 = q + half * h * v2
-                v3 = v + half * h * a2
-                a3 = acceleration(fixed, p_in, w, q3, v3, command)
-                q4 = q + h * v3
-                v4 = v + h * a3
-                a4 = acceleration(fixed, p_in, w, q4, v4, command)
-                q_out[w, k + 1] = q + sixth * h * (v + two * v2 + two * v3 + v4)
-                v_out[w, k + 1] = v + sixth * h * (a1 + two * a2 + two * a3 + a4)
-            else:
-                v_next = v + h * a1
-                v_out[w, k + 1] = v_next
-                q_out[w, k + 1] = q + h * v_next
-
-    @wp.kernel(module=_module(parents, f"tape_{integrator}"))
-    def observe(
-        # Run data:
-        sample_times: wp.array(dtype=FLOAT),
-        # World data in:
-        p_in: wp.array2d(dtype=FLOAT),
-        sample_step_in: wp.array2d(dtype=wp.int32),
-        q_in: wp.array2d(dtype=vec),
-        # World data out:
-        sampled_out: wp.array2d(dtype=vec),
-    ):
-        w, k = wp.tid()
-        step = sample_step_in[w, k]
-        if step < 0:
-            goal = sample_times[k] - p_in[w, delay_column]
-            sampled_out[w, k] = state(p_in, w, delay_column + 1) + goal * state(p_in, w, delay_column + 1 + n)
-        else:
-            sampled_out[w, k] = q_in[w, step]
-
-    return roll, observe

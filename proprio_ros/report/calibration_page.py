@@ -13,11 +13,9 @@ from proprio_ros.kinds import KINDS
 from proprio_ros.quantity import shown
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import pictures
-from proprio_ros.report.html import document, framed, listed, provenance, table
+from proprio_ros.report.html import bulleted, document, framed, listed, plotted, provenance, table, titled
 
 _WORDS = {
-    Verdict.ACCEPTED: "accepted",
-    Verdict.TOO_WIDE: "too wide",
     Verdict.REJECTED: "rejected: the model does not explain the runs",
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the runs do not determine it",
 }
@@ -43,47 +41,35 @@ def write_calibration_report(
 def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -> str:
     parts = _headline(estimate)
     if figures.joints_of(estimate.unknowns):
-        parts.append("<h2>The drive train</h2>")
-        parts.append(
-            framed(
-                figures.drive_train_figure(estimate.unknowns),
-                "Pale: the 95 % interval of the robot file. Dark: what the runs leave of it. A dark bar as long as the pale one "
-                "was not learnt.",
-                "large",
-            )
+        parts += plotted(
+            "The drive train",
+            figures.drive_train_figure(estimate.unknowns),
+            "Pale: the 95 % interval of the robot file. Dark: what the runs leave of it. A dark bar as long as the pale one "
+            "was not learnt.",
         )
     parts += _noise(estimate)
     if estimate.run_fits:
-        parts.append("<h2>Residuals of every run</h2>")
-        parts.append(
-            framed(
-                figures.residuals_figure(estimate.run_fits),
-                "The points should scatter about zero inside the band, without a trend; dotted lines are samples left out.",
-                "large",
-            )
+        parts += plotted(
+            "Residuals of every run",
+            figures.residuals_figure(estimate.run_fits),
+            "The points should scatter about zero inside the band, without a trend; dotted lines are samples left out.",
         )
     if estimate.held_out:
-        parts.append("<h2>Each run, held out and predicted by the others</h2>")
-        parts.append(
-            framed(
-                figures.held_out_figure(estimate.held_out),
-                "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
-                "further than promised: bars on the right that reach far past 1 contradict the others.",
-                "large",
-            )
+        parts += plotted(
+            "Each run, held out and predicted by the others",
+            figures.held_out_figure(estimate.held_out),
+            "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
+            "further than promised: bars on the right that reach far past 1 contradict the others.",
         )
     parts += _motions(estimate)
     parts += _unused(estimate)
     parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:
-        parts.append("<h2>Correlations</h2>")
-        parts.append(
-            framed(
-                figures.correlation_figure(estimate.calibration),
-                "Strong colours off the diagonal: two numbers that these runs know better together than each alone. A weighing "
-                "uses them together.",
-                "large",
-            )
+        parts += plotted(
+            "Correlations",
+            figures.correlation_figure(estimate.calibration),
+            "Strong colours off the diagonal: two numbers that these runs know better together than each alone. A weighing "
+            "uses them together.",
         )
     parts += _advice(estimate)
     parts += _unknowns(estimate)
@@ -133,10 +119,7 @@ def _unused(estimate: CalibrationEstimate) -> list[str]:
 def _headline(estimate: CalibrationEstimate) -> list[str]:
     used = f"{estimate.used} of {estimate.runs} runs used"
     verdict = _WORDS.get(estimate.verdict, estimate.verdict.value.replace("_", " "))
-    parts = [
-        f"<h1>calibration of {escape(estimate.robot)}, {used}</h1>",
-        f'<span class="verdict {escape(estimate.verdict.value)}">{escape(verdict)}</span>',
-    ]
+    parts = titled(f"calibration of {estimate.robot}, {used}", estimate.verdict.value, verdict)
     if estimate.weighable is not None:
         parts.append(f"<p class=value>{escape(estimate.weighable.sentence())}</p>")
     if estimate.fit is not None:
@@ -145,8 +128,7 @@ def _headline(estimate: CalibrationEstimate) -> list[str]:
             f"<p class=interval>{shown(fit.unit, fit.rms)} rms of the residuals over all runs; "
             f"{shown(fit.unit, fit.expected_rms)} expected of encoder and stamps as they were learnt</p>"
         )
-    if estimate.reasons:
-        parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
+    parts += bulleted(estimate.reasons)
     if estimate.empty_hand is not None:
         parts.append(f"<p>Empty hand: {escape(estimate.empty_hand.sentence())}.</p>")
     return parts

@@ -42,21 +42,30 @@ def provenance(command: str, sources: Sequence[str], timing_s: Mapping[str, floa
     if command:
         parts.append(f"<pre>{escape(command)}</pre>")
     if sources:
-        parts.append(
-            "<p class=small>Recordings: " + ", ".join(f"<code>{escape(str(s))}</code>" for s in sources) + "</p>"
-        )
+        named = ", ".join(f"<code>{escape(str(source))}</code>" for source in sources)
+        parts.append(f"<p class=small>Recordings: {named}</p>")
     timing = ", ".join(f"{name} {1e3 * seconds:.0f} ms" for name, seconds in timing_s.items())
-    parts.append(
-        f"<p class=small>proprio_ros {escape(__version__)}" + (f"; {escape(timing)}" if timing else "") + "</p>"
-    )
-    return parts
+    return [*parts, f"<p class=small>proprio_ros {escape(__version__)}{'; ' * bool(timing)}{escape(timing)}</p>"]
+
+
+def bulleted(sentences: Sequence[str]) -> list[str]:
+    """Sentences as a list, or nothing."""
+    return ["<ul>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "</ul>"] if sentences else []
 
 
 def listed(title: str, sentences: Sequence[str]) -> list[str]:
     """A section of sentences, or nothing."""
-    if not sentences:
-        return []
-    return [f"<h2>{escape(title)}</h2>", "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>"]
+    return [f"<h2>{escape(title)}</h2>", *bulleted(sentences)] if sentences else []
+
+
+def titled(title: str, verdict: str, words: str) -> list[str]:
+    """The headline with the verdict in its colour."""
+    return [f"<h1>{escape(title)}</h1>", f'<span class="verdict {escape(verdict)}">{escape(words)}</span>']
+
+
+def plotted(title: str, svg: str, caption: str) -> list[str]:
+    """A section of one large figure."""
+    return [f"<h2>{escape(title)}</h2>", framed(svg, caption, "large")]
 
 
 def framed(svg: str, caption: str = "", size: str = "") -> str:

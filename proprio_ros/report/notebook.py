@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from proprio_ros.identification.estimate import Value, Verdict
+from proprio_ros.report.html import bulleted
 from proprio_ros.report.page import in_words, interval_in_words, verdict_in_words
 
 COLORS = {"accepted": "#2b7a4b", "rejected": "#b23a48", "not_identifiable": "#96600c", "too_wide": "#96600c"}
@@ -24,6 +25,4 @@ def card(
             f'<div style="font-size:1.5em;font-weight:600;margin-top:.3em">{escape(in_words(value, interval_first))}</div>'
         )
         lines.append(f"<div>{escape(interval_in_words(value, interval_first))}</div>")
-    if reasons:
-        lines.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in reasons) + "</ul>")
-    return "<div>" + "".join(lines) + "</div>"
+    return "<div>" + "".join([*lines, *bulleted(reasons)]) + "</div>"

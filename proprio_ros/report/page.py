@@ -13,7 +13,7 @@ from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.report import pictures
-from proprio_ros.report.html import document, framed, listed, number, provenance, table
+from proprio_ros.report.html import bulleted, document, framed, listed, number, provenance, table, titled
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
@@ -104,16 +104,12 @@ def _scan(estimate: Estimate) -> list[str]:
 
 def _headline(estimate: Estimate) -> list[str]:
     runs = f"{estimate.runs} run" + "s" * (estimate.runs != 1)
-    parts = [
-        f"<h1>{escape(estimate.probe)} in the hand of {escape(estimate.robot)}, {runs}</h1>",
-        f'<span class="verdict {escape(estimate.verdict.value)}">{escape(verdict_in_words(estimate.verdict))}</span>',
-    ]
+    title = f"{estimate.probe} in the hand of {estimate.robot}, {runs}"
+    parts = titled(title, estimate.verdict.value, verdict_in_words(estimate.verdict))
     for value in estimate.values:
         parts.append(f"<p class=value>{escape(in_words(value, estimate.interval_first))}</p>")
         parts.append(f"<p class=interval>{escape(interval_in_words(value, estimate.interval_first))}</p>")
-    if estimate.reasons:
-        parts.append("<ul>" + "".join(f"<li>{escape(reason)}</li>" for reason in estimate.reasons) + "</ul>")
-    return parts
+    return [*parts, *bulleted(estimate.reasons)]
 
 
 def verdict_in_words(verdict: Verdict) -> str:

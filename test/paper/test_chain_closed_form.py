@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
+from support.chain_adjoint import bias, mass_matrix
 
-from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint, bias, mass_matrix
+from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint
 from proprio_ros.robot import ReducedModel, pseudo_inertia
 
 G = 9.81
