@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
+from proprio_ros.excitation.controller import Controller
 from proprio_ros.excitation.hold import LONGEST_WAIT_S, SLOWEST_HZ, Hold, HoldGains
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.robot import Robot
@@ -45,7 +46,7 @@ class StampClock:
         return now_ns + (self._ahead_ns or 0)
 
 
-class EffortController:
+class EffortController(Controller):
     """One controller's efforts.
 
     Args:
@@ -58,6 +59,7 @@ class EffortController:
         ConfigurationError: No joint, a joint that the robot does not drive or that is named twice, or another unit.
     """
 
+    kind, without = "effort", ", and nobody could hold it"
     recorded_as = "effort"
     """Field in which whoever records hears what pushes."""
     can_let_go = True
@@ -65,23 +67,9 @@ class EffortController:
     let_go = "the efforts are zero: nobody holds the arm until a controller does"
 
     def __init__(self, robot: Robot, joints: Sequence[str], unit: str, gains: HoldGains | None = None) -> None:
-        driven = ", ".join(robot.drive_trains)
-        if not joints:
-            raise ConfigurationError(
-                f"controller_joints is empty: state the effort controller's `joints` in its order; {robot.name} drives {driven}"
-            )
-        unknown = [name for name in joints if name not in robot.drive_trains]
-        if unknown:
-            raise ConfigurationError(
-                f"controller_joints: {robot.name} does not drive {', '.join(unknown)}, and nobody could hold it; it drives {driven}"
-            )
-        if len(set(joints)) != len(joints):
-            raise ConfigurationError(f"controller_joints names a joint twice: {', '.join(joints)}")
+        super().__init__(robot, joints)
         if unit not in UNITS:
             raise ConfigurationError(f"effort_unit={unit!r}: choose one of {', '.join(UNITS)}")
-        self.joints = tuple(joints)
-        self.holding = False
-        """Whether this commands the joints; from the first sequence on, until it is released or has lost them."""
         self.pushed_A: dict[str, float] = {}
         """Currents of the joints that are pushed now."""
         self._hold = Hold(robot, self.joints, gains)
@@ -104,16 +92,7 @@ class EffortController:
         Raises:
             ExcitationError: It pushes or moves a joint of somebody else's, or joint states come too slowly.
         """
-        named = {name for run in sequence.runs for name in (run.joint, *run.start)} | {
-            *sequence.home,
-            *sequence.from_here,
-        }
-        others = sorted(named - {*self.joints})
-        if others:
-            raise ExcitationError(
-                f"{sequence.name} moves {', '.join(others)}, which the effort controller does not have: add to controller_joints, "
-                "or choose a sequence without it"
-            )
+        self.check_joints(sequence)
         if any(run.goal_step for run in sequence.runs):
             raise ExcitationError(
                 f"{sequence.name} pushes by steps of goals, which an effort controller does not take: choose a sequence with "

@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
+from proprio_ros.excitation.controller import Controller
 from proprio_ros.excitation.plans import ProbeSequence
 from proprio_ros.robot import Robot
 from proprio_ros.robot.drives import PositionServo
@@ -34,7 +35,7 @@ GAP_S = 0.1
 """After a longer pause nothing is summed up over it."""
 
 
-class GoalController:
+class GoalController(Controller):
     """One controller's goals.
 
     Args:
@@ -46,6 +47,7 @@ class GoalController:
         ConfigurationError: No joint, or a joint that the robot does not drive or that is named twice.
     """
 
+    kind = "position"
     recorded_as = "position"
     """Field in which whoever records hears what is sent."""
     can_let_go = False
@@ -53,21 +55,7 @@ class GoalController:
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
 
     def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:
-        driven = ", ".join(robot.drive_trains)
-        if not joints:
-            raise ConfigurationError(
-                f"controller_joints is empty: state the position controller's `joints` in its order; {robot.name} drives {driven}"
-            )
-        unknown = [name for name in joints if name not in robot.drive_trains]
-        if unknown:
-            raise ConfigurationError(
-                f"controller_joints: {robot.name} does not drive {', '.join(unknown)}; it drives {driven}"
-            )
-        if len(set(joints)) != len(joints):
-            raise ConfigurationError(f"controller_joints names a joint twice: {', '.join(joints)}")
-        self.joints = tuple(joints)
-        self.holding = False
-        """Whether this commands the joints; from the first sequence on, until it is released."""
+        super().__init__(robot, joints)
         self.lost = ""  # servos hold by themselves: nobody can lose them here
         self._limits = {name: (robot.model.joint(name).lower, robot.model.joint(name).upper) for name in joints}
         self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in joints}
@@ -100,15 +88,7 @@ class GoalController:
                 f"{sequence.name} pushes with currents, which a position controller does not take: choose a sequence whose runs "
                 "state goal_step"
             )
-        named = {name for run in sequence.runs for name in (run.joint, *run.start)} | {
-            *sequence.home,
-            *sequence.from_here,
-        }
-        if others := sorted(named - {*self.joints}):
-            raise ExcitationError(
-                f"{sequence.name} moves {', '.join(others)}, which the position controller does not have: add to "
-                "controller_joints, or choose a sequence without it"
-            )
+        self.check_joints(sequence)
 
     def begin(self) -> None:
         """A sequence begins: hold all joints where they are, if they are not held yet."""
