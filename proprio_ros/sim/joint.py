@@ -218,7 +218,7 @@ class JointSimulator:
 
     def _plain_law(self) -> PlainLaw:
         """The law for the kernels without tangents."""
-        return plain_joint_law(plain_rate, JointData)
+        return plain_joint_law(plain_rate, JointData, self.integrator)
 
     def _data(self) -> Any:
         """What the law knows about the runs."""
@@ -240,7 +240,7 @@ class JointSimulator:
         law = self._plain_law()
         plan = Schedule.empty(law.state, len(p), max(capacity, 1), self._width, self.device)
         command = runtime.launch(
-            schedule(law, self.integrator),
+            schedule(law),
             dim=len(p),
             inputs=[*self._run_data(self._full_counts), runs, p, capacity],
             outputs=[plan.states, *plan.inputs(), plan.sample_step],
@@ -381,7 +381,7 @@ class TapedRollout:
         with self._tape:
             y = wp.zeros((worlds, capacity + 1), dtype=law.state, device=device, requires_grad=True)
             runtime.launch(
-                taped(law, owner.integrator),
+                taped(law),
                 dim=worlds,
                 inputs=[owner._data(), runs, self._p, delay_at, *plan.inputs()],
                 outputs=[y],

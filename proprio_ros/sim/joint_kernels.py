@@ -249,13 +249,15 @@ def plain_rate(
 
 
 @cache
-def plain_joint_law(rate: Callable[..., Any], data_type: Any) -> PlainLaw:
+def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -> PlainLaw:
     """The law of a state (q, v) without tangents.
 
     Args:
         rate: (q, v, command, extra load, p, w, data, r) -> acceleration, a Warp function.
         data_type: the struct of what is known about the runs.
+        integrator: ``"rk4"`` or ``"semi_implicit"``.
     """
+    rk4 = integrator == "rk4"
 
     @wp.func
     def start(p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32):
@@ -267,7 +269,27 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any) -> PlainLaw:
         return VEC2(y[1], rate(y[0], y[1], u[CURRENT], extra, p, w, data, r))
 
     @wp.func
-    def moved(y: VEC2, z: VEC2, k: VEC2, data: data_type, r: wp.int32):
-        return VEC2(z[1], k[1])
+    def step(
+        y: VEC2, h: FLOAT, u: VEC3, p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32
+    ):  # fmt: skip
+        q = y[0]
+        v = y[1]
+        command = u[CURRENT]
+        extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
+        a1 = rate(q, v, command, extra, p, w, data, r)
+        if wp.static(rk4):
+            half = FLOAT(0.5)
+            two = FLOAT(2.0)
+            v2 = v + half * h * a1
+            a2 = rate(q + half * h * v, v2, command, extra, p, w, data, r)
+            v3 = v + half * h * a2
+            a3 = rate(q + half * h * v2, v3, command, extra, p, w, data, r)
+            v4 = v + h * a3
+            a4 = rate(q + h * v3, v4, command, extra, p, w, data, r)
+            sixth = h / FLOAT(6.0)
+            return VEC2(q + sixth * (v + two * v2 + two * v3 + v4), v + sixth * (a1 + two * a2 + two * a3 + a4))
+        else:
+            later = v + h * a1
+            return VEC2(q + h * later, later)
 
-    return PlainLaw(VEC2, VEC3, data_type, DELAY, start, rates, moved, standstill(VEC2, data_type))
+    return PlainLaw(VEC2, VEC3, data_type, DELAY, start, rates, step, standstill(VEC2, data_type))

@@ -191,7 +191,7 @@ class PlainLaw:
     Attributes:
         start: (p, w, data, r) -> y.
         rates: (y, u, p, w, data, r) -> k.
-        moved: (y, z, k, data, r) -> k with the rates of positions made anew from the velocities in z.
+        step: (y, h, u, p, w, data, r) -> the state a time h later, by its integrator.
         still: as in `Law`.
     """
 
@@ -201,46 +201,15 @@ class PlainLaw:
     delay: int
     start: Callable[..., Any]
     rates: Callable[..., Any]
-    moved: Callable[..., Any]
+    step: Callable[..., Any]
     still: Callable[..., Any]
 
 
 @cache
-def _plain_step(law: PlainLaw, integrator: str) -> Any:
-    """The state a step later as a Warp function."""
-    state, rates, moved = law.state, law.rates, law.moved
-    rk4 = integrator == "rk4"
-
-    @wp.func
-    def step(
-        y: state,
-        h: FLOAT,
-        u: law.input,
-        p: wp.array2d(dtype=FLOAT),
-        w: wp.int32,
-        data: law.data,
-        r: wp.int32,
-    ):
-        k1 = rates(y, u, p, w, data, r)
-        if wp.static(rk4):
-            half = FLOAT(0.5)
-            two = FLOAT(2.0)
-            k2 = rates(y + (half * h) * k1, u, p, w, data, r)
-            k3 = rates(y + (half * h) * k2, u, p, w, data, r)
-            k4 = rates(y + h * k3, u, p, w, data, r)
-            return y + (h / FLOAT(6.0)) * (k1 + two * k2 + two * k3 + k4)
-        else:
-            return y + h * moved(y, y + h * k1, k1, data, r)
-
-    return step
-
-
-@cache
-def schedule(law: PlainLaw, integrator: str) -> Any:
+def schedule(law: PlainLaw) -> Any:
     """Rollout without tangents (thread = world); where ``capacity`` is above 0 it writes down every step, for the adjoint."""
-    state, start, rates, still = law.state, law.start, law.rates, law.still
+    start, rates, step, still = law.start, law.rates, law.step, law.still
     delay_column = law.delay
-    step = _plain_step(law, integrator)
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
@@ -258,7 +227,7 @@ def schedule(law: PlainLaw, integrator: str) -> Any:
         capacity: wp.int32,
         # World data out: the state at each sample; step length, its change with the delay, input, and the step after which each
         # sample is taken
-        y_out: wp.array2d(dtype=state),
+        y_out: wp.array2d(dtype=law.state),
         step_out: wp.array2d(dtype=FLOAT),
         step_by_delay_out: wp.array2d(dtype=FLOAT),
         input_out: wp.array2d(dtype=law.input),
@@ -326,11 +295,10 @@ def schedule(law: PlainLaw, integrator: str) -> Any:
 
 
 @cache
-def taped(law: PlainLaw, integrator: str) -> Any:
+def taped(law: PlainLaw) -> Any:
     """A kernel whose adjoint is right, on the steps of `schedule`."""
-    start = law.start
+    start, step = law.start, law.step
     delay_column = law.delay
-    step = _plain_step(law, integrator)
 
     @wp.kernel(module="unique")
     def roll(
@@ -378,11 +346,11 @@ def observe(law: PlainLaw) -> Any:
         sampled_out: wp.array2d(dtype=FLOAT),
     ):
         w, k = wp.tid()
-        step = sample_step_in[w, k]
-        if step < 0:
+        n = sample_step_in[w, k]
+        if n < 0:
             y = start(p, w, data, world_run[w])
             sampled_out[w, k] = y[0] + y[1] * (sample_times[world_run[w], k] - p[w, delay_column])
         else:
-            sampled_out[w, k] = y_in[w, step][0]
+            sampled_out[w, k] = y_in[w, n][0]
 
     return kernel

@@ -273,7 +273,7 @@ class SphereSimulator(JointSimulator):
         return rollout(law, self.integrator), law.out
 
     def _plain_law(self) -> PlainLaw:
-        return plain_sphere_law(self.enclosure.shape, self.law)
+        return plain_sphere_law(self.enclosure.shape, self.law, self.integrator)
 
     def _data(self) -> Any:
         data = SphereData()

@@ -174,10 +174,11 @@ def _start(p: wp.array2d(dtype=FLOAT), world: wp.int32, geometry: wp.array2d(dty
 
 
 @cache
-def plain_sphere_law(shape: str, law: str) -> PlainLaw:
+def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
     """Joint and sphere without tangents: q, v, then the sphere's position, velocity and spin."""
     wall = _wall(shape)
     contact = _ramped if law == "ramped" else _as_in_the_paper
+    rk4 = integrator == "rk4"
     faces = FACES[shape]
 
     @wp.func
@@ -230,7 +231,22 @@ def plain_sphere_law(shape: str, law: str) -> PlainLaw:
         lever = _container_velocity(_part(y, 2), axis, _triple(data.geometry, r, ORIGIN), data.geometry[r, TURNS])
         return _state(z[1], k[1], _part(z, 5) - z[1] * lever, _part(k, 5), _part(k, 8))
 
-    return PlainLaw(STATE, VEC3, SphereData, DELAY, start, rates, moved, standstill(STATE, SphereData))
+    @wp.func
+    def step(
+        y: STATE, h: FLOAT, given: VEC3, p: wp.array2d(dtype=FLOAT), world: wp.int32, data: SphereData, run: wp.int32
+    ):  # fmt: skip
+        k1 = rates(y, given, p, world, data, run)
+        if wp.static(rk4):
+            half = FLOAT(0.5)
+            two = FLOAT(2.0)
+            k2 = rates(y + (half * h) * k1, given, p, world, data, run)
+            k3 = rates(y + (half * h) * k2, given, p, world, data, run)
+            k4 = rates(y + h * k3, given, p, world, data, run)
+            return y + (h / FLOAT(6.0)) * (k1 + two * k2 + two * k3 + k4)
+        else:
+            return y + h * moved(y, y + h * k1, k1, data, run)
+
+    return PlainLaw(STATE, VEC3, SphereData, DELAY, start, rates, step, standstill(STATE, SphereData))
 
 
 @cache

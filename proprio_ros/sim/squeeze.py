@@ -120,7 +120,7 @@ class SqueezeSimulator(JointSimulator):
         return rollout(law, self.integrator), law.out
 
     def _plain_law(self) -> PlainLaw:
-        return plain_joint_law(plain_rate, SqueezeData)
+        return plain_joint_law(plain_rate, SqueezeData, self.integrator)
 
     def _data(self) -> Any:
         data = SqueezeData()
