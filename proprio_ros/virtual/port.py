@@ -1,6 +1,6 @@
-"""Ways to reach an emulated bus: a pseudo-terminal that any serial library opens, or memory.
+"""How an emulated bus is reached: a pseudo-terminal that any serial library opens.
 
-The pseudo-terminal stands for a USB adapter: replies come after their time on the wire, and `PtyPort.unplug` pulls the
+It stands for a USB adapter: replies come after their time on the wire, and `PtyPort.unplug` pulls the
 cable. It has no baud rate, and no latency timer.
 """
 
@@ -25,7 +25,7 @@ _LONGEST_WAIT_S = 0.002  # the world lags behind the clock by no more
 _CHUNK = 4096
 
 
-class _Outbox:
+class Outbox:
     """Replies on their way to the computer."""
 
     def __init__(self) -> None:
@@ -33,6 +33,7 @@ class _Outbox:
         self._count = 0
 
     def put(self, replies: Iterable[Reply], now_s: float) -> None:
+        """Send replies, each to arrive after its delay."""
         for reply in replies:
             self._count += 1  # keeps the order of replies that are due together
             heapq.heappush(self._waiting, (now_s + reply.delay_s, self._count, reply.data))
@@ -49,6 +50,7 @@ class _Outbox:
         return min(longest_s, max(0.0, self._waiting[0][0] - now_s)) if self._waiting else longest_s
 
     def clear(self) -> None:
+        """Lose what is on its way."""
         self._waiting.clear()
 
 
@@ -74,7 +76,7 @@ class PtyPort:
         self._bus = bus
         self._link = link
         self._clock = clock
-        self._outbox = _Outbox()
+        self._outbox = Outbox()
         self._fds: tuple[int, int] | None = None  # master and slave
         self._slave_path: Path | None = None
         self._orders: SimpleQueue[tuple[Callable[[], None], threading.Event]] = SimpleQueue()
@@ -204,42 +206,3 @@ class PtyPort:
         if not arrived:
             with self.lock:
                 self._bus.advance(self._clock())
-
-
-class MemoryPort:
-    """The same without a pseudo-terminal and without a thread, for a clock that a test sets.
-
-    Args:
-        bus: Moved on whenever the port is used.
-        clock: Time of the world [s].
-    """
-
-    def __init__(self, bus: VirtualBus, clock: Callable[[], float]) -> None:
-        self._bus = bus
-        self._clock = clock
-        self._outbox = _Outbox()
-        self._buffer = b""
-
-    def write(self, data: bytes) -> int:
-        """Send bytes to the servos; all of them are taken."""
-        now_s = self._clock()
-        self._outbox.put(self._bus.receive(bytes(data), now_s), now_s)
-        return len(data)
-
-    @property
-    def in_waiting(self) -> int:
-        """Bytes that have arrived by now."""
-        now_s = self._clock()
-        self._bus.advance(now_s)
-        self._buffer += self._outbox.take(now_s)
-        return len(self._buffer)
-
-    def read(self, size: int) -> bytes:
-        """At most ``size`` bytes of those that have arrived; never waits."""
-        size = min(size, self.in_waiting)
-        data, self._buffer = self._buffer[:size], self._buffer[size:]
-        return data
-
-    def reset_input_buffer(self) -> None:
-        """Drop what has arrived."""
-        self.read(self.in_waiting)

@@ -11,8 +11,9 @@ from proprio_ros.bus.control_table import XM430_W350
 from proprio_ros.bus.dynamixel import BusServo, DynamixelBus
 from proprio_ros.bus.port import SerialLike
 from proprio_ros.virtual.bus import VirtualBus
-from proprio_ros.virtual.port import MemoryPort, PtyPort
+from proprio_ros.virtual.port import PtyPort
 from proprio_ros.virtual.servo import VirtualServo
+from support.memory_port import MemoryPort
 from support.rotors import Rotors
 
 MEGABAUD = 3  # of the register Baud Rate

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dynamixel_sdk as sdk
 
 from proprio_ros.virtual.bus import VirtualBus
-from proprio_ros.virtual.port import MemoryPort
+from support.memory_port import MemoryPort
 
 POLL_S = 20e-6
 """The library asks for the time whenever it looks for bytes that are not there yet; that much passes meanwhile."""

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import dynamixel_sdk as sdk
 import pytest
+from support.memory_port import MemoryPort
 from support.rotors import Rotors
 from support.wire import SimulatedPort
 
 from proprio_ros.bus.control_table import XM430_W350
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.virtual.bus import Faults, VirtualBus
-from proprio_ros.virtual.port import MemoryPort, PtyPort
+from proprio_ros.virtual.port import PtyPort
 from proprio_ros.virtual.protocol import BROADCAST_ID, Code, Instruction, Parser, encode_instruction
 from proprio_ros.virtual.servo import REBOOT_S, VirtualServo
 
