@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -402,22 +402,15 @@ def _whole(section: Any, path: Path) -> Any:
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequence:
     chosen = isinstance(section, Mapping) and "until" in section  # then there need be no runs of one's own
-    values = _known({"runs": [], **section} if chosen else section, ProbeSequence, where, leave_out=("name",))
-    for key in ("hand", "description"):
-        if key in values and not isinstance(values[key], str):
-            raise ConfigurationError(f"{where}.{key}: expected a text, got {values[key]!r}")
-    for key in ("approach_velocity", "settle_s", "brake_s", "min_clearance_m"):
-        if key in values:
-            values[key] = _number(values[key], f"{where}.{key}")
-    if "home" in values:
-        values["home"] = _pose(values["home"], f"{where}.home")
+    own = ("runs", "from_here", "until")
+    values = _values({"runs": [], **section} if chosen else section, ProbeSequence, where, own, leave_out=("name",))
     if "from_here" in values:
         names = values["from_here"]
         if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
             raise ConfigurationError(f"{where}.from_here: expected a list of joints, got {names!r}")
         values["from_here"] = tuple(names)
     if "until" in values:
-        values["until"] = _until(values["until"], f"{where}.until")
+        values["until"] = Until(**_values(values["until"], Until, f"{where}.until"))
     runs = values["runs"]
     if not isinstance(runs, list) or not (runs or "until" in values):
         raise ConfigurationError(f"{where}.runs: expected a list of runs, each with joint, current_A and duration_s")
@@ -425,29 +418,10 @@ def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequenc
     return ProbeSequence(name=name, **values)
 
 
-def _until(section: Any, where: str) -> Until:
-    values = _known(section, Until, where)
-    for key, value in values.items():
-        if key == "unit":
-            if not isinstance(value, str):
-                raise ConfigurationError(f"{where}.unit: expected a text, got {one_line(repr(value), 60)}")
-        else:
-            values[key] = _number(value, f"{where}.{key}")
-    return Until(**values)
-
-
 def _run(section: Any, robot: Robot, where: str) -> ProbeRun:
     if isinstance(section, Mapping) and "goal_step" in section:
         section = {"current_A": 0.0, **section}
-    values = _known(section, ProbeRun, where)
-    for key, value in values.items():
-        if key == "joint":
-            if not isinstance(value, str):
-                raise ConfigurationError(f"{where}.joint: expected the name of a joint, got {value!r}")
-        elif key == "start":
-            values[key] = _pose(value, f"{where}.start")
-        else:
-            values[key] = _number(value, f"{where}.{key}")
+    values = _values(section, ProbeRun, where)
     run = ProbeRun(**values)
     if "max_travel" not in values and run.joint in robot.drive_trains:
         # the default counts at the shaft, too: a finger cannot move 1 m
@@ -455,23 +429,37 @@ def _run(section: Any, robot: Robot, where: str) -> ProbeRun:
     return run
 
 
-def _known(section: Any, kind: type, where: str, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The section's entries, all of them fields of the data class, and none missing that has no default."""
+_TEXTS = {"hand": "a text", "description": "a text", "unit": "a text", "joint": "the name of a joint"}
+_POSES = ("start", "home")
+
+
+def _values(
+    section: Any, kind: type, where: str, own: Sequence[str] = (), leave_out: Sequence[str] = ()
+) -> dict[str, Any]:
+    """A section's entries for a data class: texts, poses, and numbers; those of its ``own`` as they are.
+
+    Raises:
+        ConfigurationError: An entry is unknown, missing though it has no default, or none of these.
+    """
     entries = [entry for entry in fields(kind) if entry.name not in leave_out]
     choices = ", ".join(entry.name for entry in entries)
     if not isinstance(section, Mapping):
         raise ConfigurationError(f"{where}: expected keys and values, got {section!r}; keys: {choices}")
-    unknown = [str(key) for key in section if key not in {entry.name for entry in entries}]
-    if unknown:
+    if unknown := [str(key) for key in section if key not in {entry.name for entry in entries}]:
         raise ConfigurationError(f"{where}: unknown key {', '.join(unknown)}; valid keys: {choices}")
-    missing = [
-        entry.name
-        for entry in entries
-        if entry.default is MISSING and entry.default_factory is MISSING and entry.name not in section
-    ]
-    if missing:
+    required = [entry.name for entry in entries if entry.default is MISSING and entry.default_factory is MISSING]
+    if missing := [name for name in required if name not in section]:
         raise ConfigurationError(f"{where}: lacks {', '.join(missing)}; valid keys: {choices}")
-    return dict(section)
+    values = dict(section)
+    for key, value in section.items():
+        if key in _TEXTS:
+            if not isinstance(value, str):
+                raise ConfigurationError(f"{where}.{key}: expected {_TEXTS[key]}, got {one_line(repr(value), 60)}")
+        elif key in _POSES:
+            values[key] = _pose(value, f"{where}.{key}")
+        elif key not in own:
+            values[key] = _number(value, f"{where}.{key}")
+    return values
 
 
 def _number(value: Any, where: str) -> float:
