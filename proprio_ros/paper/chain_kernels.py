@@ -443,7 +443,7 @@ def module_of(parents: tuple[int, ...], purpose: str) -> Any:
     What unrolled loops select statically from ``parents`` is no part of Warp's hash of the source, so two trees in one module
     would silently share the first one's binary, also across processes through the kernel cache. The name keeps them apart.
     """
-    return wp.getmodule_of("proprio_ros.paper.chain." + "_".join(str(parent + 1) for parent in parents) + "." + purpose)
+    return wp.get_module("proprio_ros.paper.chain." + "_".join(str(parent + 1) for parent in parents) + "." + purpose)
 
 
 @cache

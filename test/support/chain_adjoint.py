@@ -1,7 +1,5 @@
 """The chain's bodies alone, and the gradient of its rollout by reverse mode: what its tangents are held against."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
