@@ -15,7 +15,7 @@ import numpy as np
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import ProprioError, RecordingError
-from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, Request, request_of

@@ -9,13 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.identification.gates import STEADY
-from proprio_ros.identification.regression.motion_fit import (
-    BLOCK_S,
+from proprio_ros.identification.regression.motion_equations import (
     HOP_SHARE,
+    STRETCH_S,
     WINDOW_S,
+    Arm,
     equations,
+    sizes,
+)
+from proprio_ros.identification.regression.motion_prior import (
+    LINK_SHARE,
+    body_stds,
+    drive_stds,
     relative_torque_std,
-    terms_of,
 )
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Z95
@@ -23,10 +29,12 @@ from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.geometry import rotation_about
-from proprio_ros.robot.regressor import PARAMETERS, body_parameters
+from proprio_ros.robot.regressor import PARAMETERS
 
 DRIFT_SHARE = 0.05
 """Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
+WITHIN = 0.3
+"""An object lies within this share of the arm's reach."""
 SMALL_SHARE = 0.05
 """First moments and inertia are those of an object of this part of the arm's mass."""
 
@@ -39,37 +47,33 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
     Raises:
         RecordingError: the motion is of no use.
     """
-    joints = motion.joints
-    held = dict(motion.held)
-    part = equations(robot, motion, joints)
-    model = robot.model.lock(list(joints), held, robot.gravity)
-    count = len(model.joint_names)
-    terms = terms_of(robot, joints, held, 2)
-    spread = np.array([term.std for term in terms])
-    none = np.zeros_like(part.friction)
-    gears = np.zeros((len(part.right), count))
+    rows = equations(robot, motion, motion.joints)
+    arm = Arm.of(robot, motion.joints, dict(motion.held))
+    count, names = arm.count, arm.model.joint_names
+    open_friction = [arm.kg * 9.81 * arm.reach_m] * (6 * count)
+    payload = sizes(arm.kg, WITHIN * arm.reach_m)
+    spread = np.array([*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction])
+    shared, own = rows.design[:, : (PARAMETERS + 2) * count], rows.design[:, -3 * count :]
+    none = np.zeros_like(own)
     matrix = np.vstack(
-        [
-            np.hstack([part.payload, part.arm, part.rotor, gears, part.friction, none]),
-            np.hstack([np.zeros_like(part.payload), part.arm, part.rotor, gears, none, part.friction]),
-        ]
+        [np.hstack([rows.payload, shared, own, none]), np.hstack([np.zeros_like(rows.payload), shared, none, own])]
     )
-    arm = part.arm @ np.concatenate([body_parameters(pseudo) for pseudo in model.pseudo_inertia])
-    weight = np.zeros(len(arm))
+    torque = shared[:, : PARAMETERS * count] @ np.concatenate(arm.bodies)
+    weight = np.zeros(len(torque))
     for joint in range(count):
-        mine = part.joint == joint
+        mine = rows.joint == joint
         # gravity may do nothing on a vertical axis; what moves it then is of the size of friction
-        friction = robot.drive_trains[model.joint_names[joint]].coulomb
+        friction = robot.drive_trains[names[joint]].coulomb
         if mine.any():
-            size = max(float(np.sqrt(np.mean(arm[mine] ** 2))), friction.value + 0.5 * friction.std)
+            size = max(float(np.sqrt(np.mean(torque[mine] ** 2))), friction.value + 0.5 * friction.std)
             weight[mine] = 1.0 / (DRIFT_SHARE * size)
     # neighbouring windows share one error
-    weight /= np.sqrt(BLOCK_S / (WINDOW_S * HOP_SHARE))
+    weight /= np.sqrt(STRETCH_S / (WINDOW_S * HOP_SHARE))
     scaled = matrix * np.tile(weight, 2)[:, None]
     small = SMALL_SHARE * spread[0]
     spread[1:PARAMETERS] *= small / spread[0]
     covariance = np.linalg.inv(spread[:, None] * (scaled.T @ scaled) * spread[None, :] + np.eye(len(spread)))
-    share = max(relative_torque_std(robot, name) for name in model.joint_names)
+    share = max(relative_torque_std(robot, name) for name in names)
     return float(Z95 * spread[0] * np.sqrt(covariance[0, 0])), Z95 * share
 
 

@@ -21,7 +21,7 @@ from scipy.signal import butter, lfilter
 from support.machines import REAL
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload.moving import weigh_in_motion

@@ -1,8 +1,7 @@
 """How well arms drawn at random weigh what they carry while several joints move: coverage, error and width, in MuJoCo.
 
-    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--calibrated [--baseline]] [--empty]
-        [--teeth]
-    python test/benchmarks/motions.py --calibrated --first 5000 --arms 100 --loaded-seconds 15    # the table of the docs; 10 min
+    python test/benchmarks/motions.py [--joints 6] [--arms 60] [--first 100] [--seconds 20] [--baseline] [--empty] [--teeth]
+    python test/benchmarks/motions.py --first 5000 --arms 100 --loaded-seconds 15    # the table of the docs; 10 min
 
 Each arm of six joints (``--joints 4``: a small one in slow motion) runs random sines under a computed-torque controller, once empty
 and once with a payload of 0.1 to 2 kg (20 to 200 g; each fourth with nothing). Links are off the URDF by 8 % (2 %), torque
@@ -26,8 +25,7 @@ from results import Results, parser_of
 from scipy.stats import binomtest
 from support.arm_in_motion import FOUR, SIX, Twin, write_robot
 
-from proprio_ros.identification.regression.motion_fit import fit_motions
-from proprio_ros.identification.regression.motion_prior import fit_calibrated, fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import load_robot
 
@@ -53,14 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--loaded-seconds", type=float, help="of the motion that is weighed, where it is shorter")
     parser.add_argument("--joints", type=int, choices=(4, 6), default=6)
     parser.add_argument(
-        "--calibrated", action="store_true", help="with what `proprio calibrate` makes of the empty one"
-    )
-    parser.add_argument(
         "--teeth", action="store_true", help="friction goes with the place by a law of gears, see `Twin`"
     )
-    parser.add_argument(
-        "--baseline", action="store_true", help="with --calibrated: one more empty motion counts in the weighing"
-    )
+    parser.add_argument("--baseline", action="store_true", help="one more empty motion counts in the weighing")
     parser.add_argument("--empty", action="store_true", help="weigh a third motion, with nothing in the hand")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
@@ -75,12 +68,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         empty, loaded = arm.record("empty", options.seconds), arm.record("loaded", loaded_s, held)
         if options.empty:
             mass, loaded = 0.0, arm.record("empty again", loaded_s)
-        more = [arm.record("baseline", loaded_s)] if options.calibrated and options.baseline else []
+        more = [arm.record("baseline", loaded_s)] if options.baseline else []
         begun_s = time.process_time()
-        if options.calibrated:
-            fit = fit_calibrated(robot, [loaded], fit_empty(robot, [empty]), empty=more)
-        else:
-            fit = fit_motions(robot, [loaded], [empty])
+        fit = fit_payload(robot, [loaded], fit_empty(robot, [empty]), empty=more)
         seconds.append(time.process_time() - begun_s)
         error, half = float(fit.values[0]) - mass, fit.quantile * float(fit.std[0])
         truths = [arm.truths[motion.name] for motion in (empty, loaded, *more)]

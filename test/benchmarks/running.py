@@ -17,7 +17,7 @@ from results import Results, parser_of
 from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
 
-from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.identification.regression.running import RunningWeight
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot

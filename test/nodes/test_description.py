@@ -20,7 +20,7 @@ from support.arm_in_motion import FOUR, Twin, write_robot
 from support.domains import free_domain
 from support.live import HEARD, LATCHED, Client, comes_up, replayed_alike, wait_for
 
-from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import joint_state, values_of
 from proprio_ros.pipeline.calibrate import write_calibration

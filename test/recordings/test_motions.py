@@ -14,7 +14,7 @@ from support.machines import REAL, UR10E_N_M_PER_A
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.regression.motion_prior import fit_calibrated, fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.pipeline.loading import bag_motion, runs_or_motion
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload import moving
@@ -361,7 +361,7 @@ def test_a_calibration_comes_back_from_its_file(slow: Motion, tmp_path: Path) ->
     assert back.keys == given.keys and back.runs == given.runs and back.fingerprint == given.fingerprint
     for name in ("values", "torque_constants", "friction_spread", "residual", "correlation", "std"):
         np.testing.assert_allclose(getattr(back, name), getattr(given, name), rtol=1e-6, err_msg=name)
-    one, other = (fit_calibrated(robot, [slow], calibration) for calibration in (given, back))
+    one, other = (fit_payload(robot, [slow], calibration) for calibration in (given, back))
     np.testing.assert_allclose(one.values[:4], other.values[:4], rtol=1e-4, atol=1e-7)
     np.testing.assert_allclose(one.std[:4], other.std[:4], rtol=1e-3)
 
@@ -371,7 +371,7 @@ def test_torque_constants_that_changed_since_are_refused(slow: Motion) -> None:
     known = fit_empty(robot, [slow])
     changed = robot.with_overrides({"joints.joint2.drive_train.torque_constant_N_m_per_A": 1.9})
     with pytest.raises(RobotError, match="torque constant of joint2"):
-        fit_calibrated(changed, [slow], known)
+        fit_payload(changed, [slow], known)
 
 
 def test_runs_and_motions_are_calibrated_apart(

@@ -140,6 +140,14 @@ def nominal(build: Build = SIX) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return masses, np.array(build.coms_m, dtype=float), inertias
 
 
+def sines(times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A smooth motion of six joints: position, velocity, acceleration."""
+    rng = np.random.default_rng(3)
+    size, speed, phase = rng.uniform(0.2, 0.6, 6), rng.uniform(1.0, 3.0, 6), rng.uniform(0.0, 6.0, 6)
+    angle = speed * times_s[:, None] + phase
+    return size * np.sin(angle), size * speed * np.cos(angle), -size * speed**2 * np.sin(angle)
+
+
 def inertia_matrix(model: Any, data: Any, out: np.ndarray) -> None:
     """MuJoCo changed the order of the arguments."""
     import mujoco

@@ -12,18 +12,15 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
 from proprio_ros.identification.estimate import UnknownRow, Verdict
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
-from proprio_ros.identification.regression.motion_fit import MotionFit, arm_kg
-from proprio_ros.identification.regression.motion_prior import file_prior, fit_calibrated, fit_empty
+from proprio_ros.identification.regression.motion_equations import Arm
+from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
+from proprio_ros.identification.regression.motion_prior import file_prior
+from proprio_ros.identification.regression.refusals import far_from_prior, unexplained_torque, unlike_urdf
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
-from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 
-UNEXPLAINED_SHARE = 0.5
-"""A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
-URDF_RATIO = 1.35
-"""URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
 SHOWN_SHARE = 0.1
 """The headline is for an object of this share of the arm's mass."""
 LIGHT_REFERENCE = 0.2
@@ -37,7 +34,7 @@ def calibrate_motions(
     robot: Robot,
     motions: Sequence[Motion],
     references: Sequence[Reference] = (),
-    centre: tuple[FloatArray, FloatArray] | None = None,
+    centre: Centre | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> CalibrationEstimate:
     """Learn an arm from motions with an empty hand.
@@ -46,7 +43,7 @@ def calibrate_motions(
         robot: As its file states it.
         motions: With an empty hand, at least one.
         references: With a weighed object; they tell the scale of the torque constants.
-        centre: Of the references, and its standard deviation, where that was stated; see `fit_motions`.
+        centre: Of the references, and its standard deviation, where that was stated; see `fit_payload`.
         progress: Called with what is going on.
 
     Raises:
@@ -56,16 +53,16 @@ def calibrate_motions(
     progress(f"fitting {len(motions)} motions")
     calibration = fit_empty(robot, motions)
     notes = tuple(note for motion in (*motions, *(motion for motion, _ in references)) for note in motion.notes)
-    refusal = next(_refusals(robot, motions, calibration), None)
+    refusal = next(calibration_refusals(robot, motions, calibration), None)
     if refusal is None and references:
         progress("weighing the references")
         calibration, refusal = _scaled(robot, calibration, references, centre)
     progress("weighing each empty motion by the others")
     weighed = () if refusal is not None else _weighed_empty(robot, motions)
-    model = robot.model.lock(list(calibration.joints), dict(motions[0].held), robot.gravity)
+    arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
     weighable = None
     if refusal is None:
-        weighable = _weighable(robot, motions, calibration, weighed, arm_kg(model), bool(references))
+        weighable = _weighable(robot, motions, calibration, weighed, arm.kg, bool(references))
         if Z95 * weighable.std_kg > weighable.mass_kg:
             refusal = not_identifiable(
                 "says_too_little",
@@ -74,7 +71,7 @@ def calibrate_motions(
                 f"+-{shown('kg', Z95 * weighable.std_kg, spec='.0f')}: record longer and faster ones, through more attitudes",
             )
             weighable = None
-    prior = file_prior(robot, model)
+    prior = file_prior(robot, arm)
     return CalibrationEstimate(
         robot=robot.name,
         verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
@@ -95,37 +92,8 @@ def calibrate_motions(
     )  # fmt: skip
 
 
-def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
-    """Where the worst joint's torque is not what the model makes of it.
-
-    Args:
-        joints: Their names.
-        share: Of the torque, that is left over by joint; NaN where one did not move.
-        by: What the model consists of.
-        name: Of the recording and a colon, before the sentence.
-    """
-    worst = int(np.nanargmax(share))
-    if share[worst] > UNEXPLAINED_SHARE:
-        yield rejected(
-            "misfit",
-            "the model does not explain the recording",
-            f"{name}{100.0 * share[worst]:.0f} % of the torque of {joints[worst]} is not explained by {by}: check the effort's "
-            "unit and sign, and that nothing touched the arm",
-        )
-
-
-def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
-    """Where the arm weighs far more or less by its torques than by its URDF."""
-    if not 1.0 / URDF_RATIO < arm_over_urdf < URDF_RATIO:
-        yield rejected(
-            "arm_unlike_urdf",
-            "the arm does not fit its URDF",
-            f"by its torques the arm weighs {arm_over_urdf:.2f} times what its URDF says, and a payload would be off by as much: "
-            "check the effort's unit, the torque constants and the URDF's masses",
-        )
-
-
-def _refusals(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
+    """Why a calibration is not believed that was made of motions with an empty hand."""
     torques = [
         motion.current_A[:, [motion.joints.index(joint) for joint in calibration.joints]] * calibration.torque_constants
         for motion in motions
@@ -133,32 +101,22 @@ def _refusals(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibr
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
     yield from unexplained_torque(calibration.joints, calibration.residual / driven, "the arm and its friction")
     yield from unlike_urdf(calibration.arm_over_urdf)
-    model = robot.model.lock(list(calibration.joints), dict(motions[0].held), robot.gravity)
-    prior = file_prior(robot, model)
+    prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
     std = np.sqrt(np.diag(prior.covariance))
-    pulls = (calibration.values - prior.values) / std
-    worst = int(np.argmax(np.abs(pulls)))
-    if abs(pulls[worst]) > FAR:
-        kind, joint = calibration.keys[worst]
-        yield rejected(
-            "far_from_prior",
-            "the arm does not fit its robot file",
-            f"{kind.replace('_', ' ')} of {joint} ended {abs(pulls[worst]):.0f} standard deviations from what the robot file says "
-            f"({prior.values[worst]:.3g} +- {std[worst]:.2g}): check the URDF, the torque constants and the effort's unit",
-        )
+    yield from far_from_prior(calibration.keys, calibration.values, prior.values, std, "robot file")
 
 
 def _scaled(
     robot: Robot,
     calibration: MotionCalibration,
     references: Sequence[Reference],
-    centre: tuple[FloatArray, FloatArray] | None,
+    centre: Centre | None,
 ) -> tuple[MotionCalibration, Refusal | None]:
     """The calibration with the torque scale that the references show, or why they do not show it."""
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
     ratios, stds = [], []
     for motion, mass_kg in references:
-        fit = fit_calibrated(robot, [motion], open_scale, centre=centre)
+        fit = fit_payload(robot, [motion], open_scale, centre=centre)
         read, std = float(fit.values[0]), float(fit.std[0])
         if read <= 0.0 or std > LIGHT_REFERENCE * mass_kg:
             return calibration, not_identifiable(
@@ -196,7 +154,7 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyWeighi
     weighed = []
     for number, part in enumerate(parts):
         try:
-            fit = fit_calibrated(robot, [part], fit_empty(robot, [*parts[:number], *parts[number + 1 :]]))
+            fit = fit_payload(robot, [part], fit_empty(robot, [*parts[:number], *parts[number + 1 :]]))
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
         weighed.append(EmptyWeighing(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile))
@@ -220,10 +178,10 @@ def _longest_weighed(robot: Robot, motions: Sequence[Motion], calibration: Motio
     longest = sorted(motions, key=lambda motion: -float(motion.times_s[-1]))
     for count in range(1, len(longest)):
         try:
-            return fit_calibrated(robot, longest[:count], calibration)
+            return fit_payload(robot, longest[:count], calibration)
         except RecordingError:
             continue
-    return fit_calibrated(robot, longest, calibration)
+    return fit_payload(robot, longest, calibration)
 
 
 def _weighable(

@@ -10,8 +10,9 @@ from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
-from proprio_ros.identification.regression.motion_estimate import UNEXPLAINED_SHARE
-from proprio_ros.identification.regression.one_joint_known import carried_by, learn_joint, tables_of, terms_of
+from proprio_ros.identification.regression.one_joint_fit import carried_by
+from proprio_ros.identification.regression.one_joint_known import learn_joint, tables_of, terms_of
+from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE
 from proprio_ros.quantity import Z95, Quantity, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -93,7 +94,7 @@ def _refusals(robot: Robot, motions: Sequence[Motion], learnt: JointCalibration)
 def torque_left_over(robot: Robot, motions: Sequence[Motion], loads_kg: Sequence[float], facts: PayloadFacts) -> float:
     """What known loads, rotor and friction leave over of the torque of the only joint, rms in true torque [N m]."""
     (joint,) = motions[0].joints
-    carried = carried_by(robot, joint, dict(motions[0].held), facts)
+    carried = carried_by(robot, joint, motions[0], facts)
     return terms_of([tables_of(robot, motion, joint) for motion in motions], loads_kg, carried)[1]
 
 

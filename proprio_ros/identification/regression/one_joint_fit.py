@@ -17,16 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, filtfilt
 from scipy.stats import t as student
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.regression.motion_fit import RUNS_OF_ITS_OWN, SLOW_RAD_S, across_gaps
-from proprio_ros.identification.regression.weak_form import Windows
+from proprio_ros.identification.regression.motion_equations import SLOW_RAD_S
+from proprio_ros.identification.regression.weak_form import Windows, across_gaps, evenly
 from proprio_ros.recordings.motions import Motion
-from proprio_ros.robot import Robot
-
-FloatArray = NDArray[np.float64]
+from proprio_ros.records import FloatArray
+from proprio_ros.robot import ReducedModel, Robot
+from proprio_ros.sim.payload import PayloadFacts
 
 WINDOWS_S = (0.25, 0.5)
 HOP_SHARE = 0.125
@@ -50,16 +49,15 @@ class OneJointFit:
 
     Attributes:
         joint: Its name.
-        values: Length of the equivalent pendulum [m], inertia [kg m^2], first moment along two directions [kg m], shape (4,).
+        values: Length of the equivalent pendulum [m], inertia [kg m^2], first moment along both directions of `Hinge` [kg m], (4,).
         covariance: Of these, but for the torque's scale, shape (4, 4).
-        directions: The two directions, in the frame of the body, shape (2, 3).
         stretches: Number of stretches.
         quantile: Half width of a 95 % interval in standard deviations.
         residual: rms of the windows' mean torque that is left over [N m].
         driven: rms of the mean torque [N m].
         load: rms of the part that inertia and gravity take of it [N m].
-        swings: Share of the acceleration's variance that gravity and friction explain without any torque of the motor.
-        swings_m: Length of the pendulum that would swing like that [m].
+        free_share: Of the acceleration's variance, that gravity and friction explain without any torque of the motor.
+        free_m: Length of the pendulum whose free response that would be [m].
         viscous, coulomb: Means over the motions [N m s/rad], [N m].
         one_sign: Whether no sample of the torque has another sign than the others.
     """
@@ -67,14 +65,13 @@ class OneJointFit:
     joint: str
     values: FloatArray
     covariance: FloatArray
-    directions: FloatArray
     stretches: int
     quantile: float
     residual: float
     driven: float
     load: float
-    swings: float
-    swings_m: float
+    free_share: float
+    free_m: float
     viscous: float
     coulomb: float
     one_sign: bool
@@ -85,12 +82,64 @@ class OneJointFit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def directions_of(axis: FloatArray) -> FloatArray:
-    """Two unit vectors across an axis, and each other, shape (2, 3)."""
-    least = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(axis, least)
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(axis, first)])
+@dataclass(frozen=True)
+class Hinge:
+    """A joint that moves alone, in the frame of its body at position zero.
+
+    Attributes:
+        model: The robot with its other joints locked.
+        axis: Unit vector, shape (3,).
+        gravity: [m/s^2], shape (3,).
+        directions: Two unit vectors across the axis, and each other, shape (2, 3).
+    """
+
+    model: ReducedModel
+    axis: FloatArray
+    gravity: FloatArray
+    directions: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, joint: str, motion: Motion) -> Hinge:
+        """Of a motion, whose other joints stood still."""
+        model = robot.model.lock([joint], dict(motion.held), robot.gravity)
+        axis = model.axes[0]
+        least = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        first = np.cross(axis, least)
+        first /= np.linalg.norm(first)
+        gravity = model.placement[0][:3, :3].T @ model.gravity
+        return cls(model, axis, gravity, np.array([first, np.cross(axis, first)]))
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What hangs on a joint by robot file and facts, as the columns of a `Table` take it: inertia [kg m^2], first moments [kg m].
+
+    Attributes:
+        arm: Of the URDF's bodies, shape (3,).
+        per_kg: Of the payload, shape (3,).
+        centre_std_m: How well the payload's place across the axis is known.
+    """
+
+    arm: FloatArray
+    per_kg: FloatArray
+    centre_std_m: float
+
+
+def carried_by(robot: Robot, joint: str, motion: Motion, facts: PayloadFacts) -> Carried:
+    """Arm and payload about one joint."""
+    hinge = Hinge.of(robot, joint, motion)
+    directions, (bodies,) = hinge.directions, hinge.model.pseudo_inertia
+    body_from_payload = hinge.model.frames[robot.payload_frame][1]
+    turn = body_from_payload[:3, :3]
+    lever = directions @ (turn @ facts.com + body_from_payload[:3, 3])
+    spread, own_axis = facts.shape.second_moment_per_mass, turn.T @ hinge.axis
+    about_centre = float(np.trace(spread) - own_axis @ spread @ own_axis)
+    inertia = float(np.sum((directions @ bodies[:3, :3]) * directions))
+    return Carried(
+        robot.arm_scale.value * np.array([inertia, *(directions @ bodies[:3, 3])]),
+        np.array([about_centre + float(lever @ lever), *lever]),
+        float(np.linalg.norm(directions @ turn @ np.diag(facts.com_std))),
+    )
 
 
 def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJointFit:
@@ -104,31 +153,26 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     Raises:
         RecordingError: They are too short, or gravity does not turn the joint.
     """
-    model = robot.model.lock([joint], dict(motions[0].held), robot.gravity)
-    axis, base = model.axes[0], model.placement[0][:3, :3]
-    upright = base @ axis
-    across_gravity = model.gravity - (model.gravity @ upright) * upright
-    if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(model.gravity):
+    hinge = Hinge.of(robot, joint, motions[0])
+    across_gravity = hinge.gravity - (hinge.gravity @ hinge.axis) * hinge.axis
+    if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(hinge.gravity):
         raise RecordingError(f"{motions[0].name}: {joint} turns about the vertical, where gravity does nothing")
-    directions = directions_of(axis)
-    gravity = base.T @ model.gravity
-    tables = [[table_of(robot, motion, joint, gravity, axis, directions, w) for motion in motions] for w in WINDOWS_S]
-    stretches = np.unique(np.concatenate([part.stretch + RUNS_OF_ITS_OWN * n for n, part in enumerate(tables[-1])]))
+    tables = [[table_of(robot, motion, joint, hinge, window_s) for motion in motions] for window_s in WINDOWS_S]
+    stretches = stretches_of(tables[-1])
     if len(stretches) < MIN_STRETCHES:
         raise RecordingError(
             f"{motions[0].name}: {joint} moves for {STRETCH_S * len(stretches):.0f} s without a pause or a gap; record "
             f"{STRETCH_S * MIN_STRETCHES:.0f} s of motion at least, better 15"
         )
-    whole = _choices(tables, None)
+    whole = _choices(tables)
     values = whole.mean(axis=0)
-    moved = np.array([_choices(tables, int(label)).mean(axis=0) - values for label in stretches])
+    left_out = ([without(parts, *stretch) for parts in tables] for stretch in stretches)
+    moved = np.array([_choices(rest).mean(axis=0) - values for rest in left_out])
     covariance = (len(stretches) - 1) / len(stretches) * moved.T @ moved + np.cov(whole.T)
     covariance[0, 0] += (LEAST_LENGTH_STD * values[0]) ** 2
     parts = tables[-1]
-    solution = _by_torque(parts, None)
+    solution = _by_torque(parts)
     matrix = np.vstack([part.columns for part in parts])
-    right = np.concatenate([part.torque for part in parts])
-    load = matrix[:, :3] @ solution.load
     acceleration, others = matrix[:, 0], matrix[:, 1:]
     alone = np.linalg.lstsq(others, acceleration, rcond=None)[0]
     idle = acceleration - others @ alone
@@ -138,13 +182,12 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
         joint,
         values,
         covariance,
-        directions,
         len(stretches),
         float(student.ppf(0.975, len(stretches) - 1)),
-        _rms(solution.residual),
-        _rms(right),
-        _rms(load),
-        1.0 - (_rms(idle) / max(_rms(acceleration), 1e-12)) ** 2,
+        rms(solution.residual),
+        rms(np.concatenate([part.torque for part in parts])),
+        rms(matrix[:, :3] @ solution.load),
+        1.0 - (rms(idle) / max(rms(acceleration), 1e-12)) ** 2,
         1.0 / max(frequency_squared, 1e-9),
         float(np.mean(solution.friction[:, 0])),
         float(np.mean(solution.friction[:, 1])),
@@ -167,36 +210,36 @@ class Table:
     stretch: NDArray[np.int64]
 
 
+def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
+    """Number of the motion and of the stretch in it, of all."""
+    return [(number, int(label)) for number, part in enumerate(parts) for label in np.unique(part.stretch)]
+
+
+def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
+    """All windows but those of one stretch of motion ``number``; a motion that has no other is none of them."""
+    kept = parts[number].stretch != label
+    rest = Table(parts[number].columns[kept], parts[number].torque[kept], parts[number].stretch[kept])
+    return [*parts[:number], *([rest] if kept.any() else []), *parts[number + 1 :]]
+
+
 def table_of(
-    robot: Robot,
-    motion: Motion,
-    joint: str,
-    gravity: FloatArray,
-    axis: FloatArray,
-    directions: FloatArray,
-    window_s: float,
-    slow_rad_s: float = SLOW_RAD_S,
+    robot: Robot, motion: Motion, joint: str, hinge: Hinge, window_s: float, slow_rad_s: float = SLOW_RAD_S
 ) -> Table:
     """What one motion says in windows of ``window_s``; where the joint is slower than ``slow_rad_s`` it does not count.
 
     Raises:
         RecordingError: It does not move for long enough.
     """
-    column = motion.joints.index(joint)
+    times_s, positions, currents = evenly(motion, [joint], BANDWIDTH_HZ, currents_too=True)
     period_s = float(np.median(np.diff(motion.times_s)))
-    times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
-    b, a = butter(2, min(2.0 * BANDWIDTH_HZ * period_s, 0.9))
-    position, current = (
-        filtfilt(b, a, np.interp(times_s, motion.times_s, values[:, column]))
-        for values in (motion.position, motion.current_A)
-    )
+    position, axis, gravity = positions[:, 0], hinge.axis, hinge.gravity
     velocity = np.gradient(position, period_s)
     width = max(round(window_s / period_s), 4)
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     cosine, sine = np.cos(position)[:, None], np.sin(position)[:, None]
     # gravity in the frame of the body, which turned by the position; its torque on a first moment d along the axis: a . (d x g)
     seen = gravity * cosine - np.cross(axis, gravity) * sine + axis * (axis @ gravity) * (1.0 - cosine)
-    moments = -np.column_stack([np.cross(d, seen) @ axis for d in directions])
+    moments = -np.column_stack([np.cross(d, seen) @ axis for d in hinge.directions])
     columns = np.column_stack(
         [
             windows.derivative(velocity, period_s),
@@ -207,23 +250,21 @@ def table_of(
         ]
     )
     counts = windows.mean((np.abs(velocity) < slow_rad_s).astype(np.float64)) < 0.5
-    counts &= ~across_gaps(motion, times_s, windows, width)
+    counts &= ~across_gaps(motion, times_s, windows)
     if counts.sum() <= columns.shape[1]:
         raise RecordingError(f"{motion.name}: {joint} does not move for long enough without a pause or a gap")
-    torque = robot.drive_trains[joint].torque_constant.value * windows.mean(current)
+    torque = robot.drive_trains[joint].torque_constant.value * windows.mean(currents[:, 0])
     middle_s = times_s[windows.starts] + 0.5 * window_s
     stretch = (middle_s / STRETCH_S).astype(np.int64)
     return Table(columns[counts], torque[counts], stretch[counts])
 
 
-def _choices(tables: Sequence[Sequence[Table]], left_out: int | None) -> FloatArray:
+def _choices(tables: Sequence[Sequence[Table]]) -> FloatArray:
     """The four values by each way to take them, shape (C, 4)."""
     rows = []
     for parts in tables:
-        inertia, *moment = _by_torque(parts, left_out).load
-        rows.append([inertia / np.hypot(*moment), inertia, *moment])
-        inertia, *moment = _by_acceleration(parts, left_out)
-        rows.append([inertia / np.hypot(*moment), inertia, *moment])
+        for inertia, *moment in (_by_torque(parts).load, _by_acceleration(parts)):
+            rows.append([inertia / np.hypot(*moment), inertia, *moment])
     return np.array(rows)
 
 
@@ -234,29 +275,19 @@ class _Solution:
     residual: FloatArray
 
 
-def _stacked(
-    parts: Sequence[Table], left_out: int | None
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+def _stacked(parts: Sequence[Table]) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
     """Load columns, shape (W, 3), friction columns of every motion, shape (W, 3 M), torque and number of the motion, shape (W,)."""
-    loads, frictions, torques, numbers = [], [], [], []
-    for number, part in enumerate(parts):
-        kept = (
-            np.ones(len(part.torque), dtype=bool)
-            if left_out is None
-            else part.stretch + RUNS_OF_ITS_OWN * number != left_out
-        )
-        own = np.zeros((int(kept.sum()), 3 * len(parts)))
-        own[:, 3 * number : 3 * number + 3] = part.columns[kept][:, 3:]
-        loads.append(part.columns[kept][:, :3])
-        frictions.append(own)
-        torques.append(part.torque[kept])
-        numbers.append(np.full(int(kept.sum()), number))
-    return np.vstack(loads), np.vstack(frictions), np.concatenate(torques), np.concatenate(numbers)
+    number = np.repeat(np.arange(len(parts)), [len(part.torque) for part in parts])
+    columns = np.vstack([part.columns for part in parts])
+    friction = np.zeros((len(number), 3 * len(parts)))
+    for motion in range(len(parts)):
+        friction[number == motion, 3 * motion : 3 * motion + 3] = columns[number == motion, 3:]
+    return columns[:, :3], friction, np.concatenate([part.torque for part in parts]), number
 
 
-def _by_torque(parts: Sequence[Table], left_out: int | None) -> _Solution:
+def _by_torque(parts: Sequence[Table]) -> _Solution:
     """The torque has the error: least squares of it, with gears that lose part of the load's."""
-    load, friction, torque, number = _stacked(parts, left_out)
+    load, friction, torque, number = _stacked(parts)
     direction = friction[:, 1::3].sum(axis=1)
     matrix = np.column_stack([load, friction, np.zeros(len(torque))])
     weight = np.ones(len(torque))
@@ -265,24 +296,25 @@ def _by_torque(parts: Sequence[Table], left_out: int | None) -> _Solution:
     values = np.zeros(matrix.shape[1])
     for _ in range(ITERATIONS):
         matrix[:, -1] = np.abs(load @ values[:3]) * direction
-        noise = max(_rms(weight * (torque - matrix @ values)), 1e-12)
+        noise = max(rms(weight * (torque - matrix @ values)), 1e-12)
         prior[-1] = noise / LOAD_FRICTION_STD
         values = np.linalg.lstsq(
             np.vstack([matrix * weight[:, None], prior]), np.append(torque * weight, 0.0), rcond=None
         )[0]
         residual = torque - matrix @ values
-        rms = np.array([max(_rms(residual[number == n]), 1e-12) for n in range(len(parts))])
-        weight = (rms.min() / rms)[number]
+        each = np.array([max(rms(residual[number == n]), 1e-12) for n in range(len(parts))])
+        weight = (each.min() / each)[number]
     return _Solution(values[:3], values[3:-1].reshape(-1, 3), residual)
 
 
-def _by_acceleration(parts: Sequence[Table], left_out: int | None) -> FloatArray:
+def _by_acceleration(parts: Sequence[Table]) -> FloatArray:
     """The acceleration has the error: inertia and two moments, shape (3,)."""
-    load, friction, torque, _ = _stacked(parts, left_out)
+    load, friction, torque, _ = _stacked(parts)
     matrix = np.column_stack([torque, load[:, 1:], friction])
     values = np.linalg.lstsq(matrix, load[:, 0], rcond=None)[0]
     return np.array([1.0, *(-values[1:3])]) / values[0]
 
 
-def _rms(values: FloatArray) -> float:
+def rms(values: FloatArray) -> float:
+    """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -23,8 +23,18 @@ from scipy.stats import t as student
 
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.regression.motion_fit import URDF_SHARE
-from proprio_ros.identification.regression.one_joint_fit import WINDOWS_S, Table, directions_of, table_of
+from proprio_ros.identification.regression.motion_prior import URDF_SHARE
+from proprio_ros.identification.regression.one_joint_fit import (
+    WINDOWS_S,
+    Carried,
+    Hinge,
+    Table,
+    carried_by,
+    rms,
+    stretches_of,
+    table_of,
+    without,
+)
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -55,19 +65,6 @@ STRETCHES, CALIBRATION, RUNS, ARM, PLACE, OUTSIDE = (
 
 
 @dataclass(frozen=True)
-class Carried:
-    """What hangs on the joint, as the columns of a `Table` take it: inertia [kg m^2] and first moments [kg m].
-
-    Attributes:
-        arm: Of the URDF's bodies, shape (3,).
-        per_kg: Of the payload, shape (3,).
-    """
-
-    arm: FloatArray
-    per_kg: FloatArray
-
-
-@dataclass(frozen=True)
 class KnownJointFit:
     """A mass, and what it errs by.
 
@@ -90,39 +87,14 @@ class KnownJointFit:
     at_the_end: bool
 
 
-def carried_by(robot: Robot, joint: str, held: dict[str, float], facts: PayloadFacts) -> Carried:
-    """Arm and payload about one joint."""
-    model = robot.model.lock([joint], held, robot.gravity)
-    axis = model.axes[0]
-    directions = directions_of(axis)
-    body_from_payload = model.frames[robot.payload_frame][1]
-    turn = body_from_payload[:3, :3]
-    lever = directions @ (turn @ facts.com + body_from_payload[:3, 3])
-    spread = facts.shape.second_moment_per_mass
-    own_axis = turn.T @ axis
-    about_centre = float(np.trace(spread) - own_axis @ spread @ own_axis)
-    second = model.pseudo_inertia[0, :3, :3]
-    scale = robot.arm_scale.value
-    arm_inertia = float(np.sum((directions @ second) * directions))
-    return Carried(
-        scale * np.array([arm_inertia, *(directions @ model.pseudo_inertia[0, :3, 3])]),
-        np.array([about_centre + float(lever @ lever), *lever]),
-    )
-
-
 def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
     """What one motion says, once for each length of the windows.
 
     Raises:
         RecordingError: It does not move for long enough.
     """
-    model = robot.model.lock([joint], dict(motion.held), robot.gravity)
-    axis = model.axes[0]
-    gravity = model.placement[0][:3, :3].T @ model.gravity
-    directions = directions_of(axis)
-    return tuple(
-        table_of(robot, motion, joint, gravity, axis, directions, window_s, CREEP_RAD_S) for window_s in WINDOWS_S
-    )
+    hinge = Hinge.of(robot, joint, motion)
+    return tuple(table_of(robot, motion, joint, hinge, window_s, CREEP_RAD_S) for window_s in WINDOWS_S)
 
 
 def _design(table: Table, load: FloatArray, share: float) -> FloatArray:
@@ -175,32 +147,23 @@ def terms_of(
     return np.mean(found, axis=0), float(np.mean(left))
 
 
+def _left_over(parts: Sequence[Table], terms: FloatArray, carried: Carried, mass: float) -> list[FloatArray]:
+    """Torque of each motion beside the terms' with a mass, less an offset of its own [N m]."""
+    load = carried.arm + mass * carried.per_kg
+    residuals = [part.torque - _design(part, load, terms[0]) @ terms for part in parts]
+    return [residual - residual.mean() for residual in residuals]
+
+
 def _mass(parts: Sequence[Table], terms: FloatArray, carried: Carried, reach_kg: tuple[float, float]) -> float:
-    """The mass whose torque, beside the terms', leaves least over; each motion has an offset of its own [kg]."""
+    """The mass that leaves least over [kg]."""
 
     def cost(mass: float) -> float:
-        load = carried.arm + mass * carried.per_kg
-        total = 0.0
-        for part in parts:
-            residual = part.torque - _design(part, load, terms[0]) @ terms
-            total += float(np.sum(np.square(residual - residual.mean())))
-        return total
+        return sum(float(np.sum(np.square(each))) for each in _left_over(parts, terms, carried, mass))
 
     grid = np.linspace(*reach_kg, GRID)
     best = int(np.argmin([cost(float(mass)) for mass in grid]))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)]
     return float(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5}).x)
-
-
-def _rms_left(parts: Sequence[Table], terms: FloatArray, carried: Carried, mass: float) -> float:
-    load = carried.arm + mass * carried.per_kg
-    residuals = [part.torque - _design(part, load, terms[0]) @ terms for part in parts]
-    return float(np.sqrt(np.mean(np.square(np.concatenate([each - each.mean() for each in residuals])))))
-
-
-def _without(table: Table, label: int) -> Table:
-    kept = table.stretch != label
-    return Table(table.columns[kept], table.torque[kept], table.stretch[kept])
 
 
 def _by_stretches(
@@ -210,13 +173,9 @@ def _by_stretches(
     by_window = list(zip(*tables, strict=True))
     masses = [_mass(parts, terms, carried, reach_kg) for parts in by_window]
     mass = float(np.mean(masses))
-    labels = [(number, int(label)) for number, parts in enumerate(tables) for label in np.unique(parts[0].stretch)]
     moved = []
-    for number, label in labels:
-        rest = [
-            [_without(part, label) if at == number else part for at, part in enumerate(parts)] for parts in by_window
-        ]
-        rest = [[part for part in parts if len(part.torque) > 2] for parts in rest]
+    for stretch in stretches_of(by_window[0]):
+        rest = [[part for part in without(parts, *stretch) if len(part.torque) > 2] for parts in by_window]
         if all(rest):
             moved.append(float(np.mean([_mass(parts, terms, carried, reach_kg) for parts in rest])) - mass)
     count = len(moved)
@@ -294,7 +253,7 @@ def learn_joint(
             f"{motions[0].name}: {len(motions)} motions of one joint do not say by how much friction differs from one to the "
             f"next: calibrate with {FEWEST_RUNS} at least, better 6, with known loads (--reference BAG=KG)"
         )
-    carried = carried_by(robot, joint, dict(motions[0].held), facts)
+    carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
     loads = np.asarray(loads_kg, dtype=np.float64)
     values, residual = terms_of(tables, loads.tolist(), carried)
@@ -344,7 +303,7 @@ def weigh_by_joint(
         RecordingError: A motion is of no use.
     """
     joint = calibration.joint
-    carried = carried_by(robot, joint, dict(motions[0].held), facts)
+    carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]
     loads = calibration.loads_kg
     reach_kg = reach_of(loads)
@@ -360,14 +319,11 @@ def weigh_by_joint(
     # an arm that is not as its URDF says was taken for a load, and cancels where the loads were the same
     arm_kg = URDF_SHARE * float(np.linalg.norm(carried.arm[1:])) / max(lever, 1e-6)
     outside = max(np.log(max(mass, 1e-9) / held.max()), np.log(held.min() / max(mass, 1e-9)), 0.0)
-    model = robot.model.lock([joint], dict(motions[0].held), robot.gravity)
-    turn = model.frames[robot.payload_frame][1][:3, :3]
-    centre = float(np.linalg.norm(directions_of(model.axes[0]) @ turn @ np.diag(facts.com_std)))
     variances = {
         STRETCHES: by_stretches,
         CALIBRATION: by_calibration,
         ARM: (arm_kg * (1.0 - mass / float(held.mean()))) ** 2,
-        PLACE: (mass * centre / max(lever, 1e-6)) ** 2,
+        PLACE: (mass * carried.centre_std_m / max(lever, 1e-6)) ** 2,
         OUTSIDE: (OUTSIDE_SHARE * outside * mass) ** 2,
     }
     rest = max(sum(variances.values()), 1e-18)
@@ -382,15 +338,14 @@ def weigh_by_joint(
         spread_kg = max(spread_kg, spread_of(posterior) * times)
     variances[RUNS] = spread_kg**2
     std = float(np.sqrt(rest + variances[RUNS]))
-    first = by_window[-1]
+    longest, scale = by_window[-1], max(abs(calibration.values[0]), 1e-9)
     return KnownJointFit(
         mass,
         std,
         half / std if np.isfinite(half) else float(student.ppf(0.975, 1)),
         tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
         stretches,
-        _rms_left(first, calibration.values, carried, mass) / max(abs(calibration.values[0]), 1e-9),
-        float(np.sqrt(np.mean(np.square(np.concatenate([part.torque for part in first])))))
-        / max(abs(calibration.values[0]), 1e-9),
+        rms(np.concatenate(_left_over(longest, calibration.values, carried, mass))) / scale,
+        rms(np.concatenate([part.torque for part in longest])) / scale,
         not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
     )

@@ -1,6 +1,6 @@
 """What the hand holds, sample by sample while the arm works, and when that changed.
 
-Windows of half a second are made as they complete, in the weak form of `motion_fit`, and compared with the torques of the empty
+Windows of half a second are made as they complete, as `motion_equations` has them, and compared with the torques of the empty
 arm as its motion calibration has them. The windows of the last seconds of motion are one small Bayesian regression: the mass is
 unknown; the arm, its torque constants, its friction in this session and the place of the load in the hand are nuisances under the
 calibration's prior.
@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -28,29 +28,21 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.regression.motion_fit import (
-    HOP_SHARE,
-    LEAST_TORQUE_STD,
-    SLOW_RAD_S,
-    WINDOW_S,
-    arm_kg,
-    moved_to_body,
-    relative_torque_std,
-    waves,
-)
-from proprio_ros.identification.regression.weak_form import Windows, torque_regressor
+from proprio_ros.identification.regression.motion_equations import HOP_SHARE, WINDOW_S, Arm, Rows, fill_drives
+from proprio_ros.identification.regression.motion_prior import LEAST_TORQUE_STD, relative_torque_std
+from proprio_ros.identification.regression.solve import Prior, posterior
+from proprio_ros.identification.regression.weak_form import Windows
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import LONGEST_GAP_S
+from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
-from proprio_ros.robot.regressor import PARAMETERS, point_mass
-
-FloatArray = NDArray[np.float64]
+from proprio_ros.robot.regressor import point_mass
 
 HOP_S = 0.1
 """A window every tenth of a second, so ten estimates per second."""
 SMOOTHED_S = 0.12
-"""Positions are those of a parabola through so much before and after: about 6 Hz, as `motion_fit` smooths, but without a future."""
+"""Positions are those of a parabola through so much before and after: about 6 Hz, as offline, but without a future."""
 LEAST_TAU_S = 0.3
 """What no model has (friction that goes with place and direction) stays alike for at least so long."""
 NOISE_FACTOR = 2.0
@@ -108,27 +100,6 @@ class RunningEstimate:
         return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * max(WIDEST_KG, WIDEST_SHARE * abs(self.mass_kg))
 
 
-@dataclass(frozen=True)
-class _Window:
-    """A window's equations, a row per joint that moves.
-
-    Attributes:
-        start_s: Its begin.
-        joint: Numbers of the joints, shape (r,).
-        design: Per unit of the calibration's terms but load friction and torque constants, shape (r, P).
-        load: Per unit of the payload's ten parameters, in its frame, shape (r, 10).
-        direction: Mean direction of motion, -1 to 1, shape (r,).
-        torque: Mean motor torque [N m], shape (r,).
-    """
-
-    start_s: float
-    joint: NDArray[np.int64]
-    design: FloatArray
-    load: FloatArray
-    direction: FloatArray
-    torque: FloatArray
-
-
 class RunningWeight:
     """A running estimate of the mass in the hand.
 
@@ -161,18 +132,10 @@ class RunningWeight:
         self.joints = calibration.joints
         others = [name for name in robot.model.independent_joints if name not in self.joints]
         places = zero_pose(robot, others) | (held or {})
-        self._model = robot.model.lock(list(self.joints), places, robot.gravity)
-        if tuple(self._model.joint_names) != tuple(self.joints):
-            raise RobotError(
-                f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(self._model.joint_names)}"
-            )
-        self._body, body_from_payload = self._model.frames[robot.payload_frame]
-        if self._body < 0:
-            raise RobotError(f"{robot.payload_frame} does not move with any joint of {robot.name}")
-        self._moved = moved_to_body(body_from_payload)
-        self._constant = calibration.torque_constants
-        self._scale = calibration.torque_scale
-        self._scale_std = calibration.torque_scale_std
+        self._arm = Arm.of(robot, self.joints, places)
+        names = self._arm.model.joint_names
+        if tuple(names) != tuple(self.joints):
+            raise RobotError(f"the motion calibration is of {', '.join(self.joints)}, the robot has {', '.join(names)}")
         referenced = any(float(run["load_kg"]) > 0.0 for run in calibration.runs)
         self._apart_std = np.array(
             [LEAST_TORQUE_STD if referenced else relative_torque_std(robot, name) for name in self.joints]
@@ -189,10 +152,9 @@ class RunningWeight:
         spread = np.sqrt(np.diag(covariance))
         size, ways = np.linalg.eigh(covariance / spread[:, None] / spread)
         self._prior_root = spread[:, None] * ways * np.sqrt(np.maximum(size, 0.0))
-        self._geared, self._shares = slice(11 * count, 12 * count), slice(12 * count, 13 * count)
         # by how much the calibration's terms are off where one torque constant is off by its standard deviation
-        self._by_share = calibration.covariance[:, self._shares] / LEAST_TORQUE_STD
-        self._widest_kg = arm_kg(self._model)
+        self._by_share = calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
+        self._widest_kg = self._arm.kg
         self._window_s = window_s
         self._noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
         # an exponential that decays over tau makes 2 tau / hop neighbours one
@@ -204,7 +166,7 @@ class RunningWeight:
         self._samples: deque[tuple[float, tuple[float, ...], tuple[float, ...]]] = deque()
         self._period_s = 0.0
         self._next_s = float("nan")
-        self._windows: deque[_Window] = deque()
+        self._windows: deque[Rows] = deque()
         self._steps: list[float] = []
         self._fresh_s: float | None = None
         self._mass: tuple[float, float] | None = None
@@ -258,10 +220,10 @@ class RunningWeight:
         self._windows.append(window)
         while len(self._windows) > round(self._window_s / HOP_S):
             self._windows.popleft()
-        self._steps = [at for at in self._steps if at > self._windows[0].start_s]
+        self._steps = [at for at in self._steps if at > self._windows[0].start_s[0]]
         self._solve()
 
-    def _window(self, start_s: float) -> _Window | None:
+    def _window(self, start_s: float) -> Rows | None:
         lowest, highest = start_s - SMOOTHED_S, start_s + WINDOW_S + SMOOTHED_S
         rows = [row for row in self._samples if lowest - LONGEST_GAP_S <= row[0] <= highest + LONGEST_GAP_S]
         times_s = np.array([row[0] for row in rows])
@@ -280,29 +242,11 @@ class RunningWeight:
         design = np.linalg.pinv(np.vander(steps, 3, increasing=True))
         view = np.lib.stride_tricks.sliding_window_view(position, 2 * reach + 1, axis=0)[:width]
         smooth, velocity = view @ design[0], view @ design[1] / period_s
-        slow = np.abs(velocity) < SLOW_RAD_S
+        inside_s = np.asarray(grid_s[reach:-reach], dtype=np.float64)
         windows = Windows.over(width, width, width)
-        joint = np.flatnonzero(windows.mean(slow.astype(np.float64))[0] <= 0.5)
-        if not len(joint):
-            return None
-        count = len(self.joints)
-        regressor = torque_regressor(self._model, smooth, velocity, windows, period_s)[0][joint]
-        moving = np.tanh(velocity / SLOW_RAD_S)
-        direction = windows.mean(moving)[0][joint]
-        own = np.eye(count)[joint]
-        design_rows = np.hstack(
-            [
-                regressor.reshape(len(joint), count * PARAMETERS),
-                own * windows.derivative(velocity, period_s)[0][joint, None],
-                np.zeros((len(joint), 2 * count)),
-                *(own * wave[0][joint, None] for wave in waves(windows, moving, smooth)),
-                own * windows.mean(velocity)[0][joint, None],
-                own * direction[:, None],
-                own,
-            ]
+        return self._arm.rows(
+            windows, inside_s, period_s, smooth, velocity, current * self._calibration.torque_constants
         )
-        torque = (windows.mean(current)[0] * self._constant)[joint]
-        return _Window(start_s, joint, design_rows, regressor[:, self._body] @ self._moved, direction, torque)
 
     # --- what it says -------------------------------------------------------------------------------------------------
 
@@ -332,11 +276,12 @@ class RunningWeight:
         if self._mass is None:
             return None
         mass, std = self._mass
+        scale = self._calibration.torque_scale
         # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
         counted, apart = self._apart
-        constants = max(apart, abs(mass) * self._scale_std)
-        std = float(np.sqrt(max(std**2 - counted**2, 0.0) + constants**2)) * self._scale
-        mass *= self._scale
+        constants = max(apart, abs(mass) * self._calibration.torque_scale_std)
+        std = float(np.sqrt(max(std**2 - counted**2, 0.0) + constants**2)) * scale
+        mass *= scale
         since = self._changed_at_s if np.isfinite(self._changed_at_s) else self._first_s
         begun = self._fresh_s if self._fresh_s is not None else self._steps[-1] if self._steps else -np.inf
         resting = self._looked_s - self._moved_s >= RESTING_S
@@ -345,7 +290,7 @@ class RunningWeight:
             mass,
             std,
             (mass - Z95 * std, mass + Z95 * std),
-            HOP_S * sum(window.start_s >= begun for window in self._windows),
+            HOP_S * sum(window.start_s[0] >= begun for window in self._windows),
             self._looked_s < self._told_until_s,
             since,
             self._moved_s if resting else None,
@@ -373,27 +318,17 @@ class _Solution:
 class _Rows:
     """All equations of the kept windows, by joint and then by time."""
 
-    def __init__(self, windows: list[_Window], arm: RunningWeight) -> None:
+    def __init__(self, windows: list[Rows], arm: RunningWeight) -> None:
         self._arm = arm
-        joint = np.concatenate([window.joint for window in windows])
-        order = np.argsort(joint, kind="stable")
-        self.joint = joint[order]
-        self.start_s = np.repeat([w.start_s for w in windows], [len(w.joint) for w in windows])[order]
-        self.number = np.repeat(np.arange(len(windows)), [len(w.joint) for w in windows])[order]
-        design = np.vstack([window.design for window in windows])[order]
-        self.load = np.vstack([window.load for window in windows])[order]
-        self.direction = np.concatenate([window.direction for window in windows])[order]
-        torque = np.concatenate([window.torque for window in windows])[order]
-        calibration = arm._calibration
-        count = len(arm.joints)
-        bodies = slice(0, PARAMETERS * count)
+        rows = Rows.together(windows)
+        order = np.argsort(rows.joint, kind="stable")
+        rows = Rows(*(getattr(rows, field.name)[order] for field in fields(rows)))
+        self.joint, self.start_s, self.load, design = rows.joint, rows.start_s, rows.payload, rows.design
+        self.along = self.load @ arm._point
+        calibration, count = arm._calibration, len(arm.joints)
         mass = 0.0 if arm._mass is None else arm._mass[0]
-        transmitted = design[:, bodies] @ calibration.values[bodies] + mass * (self.load @ arm._point)
-        gears = np.eye(count)[self.joint] * (np.abs(transmitted) * self.direction)[:, None]
-        design[:, arm._geared] = gears
-        needed = design @ calibration.values + mass * (self.load @ arm._point)
-        design[:, arm._shares] = -np.eye(count)[self.joint] * needed[:, None]
-        right = torque - design @ calibration.values
+        fill_drives(design, calibration.values, rows, slice(11 * count, 12 * count), mass * self.along)
+        right = rows.torque - design @ calibration.values
         self.roots = []
         for number in range(count):
             at = self.start_s[self.joint == number]
@@ -419,7 +354,7 @@ class _Rows:
     def solve(self, steps: Sequence[float]) -> _Solution:
         """The masses of the stretches between the steps."""
         arm = self._arm
-        along, columns = self.load @ arm._point, []
+        along, columns = self.along, []
         heavy = self.heavy_kg * arm._centre_std_m
         # between which instants each stretch lies; windows across a step hold any part of both, each its own
         begins = [-np.inf, *(at + UNSURE_S for at in steps)]
@@ -432,9 +367,9 @@ class _Rows:
             across = (self.start_s > at - UNSURE_S - WINDOW_S) & (self.start_s < at + UNSURE_S)
             columns += [(self.start_s == start) * along * arm._widest_kg for start in np.unique(self.start_s[across])]
         design = np.hstack([self._white(np.column_stack(columns)), self.arm_design])
-        normal = design.T @ design + np.eye(design.shape[1])
-        inverse = np.linalg.inv(normal)
-        values = inverse @ (design.T @ self.right)
+        unknowns = design.shape[1]
+        prior = Prior(np.zeros(unknowns), np.eye(unknowns))
+        values, inverse = posterior(design.T @ design, design.T @ self.right, prior)
         mass, std = values[0] * arm._widest_kg, np.sqrt(inverse[0, 0]) * arm._widest_kg
         return _Solution(float(mass), float(std), design, self.right - design @ values, inverse)
 
@@ -450,15 +385,13 @@ class _Rows:
 
     def step(self, steps: Sequence[float], solution: _Solution, sigmas: float) -> float | None:
         """When something was picked up or put down that is not among the known steps; None: nothing was."""
-        arm = self._arm
         starts = np.unique(self.start_s)
         earliest = steps[-1] + 2.0 * WINDOW_S if steps else -np.inf
         onsets = starts[max(1, len(starts) - round(LATEST_STEP_S / HOP_S)) : len(starts) - LEAST_AFTER + 1]
         onsets = onsets[onsets > earliest]
         if not len(onsets):
             return None
-        along = self.load @ arm._point
-        columns = self._white(np.column_stack([self._share(at) * along for at in onsets]))
+        columns = self._white(np.column_stack([self._share(at) * self.along for at in onsets]))
         free = columns - solution.design @ (solution.inverse @ (solution.design.T @ columns))
         information = np.maximum(np.einsum("ij,ij->j", columns, free), 1e-12)
         change_kg = columns.T @ solution.residual / information

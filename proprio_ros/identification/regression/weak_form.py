@@ -16,11 +16,15 @@ parameters of links and loads, Atkeson, An & Hollerbach 1986, International Jour
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, filtfilt
 
+from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel
 from proprio_ros.robot.regressor import PARAMETERS, kinematics, momentum_and_gravity
@@ -105,3 +109,40 @@ def _carriers(model: ReducedModel, body: int) -> list[int]:
     while model.parents[joints[-1]] >= 0:
         joints.append(int(model.parents[joints[-1]]))
     return joints
+
+
+def evenly(
+    motion: Motion, joints: Sequence[str], bandwidth_Hz: float, currents_too: bool = False
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Equally spaced times [s], smoothed positions [rad or m] and currents [A] of some joints, shapes (T,), (T, n), (T, n).
+
+    Args:
+        motion: At whatever instants.
+        joints: Of it, n.
+        bandwidth_Hz: To which positions are smoothed.
+        currents_too: Whether currents are, too.
+
+    Raises:
+        RecordingError: There are too few samples.
+    """
+    columns = [motion.joints.index(name) for name in joints]
+    period_s = float(np.median(np.diff(motion.times_s)))
+    times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
+    position, current = (
+        np.column_stack([np.interp(times_s, motion.times_s, values[:, column]) for column in columns])
+        for values in (motion.position, motion.current_A)
+    )
+    b, a = butter(2, min(2.0 * bandwidth_Hz * period_s, 0.9))
+    if len(times_s) <= 3 * max(len(a), len(b)):
+        raise RecordingError(f"{motion.name}: {len(times_s)} samples are too few for a motion")
+    position = filtfilt(b, a, position, axis=0)
+    return times_s, position, filtfilt(b, a, current, axis=0) if currents_too else current
+
+
+def across_gaps(motion: Motion, times_s: FloatArray, windows: Windows) -> NDArray[np.bool_]:
+    """Which windows of evenly spaced samples span a gap in the recording, and know nothing of what happened there, shape (W,)."""
+    first, last = times_s[windows.starts], times_s[windows.starts + len(windows.weight) - 1]
+    crossed = np.zeros(len(windows.starts), dtype=bool)
+    for gap in np.flatnonzero(np.diff(motion.times_s) > LONGEST_GAP_S):
+        crossed |= (first < motion.times_s[gap + 1]) & (last > motion.times_s[gap])
+    return crossed

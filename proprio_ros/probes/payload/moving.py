@@ -13,16 +13,23 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
-from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.regression.motion_estimate import unexplained_torque, unlike_urdf
-from proprio_ros.identification.regression.motion_fit import BLOCK_S, MotionFit, fit_motions, relative_torque_std
-from proprio_ros.identification.regression.motion_prior import fit_calibrated
+from proprio_ros.identification.regression.motion_equations import STRETCH_S
+from proprio_ros.identification.regression.motion_estimate import calibration_refusals
+from proprio_ros.identification.regression.motion_fit import MotionFit, fit_empty, fit_payload
+from proprio_ros.identification.regression.motion_prior import relative_torque_std
+from proprio_ros.identification.regression.refusals import (
+    WIDEST_SHARE,
+    far_from_prior,
+    lighter_than_empty,
+    unexplained_torque,
+    unlike_urdf,
+)
 from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
-from proprio_ros.robot.regressor import PARAMETERS
 from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
@@ -38,8 +45,8 @@ LEAST_SIGMAS = 5.0
 """A mass that is not known so many times better than it is large is no divisor."""
 SEEN_SHARE = 0.5
 """Of the spread of any load's parameters: what is known no better is not seen."""
-WIDEST_SHARE, WIDEST_OF_ARM = 0.5, 0.02
-"""A mass whose half width is more than this share of it and of the arm's own mass is ``too_wide``."""
+WIDEST_OF_ARM = 0.02
+"""A mass whose half width is more than `WIDEST_SHARE` of it and this share of the arm's own mass is ``too_wide``."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +61,48 @@ class MotionDetail:
 
     stretches: int
     unseen: tuple[str, ...]
-    stretch_s: float = BLOCK_S
+    stretch_s: float = STRETCH_S
 
     def as_json(self) -> dict[str, object]:
         return {"motion": {"stretches": self.stretches, "stretch_s": self.stretch_s, "undetermined": list(self.unseen)}}
+
+
+def mass_value(mass: float, std: float, half: float, refusal: Refusal | None) -> Value:
+    """A mass with its interval of half width ``half`` [kg], cut off at nothing, or why there is none."""
+    if refusal is not None:
+        return Value("payload_mass", "kg", None, reason=refusal.withheld)
+    return Value("payload_mass", "kg", max(mass, 0.0), std, [max(mass - half, 0.0), max(mass + half, 0.0)])
+
+
+def motion_answer(
+    robot: Robot,
+    motions: Sequence[Motion],
+    refusal: Refusal | None,
+    values: Sequence[Value],
+    assumptions: tuple[str, ...],
+    *,
+    fit: Fit | None,
+    budget: Sequence[tuple[str, float]],
+    detail: MotionDetail | None,
+    beside: Sequence[Motion] = (),
+    wide: tuple[Reason, ...] = (),
+) -> Estimate:
+    """The answer of any regression; ``wide`` says why one that is not refused is ``too_wide``, ``beside`` has notes, too."""
+    accepted = Verdict.TOO_WIDE if wide else Verdict.ACCEPTED
+    return Estimate(
+        probe="payload",
+        robot=robot.name,
+        verdict=accepted if refusal is None else refusal.verdict,
+        reasons=wide if refusal is None else tuple(refusal.reasons),
+        values=tuple(values),
+        fit=fit,
+        solver=None,
+        runs=len(motions),
+        budget=tuple(sorted(budget, key=lambda part: -part[1])),
+        detail=detail,
+        assumptions=assumptions,
+        notes=tuple(note for motion in (*motions, *beside) for note in motion.notes),
+    )
 
 
 def weigh_in_motion(
@@ -72,38 +117,56 @@ def weigh_in_motion(
     Args:
         robot: As its file states it; the empty motions correct it.
         motions: With the payload, at least one.
-        baseline: The same arm with an empty hand.
+        baseline: The same arm with an empty hand: what a calibration is made of, where the robot has none.
         facts: Where the payload's centre is, and how well that is known.
         centre_is_stated: Whether the user said so; else it is identified, too.
 
     Raises:
         RecordingError: A motion is of no use.
     """
-    notes = tuple(note for motion in (*motions, *baseline) for note in motion.notes)
     centre = (np.asarray(facts.com), np.asarray(facts.com_std)) if centre_is_stated else None
     calibration = robot.motion_calibration
-    if not baseline and calibration is None:
+    if calibration is not None:
+        fit = fit_payload(robot, motions, calibration, empty=baseline, centre=centre)
+        of_arm, known = _drift(robot, baseline, calibration), "calibration"
+    elif baseline:
+        calibration = fit_empty(robot, baseline)
+        fit = fit_payload(robot, motions, calibration, centre=centre)
+        of_arm, known = calibration_refusals(robot, baseline, calibration), "baseline"
+    else:
         unknown = not_identifiable(
             "no_empty_motion",
             "nothing says what the arm itself weighs",
             "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about "
             "the same motion with an empty hand and add it with --baseline, or calibrate with it (`proprio calibrate`)",
         )
-        return _estimate(robot, motions, None, unknown, notes)
-    if calibration is None:
-        fit = fit_motions(robot, motions, baseline, centre=centre)
-        refusal = next(_refusals(motions, fit), None)
-    else:
-        fit = fit_calibrated(robot, motions, calibration, empty=baseline, centre=centre)
-        refusal = next(chain(_drift(robot, baseline, calibration), _refusals(motions, fit, "its calibration")), None)
-    return _estimate(robot, motions, fit, refusal, notes, centre_is_stated)
+        nothing = [mass_value(0.0, 0.0, 0.0, unknown)]
+        assumptions = _assumptions(robot, motions, None, None)
+        return motion_answer(robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None)
+    refusal = next(chain(of_arm, _refusals(motions, fit, known)), None)
+    mass, std = float(fit.values[0]), float(fit.std[0])
+    values = [mass_value(mass, std, fit.half_width, refusal)]
+    if refusal is None and not centre_is_stated:
+        values.extend(_place(fit))
+    return motion_answer(
+        robot,
+        motions,
+        refusal,
+        values,
+        _assumptions(robot, motions, calibration, fit),
+        fit=Fit(_rms(fit.residual), _rms(fit.empty_residual), _rms(fit.residual / fit.empty_residual), "N m"),
+        budget=list(fit.parts.items()),
+        detail=MotionDetail(fit.stretches, fit.unseen()),
+        beside=baseline,
+        wide=_too_wide(fit),
+    )
 
 
 def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
     """What an empty hand that does not weigh nothing says about the calibration."""
     if not baseline:
         return
-    fit = fit_calibrated(robot, baseline, calibration)
+    fit = fit_payload(robot, baseline, calibration)
     mass, std = float(fit.values[0]), float(fit.std[0])
     if abs(mass) > DRIFT_SIGMAS * std:
         yield rejected(
@@ -114,8 +177,7 @@ def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibrat
         )
 
 
-def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str = "its robot file") -> Iterator[Refusal]:
-    mass, half = float(fit.values[0]), fit.quantile * float(fit.std[0])
+def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
     if fit.halves is not None:
         (early, early_std), (late, late_std) = fit.halves
@@ -148,82 +210,30 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str = "its robot
             "hand's motion: were both recorded with the same driver, unit and torque constants, and is it the same arm?",
         )
     yield from unlike_urdf(fit.arm_over_urdf)
-    pulls = np.abs(fit.pulls())
-    pulls[:10] = 0.0  # the payload's own prior is only there to keep the equations solvable
-    worst = int(np.argmax(pulls))
-    if pulls[worst] > FAR:
-        term = fit.terms[worst]
-        yield rejected(
-            "far_from_prior",
-            f"the arm does not fit {known}",
-            f"{term.label} ended {pulls[worst]:.0f} standard deviations from what {known.replace('its', 'the')} says "
-            f"({term.prior:.3g} +- {term.std:.2g} {term.unit}): check the URDF, the torque constants and the effort's unit",
-        )
-    if mass + half < 0.0:
-        yield rejected(
-            "lighter_than_empty",
-            "the hand seems lighter than empty",
-            f"the hand with its load seems {shown('kg', -mass, spec='.0f')} lighter than with nothing in it: are the "
-            "recordings mixed up?",
-        )
+    yield from far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
+    yield from lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
 
 
 def _too_wide(fit: MotionFit) -> tuple[Reason, ...]:
     """Why an answer that nothing else speaks against is not accepted; empty where it is."""
-    mass, half = float(fit.values[0]), fit.quantile * float(fit.std[0])
-    if half <= max(WIDEST_SHARE * abs(mass), WIDEST_OF_ARM * fit.arm_kg):
+    half = fit.half_width
+    if half <= max(WIDEST_SHARE * abs(float(fit.values[0])), WIDEST_OF_ARM * fit.arm_kg):
         return ()
     return (
         Reason(
             "too_wide",
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
-            f"the hand, longer than the {BLOCK_S * fit.blocks:.0f} s used here, and record the empty hand in the same motion",
+            f"the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and record the empty hand in the same motion",
         ),
     )
 
 
-def _estimate(
-    robot: Robot,
-    motions: Sequence[Motion],
-    fit: MotionFit | None,
-    refusal: Refusal | None,
-    notes: tuple[str, ...],
-    centre_is_stated: bool = False,
-) -> Estimate:
-    withheld = "" if refusal is None else refusal.withheld
-    wide = _too_wide(fit) if fit is not None and refusal is None else ()
-    if fit is None or withheld:
-        values = [Value("payload_mass", "kg", None, reason=withheld)]
-    else:
-        mass, std = float(fit.values[0]), float(fit.std[0])
-        half = fit.quantile * std
-        values = [Value("payload_mass", "kg", max(mass, 0.0), std, [max(mass - half, 0.0), max(mass + half, 0.0)])]
-        if not centre_is_stated:
-            values.extend(_place(fit))
-    return Estimate(
-        probe="payload",
-        robot=robot.name,
-        verdict=refusal.verdict if refusal is not None else Verdict.TOO_WIDE if wide else Verdict.ACCEPTED,
-        reasons=wide if refusal is None else tuple(refusal.reasons),
-        values=tuple(values),
-        fit=None
-        if fit is None
-        else Fit(_mean(fit.residual), _mean(fit.empty_residual), _mean(fit.residual / fit.empty_residual), "N m"),
-        solver=None,
-        runs=len(motions),
-        budget=() if fit is None else fit.budget(),
-        detail=None if fit is None else MotionDetail(fit.blocks, fit.unseen()),
-        assumptions=_assumptions(robot, motions, fit),
-        notes=notes,
-    )
-
-
-def _assumptions(robot: Robot, motions: Sequence[Motion], fit: MotionFit | None) -> tuple[str, ...]:
-    calibration = robot.motion_calibration
-    known = "under the calibration's" if calibration is not None else "together with the baseline's"
-    torque_std = max(relative_torque_std(robot, joint) for joint in motions[0].joints)
-    if calibration is not None:
-        torque_std = calibration.torque_scale_std
+def _assumptions(
+    robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration | None, fit: MotionFit | None
+) -> tuple[str, ...]:
+    known = "together with the baseline's" if robot.motion_calibration is None else "under the calibration's"
+    stated = max(relative_torque_std(robot, joint) for joint in motions[0].joints)
+    torque_std = stated if calibration is None else calibration.torque_scale_std
     referenced = calibration is not None and any(run["load_kg"] > 0.0 for run in calibration.runs)
     return (
         f"several joints moved at once: the {motions[0].source} of {len(motions[0].joints)} joints and their positions were fitted "
@@ -235,7 +245,7 @@ def _assumptions(robot: Robot, motions: Sequence[Motion], fit: MotionFit | None)
     )
 
 
-def _mean(values: np.ndarray) -> float:
+def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
@@ -248,7 +258,7 @@ def _place(fit: MotionFit) -> tuple[Value, Value]:
             Value("payload_com", "m", [None] * 3, [None] * 3, [None] * 3, nothing + "where"),
             Value("payload_inertia", "kg m^2", [None] * 6, [None] * 6, [None] * 6, nothing + "how it is spread"),
         )
-    body = nearest_body(fit.values[:PARAMETERS], fit.covariance[:PARAMETERS, :PARAMETERS])
+    body = nearest_body(fit.values, fit.covariance)
     centre = body[1:4] / mass
     # of the quotient, to first order
     gradient = np.hstack([-centre[:, None], np.eye(3)]) / mass
@@ -260,8 +270,7 @@ def _place(fit: MotionFit) -> tuple[Value, Value]:
 def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     """About the centre of mass: xx, xy, xz, yy, yz, zz; None where the motion says little more than that mass does."""
     value, gradient = inertia_about_centre(body)
-    covariance = fit.covariance[:PARAMETERS, :PARAMETERS]
-    stds = np.sqrt(np.diag(gradient @ covariance @ gradient.T))
+    stds = np.sqrt(np.diag(gradient @ fit.covariance @ gradient.T))
     # a moment of inertia is told as a mass is, to half of itself, and a product only means something beside its moments
     seen = stds < SEEN_SHARE * fit.payload_prior[4:]
     moments = [0, 3, 5]

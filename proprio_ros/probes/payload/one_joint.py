@@ -7,12 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
+from proprio_ros.identification.estimate import Estimate, Fit, Value
 from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
-from proprio_ros.identification.regression.motion_estimate import UNEXPLAINED_SHARE, URDF_RATIO
-from proprio_ros.identification.regression.motion_fit import URDF_SHARE, relative_torque_std
-from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, fit_one_joint
-from proprio_ros.probes.payload.moving import WIDEST_SHARE, MotionDetail
+from proprio_ros.identification.regression.motion_prior import URDF_SHARE, relative_torque_std
+from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, carried_by, fit_one_joint
+from proprio_ros.identification.regression.refusals import (
+    UNEXPLAINED_SHARE,
+    interval_too_wide,
+    lighter_than_empty,
+    unlike_urdf,
+)
+from proprio_ros.probes.payload.moving import MotionDetail, mass_value, motion_answer
 from proprio_ros.quantity import Quantity, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -22,7 +27,7 @@ UNSTATED_TORQUE_STD = 0.2
 """A torque constant without a standard deviation is a maker's number; a motor board's own torque was seen to be off by 17 %."""
 KNOWN_TORQUE_STD = 0.03
 """No mass is stated where the torque's scale is known worse than this, relative."""
-SWINGS_SHARE = 0.6
+FREE_SHARE = 0.6
 """A joint whose acceleration gravity explains so far, as that of a pendulum about as long as the lever, needs no motor to move."""
 MAGNITUDE_SHARE = 0.1
 """An effort of one sign that is explained no better than to this share is taken for a magnitude."""
@@ -102,15 +107,10 @@ def weigh_one_joint(
 
 
 def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit | None, facts: PayloadFacts) -> Weighed:
-    model = robot.model.lock([fit.joint], dict(motion.held), robot.gravity)
-    drive = robot.drive_trains[fit.joint]
-    body_from_payload = model.frames[robot.payload_frame][1]
-    place = body_from_payload[:3, :3] @ facts.com + body_from_payload[:3, 3]
-    lever = fit.directions @ place
+    drive, hangs = robot.drive_trains[fit.joint], carried_by(robot, fit.joint, motion, facts)
+    urdf_inertia, urdf_moment, lever = float(hangs.arm[0]), hangs.arm[1:], hangs.per_kg[1:]
     length = max(float(np.linalg.norm(lever)), 1e-6)
     toward = lever / length
-    scale = robot.arm_scale.value
-    urdf_moment = scale * fit.directions @ model.pseudo_inertia[0, :3, 3]
     arm_std = robot.arm_scale.std if robot.is_calibrated([fit.joint]) else URDF_SHARE
     if empty is None:
         arm, arm_moment_std = urdf_moment, arm_std * float(np.linalg.norm(urdf_moment))
@@ -126,28 +126,24 @@ def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit 
             relative = float(np.hypot(relative, ratio - 1.0))
     # against the URDF an error of the scale takes its share of the whole moment, against the empty arm of the payload's alone
     scaled = mass if empty is not None else float(fit.values[2:] @ toward) / length
-    centre_std = float(np.linalg.norm(fit.directions @ body_from_payload[:3, :3] @ np.diag(facts.com_std)))
     parts = (
         ("what differs from stretch to stretch", float(np.sqrt(toward @ fit.covariance[2:, 2:] @ toward)) / length),
         ("torque constants", abs(scaled) * relative),
         ("the arm itself", arm_moment_std / length),
-        ("place of the payload", abs(mass) * centre_std / length),
+        ("place of the payload", abs(mass) * hangs.centre_std_m / length),
     )
-    second = scale * model.pseudo_inertia[0, :3, :3]
-    urdf_inertia = float(np.sum((fit.directions @ second) * fit.directions))
     expected_moment = urdf_moment + mass * lever
     moment = max(float(np.linalg.norm(expected_moment)), 1e-9)
     object_inertia = abs(mass) * float(np.trace(facts.shape.second_moment_per_mass))
     inertia = urdf_inertia + drive.armature.value + mass * length**2
     inertia_std = np.hypot(arm_std * urdf_inertia, drive.armature.std) + object_inertia
     expected = inertia / moment
-    expected_std = float(np.hypot(inertia_std / moment, expected * centre_std / length))
-    pointing = fit.values[2:] / max(float(np.linalg.norm(fit.values[2:])), 1e-9)
+    expected_std = float(np.hypot(inertia_std / moment, expected * hangs.centre_std_m / length))
+    found = max(float(np.linalg.norm(fit.values[2:])), 1e-9)
+    pointing = fit.values[2:] / found
     across = np.array([-pointing[1], pointing[0]])
     awry = float(np.arctan2(across @ expected_moment, pointing @ expected_moment))
-    awry_std = float(np.sqrt(across @ fit.covariance[2:, 2:] @ across)) / max(
-        float(np.linalg.norm(fit.values[2:])), 1e-9
-    )
+    awry_std = float(np.sqrt(across @ fit.covariance[2:, 2:] @ across)) / found
     return Weighed(
         mass,
         float(np.sqrt(sum(part**2 for _, part in parts))),
@@ -173,12 +169,12 @@ def _refusals(motion: Motion, fit: OneJointFit, weighed: Weighed) -> Iterator[Re
             f"{motion.name}: the effort of {fit.joint} never changes its sign, and {percent} of it is not explained "
             "by inertia, gravity and friction: it seems to be a magnitude, which says nothing about a load; record one with a sign",
         )
-    by_itself = fit.swings > SWINGS_SHARE and 0.5 < fit.swings_m / weighed.lever_m < 2.0
+    by_itself = fit.free_share > FREE_SHARE and 0.5 < fit.free_m / weighed.lever_m < 2.0
     if unexplained > UNEXPLAINED_SHARE and by_itself:
         yield not_identifiable(
             "within_friction",
             "the torque lies within friction",
-            f"{motion.name}: {fit.joint} swings almost by itself: gravity explains {100.0 * fit.swings:.0f} % of its "
+            f"{motion.name}: {fit.joint} swings almost by itself: gravity explains {100.0 * fit.free_share:.0f} % of its "
             f"acceleration, and the motor's {shown('N m', fit.driven, spec='.3g')} (rms) are of the size of friction, so they say "
             "little about the load: record a motion in which the motor lifts, holds back and turns the load round",
         )
@@ -237,14 +233,8 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
             f"{100.0 * KNOWN_TORQUE_STD:.0f} % or less and add a motion with an empty hand with --baseline. The length of the "
             "equivalent pendulum needs none of it",
         )
-    ratio = weighed.arm_over_urdf
-    if ratio is not None and not 1.0 / URDF_RATIO < ratio < URDF_RATIO:
-        yield rejected(
-            "arm_unlike_urdf",
-            "the arm does not fit its URDF",
-            f"by its torque the empty arm weighs {ratio:.2f} times what its URDF says, and a payload would be off by as much: "
-            "check the effort's unit, the torque constant and the URDF's masses",
-        )
+    if weighed.arm_over_urdf is not None:
+        yield from unlike_urdf(weighed.arm_over_urdf)
     angle, angle_std = weighed.awry
     if abs(angle) > max(AWRY_RAD, FAR * angle_std):
         yield rejected(
@@ -278,20 +268,9 @@ def _mass_refusals(robot: Robot, motion: Motion, fit: OneJointFit, weighed: Weig
             "armature, payload.com and payload.shape",
         )
     half = fit.quantile * weighed.std
-    if weighed.mass + half < 0.0:
-        yield rejected(
-            "lighter_than_empty",
-            "the hand seems lighter than empty",
-            f"the hand with its load seems {shown('kg', -weighed.mass, spec='.0f')} lighter than with nothing in it: check the "
-            "URDF's masses, or are the recordings mixed up?",
-        )
-    if half > WIDEST_SHARE * abs(weighed.mass):
-        yield not_identifiable(
-            "says_too_little",
-            "the interval is too wide to state a mass",
-            f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}; what it errs by most: "
-            f"{max(weighed.parts, key=lambda part: part[1])[0]}",
-        )
+    advice = "check the URDF's masses, or are the recordings mixed up?"
+    yield from lighter_than_empty(weighed.mass, half, advice)
+    yield from interval_too_wide(weighed.mass, half, weighed.parts)
 
 
 def _estimate(
@@ -303,12 +282,6 @@ def _estimate(
     refusal: Refusal | None,
     mass_refusal: Refusal | None,
 ) -> Estimate:
-    if mass_refusal is not None:
-        mass = Value("payload_mass", "kg", None, reason=mass_refusal.withheld)
-    else:
-        half = fit.quantile * weighed.std
-        low, high = max(weighed.mass - half, 0.0), max(weighed.mass + half, 0.0)
-        mass = Value("payload_mass", "kg", max(weighed.mass, 0.0), weighed.std, [low, high])
     if refusal is not None:
         length = Value("equivalent_pendulum_length", "m", None, reason=refusal.withheld)
     else:
@@ -320,18 +293,12 @@ def _estimate(
         if empty is not None
         else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
     )
-    return Estimate(
-        probe="payload",
-        robot=robot.name,
-        verdict=Verdict.ACCEPTED if mass_refusal is None else mass_refusal.verdict,
-        reasons=() if mass_refusal is None else tuple(mass_refusal.reasons),
-        values=(mass, length),
-        fit=Fit(fit.residual, fit.residual if empty is None else empty.residual, 1.0, "N m"),
-        solver=None,
-        runs=len(motions),
-        budget=tuple(sorted(weighed.parts, key=lambda part: -part[1])),
-        detail=MotionDetail(fit.stretches, (), STRETCH_S),
-        assumptions=(
+    return motion_answer(
+        robot,
+        motions,
+        mass_refusal,
+        (mass_value(weighed.mass, weighed.std, fit.quantile * weighed.std, mass_refusal), length),
+        (
             f"one joint moved under a controller: the {motions[0].source} and the positions were fitted together; inertia over "
             "first moment, the length of the equivalent pendulum, needs no scale of the torque, and is that of arm, rotor and "
             "payload together",
@@ -339,5 +306,7 @@ def _estimate(
             f"torque constant as in {robot.source.name}, to {100.0 * weighed.torque_std:.1f} %: a mass errs as it does",
             "friction is that of each recording: Coulomb, viscous, a share of the torque, and an offset",
         ),
-        notes=tuple(note for motion in motions for note in motion.notes),
+        fit=Fit(fit.residual, fit.residual if empty is None else empty.residual, 1.0, "N m"),
+        budget=weighed.parts,
+        detail=MotionDetail(fit.stretches, (), STRETCH_S),
     )

@@ -11,7 +11,8 @@ from support.arm_in_motion import FOUR, SIX, Build, Twin, write_robot
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
-from proprio_ros.identification.regression.motion_prior import _correlation, _posterior, fit_calibrated, fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
+from proprio_ros.identification.regression.solve import Prior, correlated_windows, posterior
 from proprio_ros.probes.payload.moving import weigh_in_motion
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -22,7 +23,7 @@ def test_the_posterior_is_that_of_the_normal_equations() -> None:
     rows, right = rng.normal(size=(30, 4)) * [1.0, 1e-3, 10.0, 1.0], rng.normal(size=30)
     factor, mean = rng.normal(size=(4, 4)) * [1e-2, 1.0, 1e-3, 1.0], rng.normal(size=4)
     prior = factor.T @ factor
-    values, covariance = _posterior(rows.T @ rows, rows.T @ right, mean, prior)
+    values, covariance = posterior(rows.T @ rows, rows.T @ right, Prior(mean, prior))
     precision = rows.T @ rows + np.linalg.inv(prior)
     np.testing.assert_allclose(covariance, np.linalg.inv(precision), rtol=1e-6, atol=1e-12)
     expected = np.linalg.solve(precision, rows.T @ right + np.linalg.solve(prior, mean))
@@ -30,7 +31,7 @@ def test_the_posterior_is_that_of_the_normal_equations() -> None:
 
 
 def test_a_prior_that_leaves_a_direction_closed_needs_no_inverse() -> None:
-    values, covariance = _posterior(np.eye(2), np.array([3.0, 0.0]), np.zeros(2), np.ones((2, 2)))
+    values, covariance = posterior(np.eye(2), np.array([3.0, 0.0]), Prior(np.zeros(2), np.ones((2, 2))))
     # one number, seen twice: 3 and 0
     np.testing.assert_allclose(values, [1.0, 1.0])
     np.testing.assert_allclose(covariance, np.full((2, 2), 1.0 / 3.0))
@@ -40,12 +41,12 @@ def test_windows_that_share_an_error_count_less() -> None:
     rng = np.random.default_rng(2)
     block = np.repeat(np.arange(2000), 20)
     alone = rng.normal(size=len(block))
-    assert _correlation(alone, block) < 1.2
+    assert correlated_windows(alone, block) < 1.2
     drifting = alone.copy()
     for n in range(1, len(drifting)):
         drifting[n] = 0.6 * drifting[n - 1] + 0.8 * alone[n]
     # 1 + 2 (0.6 + 0.6^2 + ..) = 4
-    assert 3.2 < _correlation(drifting, block) < 4.2
+    assert 3.2 < correlated_windows(drifting, block) < 4.2
 
 
 @pytest.fixture(scope="module")
@@ -95,12 +96,12 @@ def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     robot, arm = robots[len(build.axes)], Twin(seed, build)
     mass, centre = arm.payload(np.random.default_rng(seed))
     known = fit_empty(robot, [arm.record("empty", 20.0)])
-    fit = fit_calibrated(robot, [arm.record("loaded", 15.0, (mass, centre))], known)
+    fit = fit_payload(robot, [arm.record("loaded", 15.0, (mass, centre))], known)
     half_kg = fit.quantile * float(fit.std[0])
     # an interval of 95 % may miss: how often is for the benchmark
     assert abs(fit.values[0] - mass) < min(1.5 * half_kg, within_kg)
     assert half_kg < 2.5 * within_kg
-    nothing = fit_calibrated(robot, [arm.record("empty again", 15.0)], known)
+    nothing = fit_payload(robot, [arm.record("empty again", 15.0)], known)
     half_kg = nothing.quantile * float(nothing.std[0])
     assert abs(nothing.values[0]) < 1.5 * half_kg and half_kg < within_kg
 
@@ -117,12 +118,12 @@ def test_torque_constants_apart_show_where_two_joints_carry_the_same(robots: dic
     # the prior is 1 %, so 20 s do not show all of it
     assert 0.04 < values["torque_share", "j2"] - values["torque_share", "j3"] < 0.09
     loaded, baseline = arm.record("loaded", 15.0, (mass, centre)), arm.record("baseline", 15.0)
-    alone, with_baseline = (fit_calibrated(robot, [loaded], known, empty=empty) for empty in ([], [baseline]))
+    alone, with_baseline = (fit_payload(robot, [loaded], known, empty=empty) for empty in ([], [baseline]))
     for fit in (alone, with_baseline):
         half_kg = fit.quantile * float(fit.std[0])
         assert abs(fit.values[0] - mass) < min(half_kg, 0.004)
         assert half_kg < 0.006
-    nothing = fit_calibrated(robot, [baseline], known)
+    nothing = fit_payload(robot, [baseline], known)
     assert abs(nothing.values[0]) < 0.003
 
 
@@ -146,7 +147,7 @@ def test_a_reference_tells_torque_constants_that_are_off(robots: dict[int, Robot
     assert without.verdict is with_it.verdict is Verdict.ACCEPTED
     assert without.motion is not None and with_it.motion is not None
     assert abs(with_it.motion.torque_scale - 0.88) < 0.05 and with_it.motion.torque_scale_std < 0.05
-    rough, fine = (fit_calibrated(robot, [loaded], each.motion) for each in (without, with_it))
+    rough, fine = (fit_payload(robot, [loaded], each.motion) for each in (without, with_it))
     assert rough.values[0] > 1.08 * 0.15
     for fit in (rough, fine):
         assert abs(fit.values[0] - 0.15) < fit.quantile * float(fit.std[0])
@@ -182,6 +183,6 @@ def test_what_is_too_short_or_of_another_arm_is_refused(robots: dict[int, Robot]
     with pytest.raises(RecordingError, match="record 10 s"):
         fit_empty(robot, [short])
     with pytest.raises(RecordingError, match="record 10 s"):
-        fit_calibrated(robot, [short], known)
+        fit_payload(robot, [short], known)
     with pytest.raises(RecordingError, match="the calibration is of j1, j2, j3, j4"):
-        fit_calibrated(robot, [replace(motion, joints=("j1", "j2", "j3", "j5"))], known)
+        fit_payload(robot, [replace(motion, joints=("j1", "j2", "j3", "j5"))], known)

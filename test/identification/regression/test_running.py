@@ -15,7 +15,7 @@ from support.arm_in_motion import FOUR, Twin, write_robot
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.regression.motion_prior import fit_empty
+from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.identification.regression.running import LATEST_STEP_S, RunningEstimate, RunningWeight
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot

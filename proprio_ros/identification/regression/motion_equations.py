@@ -1,0 +1,299 @@
+"""What motions say in equations: a row for each window and moving joint, a column for each parameter of payload, arm and friction.
+
+In weak form (`weak_form`): over windows of half a second the mean torque of a motor is that of the arm's bodies, of the rotors, of
+friction and of the payload. Offline rows come from a whole motion, online from one window at a time (`running`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS
+from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.identification.regression.rigid_body import pseudo_inertia
+from proprio_ros.identification.regression.weak_form import Windows, across_gaps, evenly, torque_regressor
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.records import FloatArray
+from proprio_ros.robot import ReducedModel, Robot
+from proprio_ros.robot.regressor import PARAMETERS, body_parameters, point_mass
+
+WINDOW_S = 0.5
+"""Long enough to average over what encoders and current sensors add, short enough to tell one attitude from the next."""
+HOP_SHARE = 0.25
+BANDWIDTH_HZ = 6.0
+"""Positions are smoothed to this before their velocity is taken: arms follow nothing faster with weight on them."""
+SLOW_RAD_S = 0.02
+"""Dry friction is smoothed over this; a joint that is slower for most of a window rests on friction, which then does not count."""
+STRETCH_S = 2.5
+"""Neighbouring windows share an error; stretches so long do not: longer than what friction and controllers keep in memory."""
+MIN_STRETCHES = 4
+RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm whose other joints are locked, and the frame in which a payload counts.
+
+    Attributes:
+        model: Its n joints.
+        body: Number of the body that carries the payload.
+        from_payload: That body's parameters per unit of the payload's in the payload's frame, shape (10, 10).
+        reach_m: From the base to the hand along the links.
+    """
+
+    model: ReducedModel
+    body: int
+    from_payload: FloatArray
+    reach_m: float
+
+    @classmethod
+    def of(cls, robot: Robot, joints: Sequence[str], locked: dict[str, float]) -> Arm:
+        """The arm with the positions of the other joints [rad or m].
+
+        Raises:
+            RobotError: No joint moves the hand.
+        """
+        model = robot.model.lock(list(joints), locked, robot.gravity)
+        body, body_from_payload = model.frames[robot.payload_frame]
+        if body < 0:
+            raise RobotError(f"{robot.payload_frame} does not move with any joint of {robot.name}")
+        turned = (body_from_payload @ pseudo_inertia(unit) @ body_from_payload.T for unit in np.eye(PARAMETERS))
+        links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
+        reach_m = float(links + np.linalg.norm(body_from_payload[:3, 3]))
+        return cls(model, body, np.column_stack([body_parameters(pseudo) for pseudo in turned]), reach_m)
+
+    @property
+    def count(self) -> int:
+        """Of joints, n."""
+        return len(self.model.joint_names)
+
+    @property
+    def kg(self) -> float:
+        """Mass of all that moves."""
+        return float(self.model.pseudo_inertia[:, 3, 3].sum())
+
+    @property
+    def bodies(self) -> list[FloatArray]:
+        """Parameters of each body as the URDF has them, n of shape (10,)."""
+        return [body_parameters(pseudo) for pseudo in self.model.pseudo_inertia]
+
+    @property
+    def lengths_m(self) -> list[float]:
+        """Size of each body, length n: to the next joint, a tenth of the reach at least."""
+        along = [float(np.linalg.norm(place[:3, 3])) for place in self.model.placement[1:]]
+        return [max(0.1 * self.reach_m, length) for length in (*along, 0.0)]
+
+    def rows(
+        self,
+        windows: Windows,
+        times_s: FloatArray,
+        period_s: float,
+        position: FloatArray,
+        velocity: FloatArray,
+        torque: FloatArray,
+        counts: NDArray[np.bool_] | bool = True,
+    ) -> Rows:
+        """The rows of windows in which a joint moves.
+
+        Args:
+            windows: W of them.
+            times_s: Of the samples [s], shape (T,).
+            period_s: Between two of them [s].
+            position: Of the joints [rad], shape (T, n).
+            velocity: At the same instants [rad/s].
+            torque: Of the motors [N m].
+            counts: Which rows are wanted, broadcast to shape (W, n).
+        """
+        slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
+        window, joint = np.nonzero(counts & ~slow)
+        regressor = np.zeros((0, self.count, PARAMETERS))
+        if len(joint):
+            regressor = torque_regressor(self.model, position, velocity, windows, period_s)[window, joint]
+        moving = np.tanh(velocity / SLOW_RAD_S)
+        direction = windows.mean(moving)[window, joint]
+        own = np.eye(self.count)[joint]
+        waves = [windows.mean(moving * wave(n * position)) for n in (1.0, 2.0) for wave in (np.sin, np.cos)]
+        columns = (windows.derivative(velocity, period_s), None, None, *waves, windows.mean(velocity))
+        design = np.hstack(
+            [
+                regressor.reshape(len(joint), self.count * PARAMETERS),
+                *(0.0 * own if column is None else own * column[window, joint, None] for column in columns),
+                own * direction[:, None],
+                own,
+            ]
+        )
+        return Rows(
+            start_s=times_s[windows.starts[window]],
+            joint=joint,
+            design=design,
+            payload=regressor[:, self.body] @ self.from_payload,
+            direction=direction,
+            torque=windows.mean(torque)[window, joint],
+        )
+
+
+def sizes(mass_kg: float, length_m: float) -> list[float]:
+    """Standard deviations of a body's parameters from those of its mass, and its size."""
+    return [mass_kg, *[mass_kg * length_m] * 3, *[mass_kg * length_m**2] * 6]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Linear equations of one motion: E rows, of a window and a joint each.
+
+    Attributes:
+        start_s: When the window begins, shape (E,).
+        joint: Number of the joint, shape (E,).
+        design: Mean torque per unit of the arm's terms in the order of `term_keys`; load friction and shares of the torque are
+            zero, since they go with the solution; shape (E, 20 n).
+        payload: Per unit of the payload's parameters, in its frame, shape (E, 10).
+        direction: Mean of the joint's direction of motion, -1 to 1, shape (E,).
+        torque: Mean motor torque [N m], shape (E,).
+    """
+
+    start_s: FloatArray
+    joint: NDArray[np.int64]
+    design: FloatArray
+    payload: FloatArray
+    direction: FloatArray
+    torque: FloatArray
+
+    @classmethod
+    def together(cls, parts: Sequence[Rows]) -> Rows:
+        """Of several motions or windows, one after the other."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+    @property
+    def stretch(self) -> NDArray[np.int64]:
+        """Number of the stretch that the window's middle lies in, shape (E,)."""
+        stretches: NDArray[np.int64] = ((self.start_s + 0.5 * WINDOW_S) / STRETCH_S).astype(np.int64)
+        return stretches
+
+
+def equations(robot: Robot, motion: Motion, joints: Sequence[str], centre_m: FloatArray | None = None) -> Rows:
+    """What one motion says.
+
+    Args:
+        robot: Its torque constants and geometry.
+        motion: Of these joints.
+        joints: Whose terms are the columns.
+        centre_m: Where the payload's mass sits: its other parameters are then how it differs from a point there, shape (3,).
+
+    Raises:
+        RecordingError: It is too short, or too fast for its rate.
+    """
+    arm = Arm.of(robot, joints, dict(motion.held))
+    names = arm.model.joint_names
+    times_s, position, current = evenly(motion, names, BANDWIDTH_HZ)
+    period_s = float(times_s[1] - times_s[0])
+    velocity = np.gradient(position, period_s, axis=0)
+    width = round(WINDOW_S / period_s)
+    windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
+    counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
+    torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in names])
+    rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts)
+    if not len(rows.joint):
+        raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
+    if centre_m is None:
+        return rows
+    payload = rows.payload.copy()
+    payload[:, 0] = rows.payload @ point_mass(centre_m)
+    return replace(rows, payload=payload)
+
+
+def fill_drives(
+    matrix: FloatArray,
+    values: FloatArray,
+    rows: Rows | Problem,
+    geared: slice,
+    beside: FloatArray | float = 0.0,
+) -> None:
+    """Fill the columns that go with a solution: gears lose a share of what they transmit, a motor is off by a share of its torque.
+
+    Args:
+        matrix: Of payload, where it has one, and of the arm's terms as in `Rows.design`; changed in place, shape (E, U).
+        values: The solution, shape (U,).
+        rows: Whose matrix it is.
+        geared: Columns of load friction, n; those of bodies end n before, and those of shares of the torque follow.
+        beside: Torque that the matrix has no column of [N m], shape (E,).
+    """
+    count = geared.stop - geared.start
+    bodies, shares = slice(0, geared.start - count), slice(geared.stop, geared.stop + count)
+    own = np.eye(count)[rows.joint]
+    transmitted = np.abs(matrix[:, bodies] @ values[bodies] + beside)
+    matrix[:, geared] = own * (transmitted * rows.direction)[:, None]
+    # not the measured torque: its noise would make every share too small
+    matrix[:, shares] = 0.0
+    matrix[:, shares] = -own * (matrix @ values + beside)[:, None]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and friction of each motion, 3 n.
+
+    Attributes:
+        matrix: Shape (E, U); columns of gears and torque constants are filled while it is solved.
+        torque, joint, direction: Of each equation, see `Rows`.
+        stretch: Of each, labelled apart from motion to motion, shape (E,).
+        motion: Number of its motion, shape (E,).
+        loaded: So many motions, the first ones, hold the payload.
+        count: Of joints, n.
+    """
+
+    matrix: FloatArray
+    torque: FloatArray
+    joint: NDArray[np.int64]
+    stretch: NDArray[np.int64]
+    direction: FloatArray
+    motion: NDArray[np.int64]
+    loaded: int
+    count: int
+
+    @classmethod
+    def of(cls, parts: Sequence[Rows], loaded: int) -> Problem:
+        """All motions together, ``loaded`` of them with the payload."""
+        count = parts[0].design.shape[1] // TERMS
+        shared, own = ARM_TERMS * count, len(FRICTION_TERMS) * count
+        matrix = []
+        for number, part in enumerate(parts):
+            friction = np.zeros((len(part.joint), own * len(parts)))
+            friction[:, own * number : own * (number + 1)] = part.design[:, shared:]
+            payload = part.payload if number < loaded else np.zeros_like(part.payload)
+            matrix.append(np.hstack([payload, part.design[:, :shared], friction]))
+        rows = Rows.together(parts)
+        motion = np.repeat(np.arange(len(parts)), [len(part.joint) for part in parts])
+        stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
+        return cls(np.vstack(matrix), rows.torque, rows.joint, stretch, rows.direction, motion, loaded, count)
+
+    def only(self, kept: NDArray[np.bool_]) -> Problem:
+        """Some of its equations."""
+        arrays = ("matrix", "torque", "joint", "stretch", "direction", "motion")
+        return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+
+    @property
+    def carrying(self) -> NDArray[np.bool_]:
+        """Which equations are of motions with the payload, shape (E,)."""
+        return self.motion < self.loaded
+
+    def stretches_of(self, kept: NDArray[np.bool_], name: str, better_s: float) -> int:
+        """How many stretches some of its equations have.
+
+        Raises:
+            RecordingError: Too few; in motion ``name``, of which ``better_s`` would be better.
+        """
+        stretches = len(np.unique(self.stretch[kept]))
+        if stretches < MIN_STRETCHES:
+            raise RecordingError(
+                f"{name}: only {STRETCH_S * stretches:.0f} s of motion can be used; record {STRETCH_S * MIN_STRETCHES:.0f} s at "
+                f"least, better {better_s:.0f}, with all joints moving"
+            )
+        return stretches
+
+    def rms_by_joint(self, values: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+        """Of some equations' values, by joint, shape (n,); NaN of joints without a value."""
+        mine = [values[kept & (self.joint == number)] for number in range(self.count)]
+        return np.array([np.sqrt(np.mean(of_joint**2)) if len(of_joint) else np.nan for of_joint in mine])
