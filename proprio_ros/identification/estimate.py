@@ -276,6 +276,8 @@ def plain(value: Any) -> Any:
         return plain(value.as_json())
     if isinstance(value, Enum):
         return value.value
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -92,11 +92,13 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
         raise ConfigurationError(f"container.inner_size={list(size)} does not fit a {shape}: give {form} in m")
     radius, centre = take("sphere.radius"), np.array(take("container.centre"))
     mass, mass_std = take("container.mass"), take("container.mass_std")
-    start = take("sphere.start")
-    settled, hollow, start_std = take("sphere.settled"), take("sphere.hollow"), take("sphere.start_std")
-    spread = {key: take(f"contact.{key}") for key in ("damping_ratio", "damping_ratio_std", "friction", "friction_std")}
-    frequency, traction, law = take("contact.frequency"), take("contact.traction"), take("contact.law")
-    k_e, k_d, k_f = (take(f"contact.{key}") for key in ("k_e", "k_d", "k_f"))
+    start, hollow, turned = take("sphere.start"), take("sphere.hollow"), take("container.rpy")
+    stated = {
+        **{name: take(f"sphere.{name}") for name in ("settled", "start_std")},
+        **{name: take(f"contact.{name}") for name in ("law", "traction", "k_e", "k_d", "k_f")},
+        **{n: Quantity(take(f"contact.{n}"), take(f"contact.{n}_std")) for n in ("damping_ratio", "friction")},
+        "contact_frequency": take("contact.frequency"),
+    }
     try:
         enclosure = Enclosure(shape, inner_size, radius, 2.0 / 3.0 if hollow else 0.4)
     except SimulationError as error:
@@ -110,19 +112,10 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
     return ContainerFacts(
         enclosure,
         centre,
-        rotation_from_rpy(take("container.rpy")),
+        rotation_from_rpy(turned),
         0.03 if mass is None else mass,
         np.inf if mass is None else mass_std,
-        settled,
-        place,
-        start_std,
-        frequency,
-        Quantity(spread["damping_ratio"], spread["damping_ratio_std"]),
-        Quantity(spread["friction"], spread["friction_std"]),
-        traction,
-        law,
-        k_e,
-        k_d,
-        k_f,
-        tuple(key for key in DECIDING if key not in settings.taken),
+        start=place,
+        guessed=tuple(key for key in DECIDING if key not in settings.taken),
+        **stated,
     )

@@ -209,25 +209,16 @@ def container_unknowns(
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
     lightest = LIGHTEST_KG if facts.law == "paper" else -0.2
     unknowns.append(Unknown("sphere_mass", 0.01, np.inf, lightest, 5.0, asinh_scale=0.002))
-    damping, friction = facts.damping_ratio, facts.friction
-    if facts.law == "paper":  # it has a constant of its own
-        damping = Quantity(damping.value)
-    unknowns.append(
-        Unknown("contact_damping", damping.value, damping.std, min(0.02, damping.value), 2.0).at_role(drive_role)
-    )
-    unknowns.append(
-        Unknown("contact_friction", friction.value, friction.std, min(0.02, friction.value), 2.0).at_role(drive_role)
-    )
-    where = iter(priors)
-    for row in np.flatnonzero(rolling).tolist():
-        prior = next(where)
-        for axis, name in enumerate("xyz"):
-            unknowns.append(
-                Unknown(
-                    f"sphere_{name}", float(prior.mean[axis]), float(prior.std[axis]),
-                    float(prior.lower[axis]), float(prior.upper[axis]), scope=row,
-                ).at_role(Role.FREE)
-            )  # fmt: skip
+    # the paper's law has a damping constant of its own
+    damping = Quantity(facts.damping_ratio.value) if facts.law == "paper" else facts.damping_ratio
+    for kind, known in (("contact_damping", damping), ("contact_friction", facts.friction)):
+        unknowns.append(Unknown(kind, known.value, known.std, min(0.02, known.value), 2.0).at_role(drive_role))
+    for row, prior in zip(np.flatnonzero(rolling).tolist(), priors, strict=True):
+        ranges = np.stack([prior.mean, prior.std, prior.lower, prior.upper], axis=1).tolist()
+        unknowns += [
+            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE)
+            for axis, known in zip("xyz", ranges, strict=True)
+        ]
     return unknowns
 
 

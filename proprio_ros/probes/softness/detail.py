@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from proprio_ros.identification.estimate import picked
+
 
 @dataclass(frozen=True)
 class BlockShape:
@@ -68,13 +70,7 @@ class JointInterval:
     determined: bool
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "names": list(self.names),
-            "unit": self.unit,
-            "value": self.value.tolist(),
-            "covariance": self.covariance.tolist(),
-            "outline95": self.outline.tolist(),
-        }
+        return {**picked(self, "names", "unit", "value", "covariance"), "outline95": self.outline}
 
 
 @dataclass(frozen=True)
@@ -91,4 +87,4 @@ class SoftnessDetail:
 
     def as_json(self) -> dict[str, Any]:
         """The joint interval, where both values are the recording's."""
-        return {} if self.joint is None or not self.joint.determined else {"joint_interval": self.joint.as_json()}
+        return {} if self.joint is None or not self.joint.determined else {"joint_interval": self.joint}
