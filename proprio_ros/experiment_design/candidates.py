@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,10 @@ WIDEST = 1.5
 """The range searched of a joint without limits [rad]."""
 PUSHES = (0.1, 0.2, 0.4)
 """Torque beyond balance and friction, relative to the largest gravity load at that pose."""
+
+
+TimeOf = Callable[[Sequence[Mapping[str, float]]], np.ndarray]
+"""Seconds that S pushes take beside their durations, shape (S,), by the positions of all joints at their starts."""
 
 
 @dataclass(frozen=True)

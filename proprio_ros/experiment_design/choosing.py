@@ -18,7 +18,7 @@ from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence
 from proprio_ros.excitation.ways import approach_s
-from proprio_ros.experiment_design.candidates import Push
+from proprio_ros.experiment_design.candidates import Push, TimeOf
 from proprio_ros.experiment_design.sequential import WORTH
 from proprio_ros.identification.gates import MISFIT_LIMIT
 from proprio_ros.quantity import Sought, shown
@@ -300,11 +300,16 @@ def alone(sequence: ProbeSequence, run: ProbeRun) -> ProbeSequence:
     return replace(sequence, name="chosen", runs=(run,), until=None, home={})
 
 
-def time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) -> Callable[[np.ndarray], np.ndarray]:
-    """How long a push takes beside itself, by its start, shape (S, N) to (S,) [s]: the way there from a pose, rest and brake."""
-    here = np.array([pose.get(name, 0.0) for name in robot.model.independent_joints])
-    beside_s = sequence.settle_s + sequence.brake_s
-    return lambda starts: beside_s + approach_s(np.abs(starts - here).max(axis=1), sequence.approach_velocity)
+def time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) -> TimeOf:
+    """How long pushes take beside themselves, by their starts [s]: the way there from a pose, rest and brake."""
+    names, beside_s = robot.model.independent_joints, sequence.settle_s + sequence.brake_s
+    here = np.array([pose.get(name, 0.0) for name in names])
+
+    def seconds(starts: Sequence[Mapping[str, float]]) -> np.ndarray:
+        away = np.abs(np.array([[start[name] for name in names] for start in starts]) - here)
+        return beside_s + approach_s(away.max(axis=1), sequence.approach_velocity)
+
+    return seconds
 
 
 def passes(machine: ExcitationMachine, sequence: ProbeSequence, pose: Mapping[str, float]) -> bool:

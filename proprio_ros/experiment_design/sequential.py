@@ -23,6 +23,7 @@ from proprio_ros.experiment_design.candidates import (
     LIMIT_MARGIN,
     PUSHES,
     Push,
+    TimeOf,
     best_first,
     candidate_joints,
     currents_beyond,
@@ -280,7 +281,7 @@ class Catalogue:
     def rank(
         self,
         known: Known,
-        time_of: Callable[[np.ndarray], np.ndarray],
+        time_of: TimeOf,
         target_std: float = 0.0,
         unknown_kg: tuple[float, float] = UNKNOWN_KG,
         load_kg: float | None = None,
@@ -290,7 +291,7 @@ class Catalogue:
 
         Args:
             known: So far.
-            time_of: Seconds of a push beside its duration, by the joints' starts, shape (n, joints of the model) -> (n,).
+            time_of: How long pushes take beside their durations.
             target_std: Of the mass [kg]; among pushes that reach it the quickest is best.
             unknown_kg: What the hand may hold while no run says it [kg].
             load_kg: What is known to be in the hand [kg]: pushes that tell of the robot, for the sake of a mass that `known` has
@@ -421,7 +422,7 @@ class Catalogue:
         known: Known,
         candidates: Sequence[_Candidate],
         rows: _Rows,
-        time_of: Callable[[np.ndarray], np.ndarray],
+        time_of: TimeOf,
         durations_s: Sequence[float],
     ) -> list[Push]:
         """What each candidate would tell of the mass, with every duration that its travel does not end before."""
@@ -430,8 +431,7 @@ class Catalogue:
         mass = self.at["payload_mass"]
         across, now = known.towards or (known.covariance[:, mass], known.covariance[mass, mass])
         pulled = shared @ across
-        names = self.robot.model.independent_joints
-        beside = time_of(np.array([[each.place.start[name] for name in names] for each in candidates]))
+        beside = time_of([each.place.start for each in candidates])
         found: list[Push] = []
         for duration in durations_s:
             used = times <= duration + 1e-9

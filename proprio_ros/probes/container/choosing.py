@@ -15,7 +15,14 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeSequence
-from proprio_ros.experiment_design.candidates import Push, best_first, candidate_joints, expected_coulomb, still_run
+from proprio_ros.experiment_design.candidates import (
+    Push,
+    TimeOf,
+    best_first,
+    candidate_joints,
+    expected_coulomb,
+    still_run,
+)
 from proprio_ros.experiment_design.choosing import Found, passes, time_of
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
 from proprio_ros.experiment_design.sequential import (
@@ -202,9 +209,7 @@ class SphereUntilSure(CatalogueChooser):
                 break
         return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
 
-    def promised(
-        self, pushes: Sequence[Push], sphere_kg: float, time_beside: Callable[[np.ndarray], np.ndarray]
-    ) -> list[Push]:
+    def promised(self, pushes: Sequence[Push], sphere_kg: float, time_beside: TimeOf) -> list[Push]:
         """What pushes would tell of the sphere, each with every duration in which joint and sphere move far enough.
 
         Args:
@@ -216,8 +221,7 @@ class SphereUntilSure(CatalogueChooser):
         off, rolled, counts, stds = self._simulated(pushes, sphere_kg)
         at = self._shared.at["sphere_mass"]
         now = self._covariance[at, at]
-        names = self.robot.model.independent_joints
-        beside = time_beside(np.array([[push.start[name] for name in names] for push in pushes]))
+        beside = time_beside([push.start for push in pushes])
         found: list[Push] = []
         for n, push in enumerate(pushes):
             counted, told = counts[n].tolist()

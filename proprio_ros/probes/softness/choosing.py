@@ -106,16 +106,13 @@ class SqueezesUntilSure(Chooser):
         longest_s = max(DURATIONS_S)
         still = prepare_run(self.robot, still_run(joint, start, currents[0], longest_s), KnownLoad(), past_fast=True)
         made = [replace(still, run=replace(still.run, input_current_A=np.array([current]))) for current in currents]
-        return self._scored(currents, made, start, time_of(self.robot, self._sequence, pose), target_std)
+        seconds = float(time_of(self.robot, self._sequence, pose)([start])[0])
+        return best_first(self._promised(currents, made, start, seconds), target_std)
 
-    def _scored(
-        self,
-        currents: Sequence[float],
-        runs: Sequence[PreparedRun],
-        start: Mapping[str, float],
-        beside: Callable[[np.ndarray], np.ndarray],
-        target_std: float,
+    def _promised(
+        self, currents: Sequence[float], runs: Sequence[PreparedRun], start: dict[str, float], beside_s: float
     ) -> list[Push]:
+        """What squeezes from one start would tell of the modulus, each with every duration in which the fingers move far enough."""
         fit, robot = self._fit, self.robot
         assert fit is not None
         squeezing = [True] * len(runs)
@@ -145,7 +142,6 @@ class SqueezesUntilSure(Chooser):
         stds, _ = self._shared.stds_along(rows, variance, self._covariance, "youngs_modulus")
         place = self._shared.at["youngs_modulus"]
         now = self._covariance[place, place]
-        seconds = float(beside(np.array([[start[name] for name in robot.model.independent_joints]]))[0])
         pushes: list[Push] = []
         for duration in DURATIONS_S:
             for c, current in enumerate(currents):
@@ -156,11 +152,11 @@ class SqueezesUntilSure(Chooser):
                 gone = (q[c, :last] - rest) * drive.transmission
                 if np.abs(gone).max() < self._first.min_travel:
                     continue
-                lasts, std = seconds + float(times[last - 1]), float(stds[c, last - 1])
+                lasts, std = beside_s + float(times[last - 1]), float(stds[c, last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-6 * now))) / lasts
                 ends = float(gone[np.argmax(np.abs(gone))])
-                pushes.append(Push(self._first.joint, dict(start), current, 0.0, duration, lasts, std, gain, ends))
-        return best_first(pushes, target_std)
+                pushes.append(Push(self._first.joint, start, current, 0.0, duration, lasts, std, gain, ends))
+        return pushes
 
     def run_of(self, push: Push) -> ProbeRun:
         return replace(
