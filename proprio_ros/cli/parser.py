@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 from proprio_ros.cli import commands as obey
 from proprio_ros.cli.terminal import EXIT_BAD_INPUT
 from proprio_ros.errors import one_line
-from proprio_ros.probes import all_probes
-from proprio_ros.probes.base import HasSolvers
+from proprio_ros.probes import all_probes, probe_that
+from proprio_ros.probes.base import Carries, HasSolvers
 from proprio_ros.version import __version__
 
 Commands = Any
@@ -159,7 +159,8 @@ def _plan(commands: Commands) -> None:
         help="which run to make for an object of about this mass",
         description="Rank start poses and currents by the interval that a weighing from there would give.",
     )
-    it.add_argument("--probe", default="payload", choices=("payload",), help="what is to be identified")
+    planned = probe_that(Carries).name
+    it.add_argument("--probe", default=planned, choices=(planned,), help="what is to be identified")
     it.add_argument(
         "--mass", required=True, metavar="KG|KG..KG", help="mass, or lightest and heaviest, of what the hand will hold"
     )
