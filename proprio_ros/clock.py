@@ -93,7 +93,7 @@ def _end_spinning() -> None:
 class StampClock:
     """Turns instants of the monotonic clock into stamps that run smoothly, whatever is done to the system's clock.
 
-    The system's clock is looked at only between probes: a jump in the middle of one would tear it apart.
+    The system's clock is looked at only between excitations: a jump in the middle of one would tear it apart.
 
     Attributes:
         offset_ns: System time minus monotonic time.

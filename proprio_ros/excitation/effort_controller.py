@@ -1,4 +1,4 @@
-"""The commands of a probe as efforts for an effort controller of somebody else's driver: `ros2_control`'s.
+"""The commands of an excitation as efforts for an effort controller of somebody else's driver: `ros2_control`'s.
 
 Such a controller takes numbers without names for all its joints in a fixed order, ignores a list of another length, and keeps the
 last one for ever. So every command here is whole. What is pushed has the effort of its current; everything else is held.

@@ -1,11 +1,11 @@
-"""The state machine that makes a probe sequence: it takes samples and the time, and gives commands. No clock, no bus, no ROS.
+"""The state machine that makes a sequence of excitations: it takes samples and the time, and gives commands. No clock, no bus, no ROS.
 
 Each run is: move to its start, rest, push with a constant current, a square wave or a step of the goal, hold. What the joints do
 is watched at every tick, and whatever goes wrong while the push is on ends it at that very tick: the command then holds all joints
 where they are.
 
-A run without current lets one joint swing freely. Before anything moves it is computed that it would swing back inside its
-limits, without friction and with an empty hand. When its time is over, or when a speed, a limit or the table is near, the joint is
+A run without current is the free response of one joint. Before anything moves it is computed (``guards.py``) that it would swing
+back inside its limits. When its time is over, or when a speed, a limit or the table is near, the joint is
 caught: a current that carries its weight and brakes it comes on within `CATCH_RISE_S`, and where it has stopped it is held. What
 makes positions unknown, or an abort, holds it at once.
 """
@@ -82,7 +82,7 @@ class RunOutcome:
         travel: Largest distance from where it was when the current came on, either way [rad or m].
         duration_s: For how long the current was on.
         ended_by: "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint",
-            "stale", "clock", "jump", "sample", or "abort". Of a free swing: what ended it; that it was caught comes after.
+            "stale", "clock", "jump", "sample", or "abort". Of a free response: what ended it; that it was caught comes after.
         used: Whether the run is good: it ended well and moved far enough.
     """
 
@@ -97,7 +97,7 @@ class RunOutcome:
 
 
 class ExcitationMachine:
-    """Makes probe sequences, one at a time.
+    """Makes sequences of excitations, one at a time.
 
     The same samples and times give the same commands. `start` begins a sequence; `tick` is to be called 40 times a second or
     more often until `busy` is false, and what it returns is to be sent to the servos at once.

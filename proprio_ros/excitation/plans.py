@@ -1,4 +1,4 @@
-"""Probe sequences: which joint is pushed with which current, from where and for how long, as probe files state them.
+"""Sequences of excitations: which joint is pushed with which current, from where and for how long, as probe files state them.
 
 A servo that knows no current is pushed by a step of its goal instead. A probe file is YAML; its section ``excitation`` is read
 here. Keys are the names of the fields below. Positions, velocities and travel count in the unit of the joint: rad for one that
@@ -40,7 +40,7 @@ LEAST_SWING_RAD = 0.1  # a recording tells which joint swung freely by that
 
 @dataclass(frozen=True)
 class ProbeRun:
-    """One push of one joint, or one free swing.
+    """One excitation: a push of one joint, or its free response.
 
     Attributes:
         joint: The joint that the current drives; all others hold their positions.

@@ -140,7 +140,7 @@ def published(folder: Path) -> Rows:
     """The paper's own recording, in its way with the schedule as its setting states it, and in ours.
 
     Raises:
-        ProprioError: it is no such recording.
+        ProprioError: It is no such recording.
     """
     theirs = replay([folder], Options(profile="paper"))
     ways = [(path.start, path.scheduled, path.end) for path in theirs.solver.paths] if theirs.solver is not None else []
@@ -352,9 +352,9 @@ class Experiment:
     """One of them.
 
     Attributes:
-        run: seed -> rows.
-        seeds: at most so many; the others would show the same again.
-        alone: whether nothing else may run meanwhile, because it takes times.
+        run: Seed -> rows.
+        seeds: At most so many; the others would show the same again.
+        alone: Whether nothing else may run meanwhile, because it takes times.
     """
 
     run: Callable[[int], Rows]
@@ -380,7 +380,7 @@ def experiment(name: str) -> Experiment:
     """The one of that name.
 
     Raises:
-        ConfigurationError: there is none.
+        ConfigurationError: There is none.
     """
     if name not in EXPERIMENTS:
         raise ConfigurationError(f"--only {name}: choose from {', '.join(EXPERIMENTS)}")

@@ -73,8 +73,8 @@ class Played:
     """What one sequence recorded.
 
     Attributes:
-        runs: one per probe of the sequence.
-        sphere: where a camera saw the sphere in the container; None without one.
+        runs: One per excitation of the sequence.
+        sphere: Where a camera saw the sphere in the container; None without one.
     """
 
     runs: tuple[Run, ...]
@@ -85,15 +85,15 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     """Let the robot of a seed play a sequence.
 
     Args:
-        name: of a file in ``config/probes``.
-        seed: of the hidden robot, and of its noise.
-        held: what is in its hand.
-        exact: whether the robot is one of which all is known (``known_robot``), and only its noise is drawn.
-        anywhere: whether a sphere lies somewhere on the container's floor when the current comes on, drawn for each run, and not
+        name: Of a file in ``config/probes``.
+        seed: Of the hidden robot, and of its noise.
+        held: What is in its hand.
+        exact: Whether the robot is one of which all is known (``known_robot``), and only its noise is drawn.
+        anywhere: Whether a sphere lies somewhere on the container's floor when the current comes on, drawn for each run, and not
             where it had come to rest.
 
     Raises:
-        SimulationError: a run of the sequence was not made.
+        SimulationError: A run of the sequence was not made.
     """
     robot = stated_robot()
     joints = tuple(robot.drive_trains)

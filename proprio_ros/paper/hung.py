@@ -56,10 +56,10 @@ class Hung:
 
     Attributes:
         kind: ``"prismatic"`` or ``"universal"``.
-        axes: of its joint in the payload frame, shape (3,) or (2, 3).
-        com: its centre of mass with the joint at zero, in the payload frame [m], shape (3,).
-        second_moment_per_mass: see ``PayloadShape``, shape (3, 3).
-        frequency: of a slide [rad/s]: expected, and standard deviation.
+        axes: Of its joint in the payload frame, shape (3,) or (2, 3).
+        com: Its centre of mass with the joint at zero, in the payload frame [m], shape (3,).
+        second_moment_per_mass: See ``PayloadShape``, shape (3, 3).
+        frequency: Of a slide [rad/s]: expected, and standard deviation.
     """
 
     kind: str
@@ -87,8 +87,8 @@ class Hung:
         """Where it hangs still, shape (J,).
 
         Args:
-            gravity: in the payload frame [m/s^2], shape (3,).
-            frequency: of a slide [rad/s].
+            gravity: In the payload frame [m/s^2], shape (3,).
+            frequency: Of a slide [rad/s].
         """
         if self.kind == "prismatic":
             return np.array([float(self.axes @ gravity) / frequency**2])
@@ -173,10 +173,10 @@ class HungProblem(Problem):
     """Whitened residuals of runs with a payload on a joint of its own.
 
     Args:
-        robot: of the runs.
-        runs: prepared as with an empty hand.
-        hung: what is stated about payload and joint.
-        unknowns: of ``hung_unknowns``.
+        robot: Of the runs.
+        runs: Prepared as with an empty hand.
+        hung: What is stated about payload and joint.
+        unknowns: Of ``hung_unknowns``.
     """
 
     def __init__(self, robot: Robot, runs: Sequence[PreparedRun], hung: Hung, unknowns: Sequence[Unknown]) -> None:
@@ -258,8 +258,8 @@ class HungEstimate:
 
     Attributes:
         mass: [kg]; low, high: of its 95 % interval, widened where the fit is worse than the encoder explains.
-        reduced_chi2: of samples and priors; explains: whether that may be chance.
-        frequency, decay: of the payload on its joint [rad/s, 1/s].
+        reduced_chi2: Of samples and priors; explains: whether that may be chance.
+        frequency, decay: Of the payload on its joint [rad/s, 1/s].
     """
 
     mass: float
@@ -275,9 +275,9 @@ def weigh_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> HungEstimate:
     """The mass of a payload on a joint of its own.
 
     Args:
-        robot: calibrated.
-        runs: of one joint from rest.
-        hung: what is stated about payload and joint.
+        robot: Calibrated.
+        runs: Of one joint from rest.
+        hung: What is stated about payload and joint.
     """
     prepared = [prepare_run(robot, run, KnownLoad()) for run in runs]
     problem = HungProblem(robot, prepared, hung, hung_unknowns(robot, prepared, hung))

@@ -31,14 +31,14 @@ def write_paper_page(
     """Write the page.
 
     Args:
-        found: rows of every seed by experiment.
-        path: the HTML file.
-        command: that makes it again.
-        seeds: how many were asked for.
-        recording: what ``published`` made of the paper's own recording, where it was given.
+        found: Rows of every seed by experiment.
+        path: The HTML file.
+        command: That makes it again.
+        seeds: How many were asked for.
+        recording: What ``published`` made of the paper's own recording, where it was given.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: The file cannot be written.
     """
     parts = [*paper_parts(found, seeds, recording), *_cost(found), *provenance(command, [], {})]
     write_in_one_step(path, document("The paper, reproduced", parts), "--out")

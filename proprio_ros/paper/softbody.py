@@ -51,11 +51,11 @@ class SoftRun:
     """What one rollout is driven by.
 
     Attributes:
-        input_times_s: when the current changes [s], increasing, first at 0, shape (I,).
-        input_current_A: from each of those instants on [A], shape (I,).
-        frames: how many; a position is compared at the end of each.
-        frame_s: length of one [s].
-        substeps: steps of a frame.
+        input_times_s: When the current changes [s], increasing, first at 0, shape (I,).
+        input_current_A: From each of those instants on [A], shape (I,).
+        frames: How many; a position is compared at the end of each.
+        frame_s: Length of one [s].
+        substeps: Steps of a frame.
     """
 
     input_times_s: np.ndarray
@@ -106,16 +106,16 @@ class SoftBody:
     """A block between the fingers of a gripper, many guesses (worlds) at a time.
 
     Args:
-        mesh: the block.
-        mass: of the block [kg], spread evenly over its volume.
-        travel: how fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0.
-        law: one of ``energies.LAWS``.
-        contact: one of ``quasistatic.CONTACTS``.
+        mesh: The block.
+        mass: Of the block [kg], spread evenly over its volume.
+        travel: How fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0.
+        law: One of ``energies.LAWS``.
+        contact: One of ``quasistatic.CONTACTS``.
         friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
         device: Warp device name.
 
     Raises:
-        SimulationError: unknown law or contact, no mass or no travel.
+        SimulationError: Unknown law or contact, no mass or no travel.
     """
 
     def __init__(
@@ -208,14 +208,14 @@ class SoftBody:
         """Integrate the run for some guesses.
 
         Args:
-            run: current and steps.
-            p: parameters of each world in the order of ``SOFT_PARAMETERS``, shape (W, P).
+            run: Current and steps.
+            p: Parameters of each world in the order of ``SOFT_PARAMETERS``, shape (W, P).
             keep: ``"states"`` of all steps, or ``"starts"`` of the segments.
-            start: positions [m] and velocities [m/s] of the nodes at the start, relative to the middle between the fingers,
+            start: Positions [m] and velocities [m/s] of the nodes at the start, relative to the middle between the fingers,
                 each (N, 3); default at rest. Nodes of pressed faces go to where the fingers are.
 
         Raises:
-            SimulationError: unknown ``keep``, no such solid, steps too long, or the block was torn to pieces on the way.
+            SimulationError: Unknown ``keep``, no such solid, steps too long, or the block was torn to pieces on the way.
         """
         if keep not in KEEP:
             raise SimulationError(f"unknown keep={keep!r}: choose one of {', '.join(KEEP)}")
@@ -260,8 +260,8 @@ class SoftRollout:
     """One rollout and its adjoint.
 
     Attributes:
-        q, v: joint coordinate and velocity at the end of every frame, shape (W, K).
-        points, velocities: of the nodes at the end, relative to the middle between the fingers, shape (W, N, 3).
+        q, v: Joint coordinate and velocity at the end of every frame, shape (W, K).
+        points, velocities: Of the nodes at the end, relative to the middle between the fingers, shape (W, N, 3).
     """
 
     def __init__(
@@ -361,7 +361,7 @@ class SoftRollout:
         """Gradient of ``sum(weights * q)`` by the parameters of each world.
 
         Args:
-            weights: shape (W, K).
+            weights: Shape (W, K).
 
         Returns:
             shape (W, P).

@@ -143,8 +143,8 @@ def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, f
     """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4.
 
     Args:
-        case: recording and problem.
-        step_s: of the integrator.
+        case: Recording and problem.
+        step_s: Of the integrator.
 
     Returns:
         A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
@@ -278,8 +278,8 @@ class NewtonArm:
     times as long.
 
     Args:
-        case: recording and problem.
-        step_s: of the integrator.
+        case: Recording and problem.
+        step_s: Of the integrator.
 
     Raises:
         ImportError: Newton is not installed.

@@ -49,10 +49,10 @@ class Store:
     """The rows in a folder.
 
     Args:
-        folder: made where it is not.
+        folder: Made where it is not.
 
     Raises:
-        ConfigurationError: it cannot be made.
+        ConfigurationError: It cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -106,11 +106,11 @@ def run(
     """All rows by experiment, in the order of the seeds; what is kept is not computed again.
 
     Args:
-        store: where rows are kept.
-        names: of the experiments; none is all.
-        seeds: from 0 on.
-        processes: at a time; those that take times run alone.
-        tell: hears how far it is.
+        store: Where rows are kept.
+        names: Of the experiments; none is all.
+        seeds: From 0 on.
+        processes: At a time; those that take times run alone.
+        tell: Hears how far it is.
     """
     wanted = tasks_of(names, seeds)
     missing = [task for task in wanted if store.read(task) is None]

@@ -46,11 +46,11 @@ class Answer:
     """What one way said.
 
     Attributes:
-        value: in SI units; None where it gives none.
-        low, high: of its 95 % interval; None where it has none.
-        seconds: of a processor to the answer, with everything loaded and compiled.
-        verdict: of ours; empty for a way that gives none.
-        why: first reason, where there is no value.
+        value: In SI units; None where it gives none.
+        low, high: Of its 95 % interval; None where it has none.
+        seconds: Of a processor to the answer, with everything loaded and compiled.
+        verdict: Of ours; empty for a way that gives none.
+        why: First reason, where there is no value.
     """
 
     value: float | None
@@ -113,10 +113,10 @@ class SphereLastFrame:
     """The paper's loss for the sphere in a container: its contact law, semi-implicit Euler, last frame, one unknown.
 
     Args:
-        robot: as stated or calibrated.
-        run: one.
-        facts: with the shell's mass stated.
-        all_samples: whether all of them are compared instead of the last frame.
+        robot: As stated or calibrated.
+        run: One.
+        facts: With the shell's mass stated.
+        all_samples: Whether all of them are compared instead of the last frame.
     """
 
     def __init__(self, robot: Robot, run: Run, facts: ContainerFacts, all_samples: bool = False) -> None:
@@ -152,9 +152,9 @@ class SqueezeLastFrame:
     """The paper's loss for a soft block: explicit elastodynamics of tetrahedra, last frame, both Lame parameters.
 
     Args:
-        robot: as stated or calibrated.
-        run: one squeeze.
-        edge_m: of the cube; gap_m: how far the fingers together close before they touch it; mass: of the cube [kg].
+        robot: As stated or calibrated.
+        run: One squeeze.
+        edge_m: Of the cube; gap_m: how far the fingers together close before they touch it; mass: of the cube [kg].
     """
 
     def __init__(self, robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float) -> None:

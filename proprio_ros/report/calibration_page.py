@@ -27,13 +27,13 @@ def write_calibration_report(
     """Write the page for one calibration; an older page of that name is replaced in one step.
 
     Args:
-        estimate: what to show.
-        path: the HTML file.
-        command: the command line that gives the same result again.
-        sources: the recordings it came from.
+        estimate: What to show.
+        path: The HTML file.
+        command: The command line that gives the same result again.
+        sources: The recordings it came from.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: The file cannot be written.
     """
     write_in_one_step(Path(path), _page(estimate, command, sources), "--report")
 

@@ -26,11 +26,11 @@ class Series:
     """A curve.
 
     Attributes:
-        name: for the legend and the pointer; one without a name is not in them.
-        x, y: shape (K,).
-        color: class of the style sheet, such as ``measured``.
+        name: For the legend and the pointer; one without a name is not in them.
+        x, y: Shape (K,).
+        color: Class of the style sheet, such as ``measured``.
         kind: ``line``, ``dots``, or ``steps`` (each value holds until the next).
-        listed: whether it is in the legend.
+        listed: Whether it is in the legend.
     """
 
     name: str
@@ -46,15 +46,15 @@ class Panel:
     """One of several plots below each other.
 
     Attributes:
-        title: with the unit of y in brackets; unit: of y.
-        series: the last one is on top.
-        height: of the plot.
+        title: With the unit of y in brackets; unit: of y.
+        series: The last one is on top.
+        height: Of the plot.
         band: x, lower and upper end of a coloured band, shape (K,) each.
-        spans: from where to where of x the plot is shaded.
-        rules: values of y with a dashed line.
-        verticals: values of x with a line.
-        log: whether y is a logarithmic axis.
-        highest: of y that is shown.
+        spans: From where to where of x the plot is shaded.
+        rules: Values of y with a dashed line.
+        verticals: Values of x with a line.
+        log: Whether y is a logarithmic axis.
+        highest: Of y that is shown.
     """
 
     title: str
@@ -82,9 +82,9 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
     """The SVG.
 
     Args:
-        panels: from above.
-        axis: below all of them.
-        name: for those who cannot see it.
+        panels: From above.
+        axis: Below all of them.
+        name: For those who cannot see it.
     """
     every = np.concatenate([_of(s.x, axis.log) for panel in panels for s in panel.series])
     x0, x1 = _reach(every, 0.01)

@@ -95,11 +95,11 @@ def table(
     """Rows of text.
 
     Args:
-        header: of the columns.
-        rows: of cells.
-        numbers: columns that are set to the right.
-        ids: of the rows, for links.
-        labels: how many first columns say what a row is of. Where there are any, a row becomes a block of lines on a narrow screen,
+        header: Of the columns.
+        rows: Of cells.
+        numbers: Columns that are set to the right.
+        ids: Of the rows, for links.
+        labels: How many first columns say what a row is of. Where there are any, a row becomes a block of lines on a narrow screen,
             each with its column's name; a table without scrolls there.
     """
     right = set(numbers)

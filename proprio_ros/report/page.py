@@ -33,14 +33,14 @@ def write_page(
     """Write the page for one result; an older page of that name is replaced in one step.
 
     Args:
-        estimate: what to show.
-        path: the HTML file.
-        own: what only its probe has to show, as HTML.
-        command: the command line that gives the same result again.
-        sources: the recordings it came from.
+        estimate: What to show.
+        path: The HTML file.
+        own: What only its probe has to show, as HTML.
+        command: The command line that gives the same result again.
+        sources: The recordings it came from.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: The file cannot be written.
     """
     write_in_one_step(Path(path), _page(estimate, own, command, sources), "--report")
 

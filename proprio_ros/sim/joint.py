@@ -7,7 +7,7 @@ Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920) for one degree of
     i    = command, held inside what the supply can push against the back-EMF: |i| <= (V -+ k_e v) / R
 
 ``J`` holds the merged arm, the payload and the armature; ``g_a, g_b, g_c`` its gravity load (``payload.py`` says how they come
-from inertial parameters). ``e_0, e_1`` is the torque that the held joints cause by yielding, with nothing in the hand and per
+from inertial parameters). ``e_0, e_1`` is the torque that the locked joints cause by yielding, with nothing in the hand and per
 kilogram of payload ``m``; it is given with the current, piecewise constant. The rollout starts when the command does, at time 0
 in state (q0, v0); sample k is compared at ``t_k - delay``, so the delay from command to motion shifts the observation and needs
 no moving discontinuity.
@@ -58,15 +58,15 @@ class JointRun:
     """What one rollout is driven by and where it is looked at.
 
     Attributes:
-        sample_times_s: encoder stamps after command onset [s], shape (T,), increasing.
-        input_times_s: when the current changes [s], shape (S,), increasing, first at 0.
-        input_current_A: the current from each of those instants on [A], shape (S,).
-        input_load: load from each of those instants on beside gravity's, shape (S, 2): with an empty hand [N m], and what each
+        sample_times_s: Encoder stamps after command onset [s], shape (T,), increasing.
+        input_times_s: When the current changes [s], shape (S,), increasing, first at 0.
+        input_current_A: The current from each of those instants on [A], shape (S,).
+        input_load: Load from each of those instants on beside gravity's, shape (S, 2): with an empty hand [N m], and what each
             kilogram carried adds [N m/kg]; None is none.
         supply: (voltage [V], back-EMF constant [V s/rad], resistance [ohm]); voltage 0 means no limit.
         friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
-        step_s: longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
-        fine_step_s: step while the joint is near standstill [s]; equal to ``step_s`` where there is no dry friction.
+        step_s: Longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
+        fine_step_s: Step while the joint is near standstill [s]; equal to ``step_s`` where there is no dry friction.
     """
 
     sample_times_s: np.ndarray
@@ -84,10 +84,10 @@ class Schedule:
     """Some rollouts without tangents, on the device, with every step for the adjoint to follow.
 
     Attributes:
-        states: at the samples, shape (W, T).
-        step, step_by_delay: length of each step and its change with the delay, shape (W, N).
-        given: the input during each step, shape (W, N).
-        steps: how many of each world, shape (W,); sample_step: after which each sample is taken, -1 before all, shape (W, T).
+        states: At the samples, shape (W, T).
+        step, step_by_delay: Length of each step and its change with the delay, shape (W, N).
+        given: The input during each step, shape (W, N).
+        steps: How many of each world, shape (W,); sample_step: after which each sample is taken, -1 before all, shape (W, T).
     """
 
     states: wp.array
@@ -114,13 +114,13 @@ class JointSimulator:
     """Rolls out many worlds (guesses) of one or more runs of single joints in one launch.
 
     Args:
-        runs: the runs; worlds refer to them by index. Runs may have different lengths.
+        runs: The runs; worlds refer to them by index. Runs may have different lengths.
         integrator: ``"rk4"`` or ``"semi_implicit"`` (the paper's equation (2)).
         device: Warp device name.
 
     Raises:
         ConfigurationError: Warp cannot keep compiled kernels.
-        SimulationError: unknown integrator, no runs, or a run without samples.
+        SimulationError: Unknown integrator, no runs, or a run without samples.
     """
 
     parameters: tuple[str, ...] = PARAMETERS
@@ -177,11 +177,11 @@ class JointSimulator:
         """Positions and velocities at the sample instants with exact forward sensitivities.
 
         Args:
-            world_run: run of each world, shape (W,).
-            p: parameters of each world in the order of ``PARAMETERS``, shape (W, P).
+            world_run: Run of each world, shape (W,).
+            p: Parameters of each world in the order of ``PARAMETERS``, shape (W, P).
             dp: D tangent directions of each world in parameter space, shape (W, P, D); a read-only array that comes again is
                 not copied again (nor are ``world_run`` and ``counts``).
-            counts: only the first ``counts[r]`` samples of run r are computed, shape (R,); default all.
+            counts: Only the first ``counts[r]`` samples of run r are computed, shape (R,); default all.
 
         Worlds whose parameters are not all finite give NaN.
 
@@ -263,8 +263,8 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing.
 
     Args:
-        integrator: as for ``JointSimulator``.
-        rises: whether the robot's friction may rise towards standstill; kernels for that are nearly as many again.
+        integrator: As for ``JointSimulator``.
+        rises: Whether the robot's friction may rise towards standstill; kernels for that are nearly as many again.
     """
     # more directions than parameters come only from callers of their own
     sizes = [size for size in _TANGENT_SIZES if size <= len(PARAMETERS)]
@@ -275,8 +275,8 @@ def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]
     """Size, and whether friction rises towards standstill, of each kernel that a robot's fits may need.
 
     Args:
-        sizes: numbers of directions, the last that of all parameters.
-        rises: whether the robot's friction may rise.
+        sizes: Numbers of directions, the last that of all parameters.
+        rises: Whether the robot's friction may rise.
     """
     # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
     return [
@@ -354,7 +354,7 @@ class TapedRollout:
     exact, and stay frozen otherwise.
 
     Attributes:
-        q: positions at the sample instants, shape (W, T).
+        q: Positions at the sample instants, shape (W, T).
     """
 
     def __init__(self, owner: JointSimulator, world_run: np.ndarray, p: np.ndarray) -> None:
@@ -400,7 +400,7 @@ class TapedRollout:
         """Gradient of ``sum(weights * q)`` by the parameters of each world.
 
         Args:
-            weights: shape (W, T).
+            weights: Shape (W, T).
 
         Returns:
             shape (W, P), a copy.

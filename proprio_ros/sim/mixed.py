@@ -18,9 +18,9 @@ class MixedSimulator(Generic[_Special]):
     Parameter vectors are those of the object's simulator for every world; the joint's come first in them.
 
     Args:
-        special: the simulator of the runs with the object, in their order.
-        plain: the other runs.
-        with_object: which of all runs have the object, shape (R,); the first of its kind is its simulator's first, and so on.
+        special: The simulator of the runs with the object, in their order.
+        plain: The other runs.
+        with_object: Which of all runs have the object, shape (R,); the first of its kind is its simulator's first, and so on.
     """
 
     def __init__(

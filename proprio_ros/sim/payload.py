@@ -7,7 +7,7 @@ the ten inertial parameters, so the map from mass to the coefficients of ``joint
 Two departures: the payload's own inertia follows from its shape and size (the paper's objects are small, but at 0.1 % of the
 joint's inertia it is already 0.1 g), and the centre of mass may lie off the hand's frame.
 
-A payload on a prismatic or universal joint with its own state is built by ``chain.attach_payload_joint``.
+A payload on a prismatic or universal joint with its own state is built by ``attach_payload_joint`` of ``paper/chain.py``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class PayloadShape:
     """How a payload's mass is spread about its centre of mass.
 
     Attributes:
-        second_moment_per_mass: integral of r r^T dm / m about the centre of mass in the payload frame [m^2], shape (3, 3).
-        description: the words it was made from, for the report.
+        second_moment_per_mass: Integral of r r^T dm / m about the centre of mass in the payload frame [m^2], shape (3, 3).
+        description: The words it was made from, for the report.
     """
 
     second_moment_per_mass: np.ndarray
@@ -39,11 +39,11 @@ class PayloadShape:
         """Uniform solid of the given outer size.
 
         Args:
-            shape: one of ``SHAPES``.
+            shape: One of ``SHAPES``.
             size: [m] sphere: diameter; cube: edge; box: [x, y, z]; cylinder: [diameter, length], axis along z; point: none.
 
         Raises:
-            ConfigurationError: unknown shape, or a size that does not fit it.
+            ConfigurationError: Unknown shape, or a size that does not fit it.
         """
         if shape not in SHAPES:
             raise ConfigurationError(f"payload.shape={shape!r} is unknown: choose one of {', '.join(SHAPES)}")
@@ -83,7 +83,7 @@ class PayloadShape:
 
         Args:
             shape: ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``.
-            inner_size: along the axes of the container [m], shape (3,).
+            inner_size: Along the axes of the container [m], shape (3,).
         """
         side = np.asarray(inner_size, dtype=np.float64)
         if shape == "sphere":
@@ -113,7 +113,7 @@ class PayloadShape:
             values: [ixx, iyy, izz, ixy, ixz, iyz] / m about the centre of mass [m^2].
 
         Raises:
-            ConfigurationError: wrong length, or no physical body.
+            ConfigurationError: Wrong length, or no physical body.
         """
         numbers = np.asarray(values, dtype=np.float64).ravel()
         if numbers.shape != (6,) or not np.all(np.isfinite(numbers)):
@@ -131,11 +131,11 @@ class PayloadFacts:
     """What is stated about the object before its mass is known (``config/probes/payload.yaml`` and ``--set``).
 
     Attributes:
-        com: centre of mass in the payload frame [m], shape (3,).
-        com_std: how far the true centre may lie from it [m], shape (3,); 0 means known.
-        shape: spread of the mass.
-        shape_std_relative: relative uncertainty of that spread (a guessed size is not a measured one).
-        com_guessed: whether nobody stated where it is.
+        com: Centre of mass in the payload frame [m], shape (3,).
+        com_std: How far the true centre may lie from it [m], shape (3,); 0 means known.
+        shape: Spread of the mass.
+        shape_std_relative: Relative uncertainty of that spread (a guessed size is not a measured one).
+        com_guessed: Whether nobody stated where it is.
     """
 
     com: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -156,7 +156,7 @@ def payload_parameters(mass: np.ndarray, com: np.ndarray, second_moment_per_mass
     Args:
         mass: [kg], shape (...,).
         com: [m], shape (..., 3).
-        second_moment_per_mass: about the centre of mass [m^2], shape (3, 3).
+        second_moment_per_mass: About the centre of mass [m^2], shape (3, 3).
 
     Returns:
         shape (..., 10): m, hx, hy, hz, Sxx, Syy, Szz, Sxy, Sxz, Syz, the entries of the pseudo-inertia about the payload frame.
@@ -205,10 +205,10 @@ def joint_coefficients(pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, 
     ``-a . (R(q) h x g)``, and R(q) h = h_par + cos q h_perp + sin q (a x h). A slide carries ``-m a . g``.
 
     Args:
-        pseudo_inertia: in the joint's frame, shape (..., 4, 4).
+        pseudo_inertia: In the joint's frame, shape (..., 4, 4).
         kind: ``"revolute"`` or ``"prismatic"``.
-        axis: unit vector in the joint's frame, shape (3,).
-        gravity: gravity in the joint's frame at q = 0 [m/s^2], shape (3,).
+        axis: Unit vector in the joint's frame, shape (3,).
+        gravity: Gravity in the joint's frame at q = 0 [m/s^2], shape (3,).
 
     Returns:
         shape (..., 4): inertia about (mass along) the axis, and the cosine, sine and constant part of the gravity load.

@@ -62,12 +62,12 @@ class Enclosure:
     Attributes:
         shape: ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``.
         inner_size: [m] box: [x, y, z]; cylinder: [diameter, diameter, length]; sphere: three times its diameter; shape (3,).
-        radius: of the sphere inside [m].
+        radius: Of the sphere inside [m].
         inertia_factor: kappa; 0.4 for a solid ball, 2/3 for a hollow one.
         ramp_depth: d_0 of the default law [m].
 
     Raises:
-        SimulationError: unknown shape, or a sphere that does not fit.
+        SimulationError: Unknown shape, or a sphere that does not fit.
     """
 
     shape: str
@@ -131,11 +131,11 @@ class SphereRun:
     """One rollout with a sphere.
 
     Attributes:
-        joint: what drives the joint, and where it is looked at. Its ``step_s`` should not be above ``Contact.step_s``.
+        joint: What drives the joint, and where it is looked at. Its ``step_s`` should not be above ``Contact.step_s``.
         kind: ``"revolute"`` or ``"prismatic"``.
-        axis: of the joint, in the container's frame, shape (3,).
-        joint_origin: a point on the axis, in the container's frame [m], shape (3,).
-        gravity: at joint position 0, in the container's frame [m/s^2], shape (3,).
+        axis: Of the joint, in the container's frame, shape (3,).
+        joint_origin: A point on the axis, in the container's frame [m], shape (3,).
+        gravity: At joint position 0, in the container's frame [m/s^2], shape (3,).
     """
 
     joint: JointRun
@@ -168,14 +168,14 @@ class SphereSimulator(JointSimulator):
     Parameter vectors have the order of ``SPHERE_PARAMETERS``; everything else is as in ``JointSimulator``.
 
     Args:
-        runs: the runs; worlds refer to them by index.
-        enclosure: the container's inside and the sphere's size, the same in all runs.
+        runs: The runs; worlds refer to them by index.
+        enclosure: The container's inside and the sphere's size, the same in all runs.
         law: ``"ramped"`` or ``"paper"``.
         integrator: ``"rk4"`` or ``"semi_implicit"`` (the paper's equation (2)).
         device: Warp device name.
 
     Raises:
-        SimulationError: unknown law or integrator, no runs, or a run without samples.
+        SimulationError: Unknown law or integrator, no runs, or a run without samples.
     """
 
     parameters = SPHERE_PARAMETERS
@@ -219,9 +219,9 @@ class SphereSimulator(JointSimulator):
         """Where the sphere's centre is in the container at the sample instants, and how that changes.
 
         Args:
-            world_run: as for ``jacobian``.
-            p: as for ``jacobian``.
-            dp: as for ``jacobian``.
+            world_run: As for ``jacobian``.
+            p: As for ``jacobian``.
+            dp: As for ``jacobian``.
 
         Returns:
             x (W, T, 3) [m], dx (W, T, 3, D), copies.
@@ -294,10 +294,10 @@ def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "
     """Compile and load the kernels of one shape of container, for whoever cannot wait for them later; again it costs nothing.
 
     Args:
-        shape: of the container.
-        law: as for ``SphereSimulator``.
-        integrator: the same.
-        rises: whether friction may rise towards standstill; kernels for that are as many again.
+        shape: Of the container.
+        law: As for ``SphereSimulator``.
+        integrator: The same.
+        rises: Whether friction may rise towards standstill; kernels for that are as many again.
     """
     # of the two launches with all directions either may have that of the rise
     kinds = dict.fromkeys([*kinds_of_kernel(_SIZES, rises), (_SIZES[-2], True)])

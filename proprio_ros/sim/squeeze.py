@@ -43,16 +43,16 @@ class SqueezeRun:
     """One closing of the gripper on the block.
 
     Attributes:
-        joint: what drives the joint and when it is looked at.
-        length: of the block along the squeeze [m].
-        area: of the face that is pushed [m^2].
-        travel: how fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0; negative where the joint's
+        joint: What drives the joint and when it is looked at.
+        length: Of the block along the squeeze [m].
+        area: Of the face that is pushed [m^2].
+        travel: How fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0; negative where the joint's
             coordinate falls when closing.
-        response: of the block in this run's orientation and contact.
-        bend: what the second and the third power of the joint's coordinate add to that closing [m/rad^2, m/rad^3].
+        response: Of the block in this run's orientation and contact.
+        bend: What the second and the third power of the joint's coordinate add to that closing [m/rad^2, m/rad^3].
 
     Raises:
-        SimulationError: a length or area that is not above 0, or no travel.
+        SimulationError: A length or area that is not above 0, or no travel.
     """
 
     joint: JointRun
@@ -76,12 +76,12 @@ class SqueezeSimulator(JointSimulator):
     Parameter vectors have the order of ``SQUEEZE_PARAMETERS``; everything else is as in ``JointSimulator``.
 
     Args:
-        runs: the runs; worlds refer to them by index. Their tables may differ, over the same grid (the same law).
+        runs: The runs; worlds refer to them by index. Their tables may differ, over the same grid (the same law).
         integrator: ``"rk4"`` or ``"semi_implicit"`` (the paper's equation (2)).
         device: Warp device name.
 
     Raises:
-        SimulationError: unknown integrator, no runs, a run without samples, or tables of different laws.
+        SimulationError: Unknown integrator, no runs, a run without samples, or tables of different laws.
     """
 
     parameters = SQUEEZE_PARAMETERS
@@ -105,9 +105,9 @@ class SqueezeSimulator(JointSimulator):
         """Squeeze relative to the block's length at some joint positions; where beyond the table's reach, the law is a guess.
 
         Args:
-            world_run: as for ``jacobian``.
-            p: as for ``jacobian``.
-            q: positions, shape (W, T).
+            world_run: As for ``jacobian``.
+            p: As for ``jacobian``.
+            q: Positions, shape (W, T).
 
         Returns:
             shape (W, T), below 0 where the block is not touched.
@@ -132,8 +132,8 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     """Compile and load the kernels that a fit needs, for whoever cannot wait for them later; again it costs nothing.
 
     Args:
-        integrator: as for ``SqueezeSimulator``.
-        rises: whether friction may rise towards standstill; kernels for that are as many again.
+        integrator: As for ``SqueezeSimulator``.
+        rises: Whether friction may rise towards standstill; kernels for that are as many again.
     """
     kernels = [rollout(squeeze_law(*kind), integrator) for kind in kinds_of_kernel(_SIZES, rises)]
     runtime.load([*kernels, plain_kernel(len(SQUEEZE_PARAMETERS), integrator)], "cpu")
