@@ -1,13 +1,13 @@
-"""The state machine that makes a sequence of excitations: it takes samples and the time, and gives commands. No clock, no bus, no ROS.
+"""The state machine that makes a sequence of excitations: it takes samples and the time, and gives commands.
 
-Each run is: move to its start, rest, push with a constant current, a square wave or a step of the goal, hold. What the joints do
-is watched at every tick, and whatever goes wrong while the push is on ends it at that very tick: the command then holds all joints
-where they are.
+It has no clock, no bus, no ROS. Each run is: move to its start, rest, push with a constant current, a square wave or a step of the
+goal, hold. What the joints do is watched at every tick, and whatever goes wrong while the push is on ends it at that very tick: the
+command then holds all joints where they are.
 
 A run without current is the free response of one joint. Before anything moves it is computed (``guards.py``) that it would swing
-back inside its limits. When its time is over, or when a speed, a limit or the table is near, the joint is
-caught: a current that carries its weight and brakes it comes on within `CATCH_RISE_S`, and where it has stopped it is held. What
-makes positions unknown, or an abort, holds it at once.
+back inside its limits. When its time is over, or when a speed, a limit or the table is near, the joint is caught: a current that
+carries its weight and brakes it comes on within `CATCH_RISE_S`, and where it has stopped it is held. What makes positions unknown,
+or an abort, holds it at once.
 """
 
 from __future__ import annotations
