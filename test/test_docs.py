@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import subprocess
@@ -107,6 +108,26 @@ def test_a_number_that_is_missing_is_a_dash() -> None:
     assert figures.cells({"a": "{a:.1f} g", "b": "{b}"}, {"a": None, "b": 3}) == ["-", "3"]
     with pytest.raises(LookupError, match="0 rows"):
         figures.numbers("simulated", "weighing", level="of nobody")
+
+
+def test_the_design_page_has_the_rooms_and_the_classes_of_probes() -> None:
+    design = (REPOSITORY / "docs" / "pages" / "design.md").read_text(encoding="utf-8")
+    (tree,) = re.findall(r"^proprio_ros/ .*?^test/", design, re.DOTALL | re.MULTILINE)
+    package = REPOSITORY / "proprio_ros"
+    rooms = {path.parent.name for path in package.glob("*/__init__.py")} | {"launch"}
+    assert (
+        set(re.findall(r"(?<=[\s])(\w+)/(?=\s)", tree))
+        - {"proprio_ros", "regression", "payload", "container", "softness"}
+        == rooms
+    )
+    base = ast.parse((package / "probes" / "base.py").read_text(encoding="utf-8"))
+    kinds = {
+        node.name
+        for node in base.body
+        if isinstance(node, ast.ClassDef) and "Facts" in "".join(map(ast.unparse, node.bases))
+    }
+    (table,) = re.findall(r"^\| class \| a probe that \|\n(.*?)\n\n", design, re.DOTALL | re.MULTILINE)
+    assert set(re.findall(r"`([A-Z]\w+)`", table)) == kinds - {"Probe"}
 
 
 def test_every_topic_and_service_is_explained() -> None:
