@@ -24,7 +24,8 @@ from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
-from proprio_ros.inputs.settings import Settings, number
+from proprio_ros.inputs.forms import Number
+from proprio_ros.inputs.settings import Settings
 from proprio_ros.kinds import Kind
 from proprio_ros.probes.base import Baseline, Example, HasBaseline, Recorded
 from proprio_ros.quantity import Z95
@@ -182,7 +183,8 @@ class Spring(HasBaseline[float]):
     )
 
     def facts(self, settings: Settings, solver: str = "lm", profile: str = "default") -> float:
-        return number("spring.prior", settings.take("spring.prior", 1.0))
+        prior: float = settings.take("spring.prior", 1.0, Number())
+        return prior
 
     def identify(self, robot: Robot, recorded: Recorded, facts: float) -> Estimate:
         return find_spring(robot, recorded.runs, facts, recorded.baseline)
