@@ -10,8 +10,8 @@ import numpy as np
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
-from proprio_ros.identification.estimate import UnknownRow, Verdict
-from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.estimate import UnknownRow
+from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
 from proprio_ros.identification.regression.motion_prior import file_prior
@@ -53,15 +53,15 @@ def calibrate_motions(
     progress(f"fitting {len(motions)} motions")
     calibration = fit_empty(robot, motions)
     notes = tuple(note for motion in (*motions, *(motion for motion, _ in references)) for note in motion.notes)
-    refusal = next(calibration_refusals(robot, motions, calibration), None)
-    if refusal is None and references:
+    refusal = judge(calibration_refusals(robot, motions, calibration))
+    if not refusal.withheld and references:
         progress("weighing the references")
         calibration, refusal = _scaled(robot, calibration, references, centre)
     progress("weighing each empty motion by the others")
-    weighed = () if refusal is not None else _weighed_empty(robot, motions)
+    weighed = () if refusal.withheld else _weighed_empty(robot, motions)
     arm = Arm.of(robot, calibration.joints, dict(motions[0].held))
     weighable = None
-    if refusal is None:
+    if not refusal.withheld:
         weighable = _weighable(robot, motions, calibration, weighed, arm.kg, bool(references))
         if Z95 * weighable.std_kg > weighable.mass_kg:
             refusal = not_identifiable(
@@ -74,8 +74,8 @@ def calibrate_motions(
     prior = file_prior(robot, arm)
     return CalibrationEstimate(
         robot=robot.name,
-        verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
-        reasons=() if refusal is None else tuple(refusal.reasons),
+        verdict=refusal.verdict,
+        reasons=refusal.reasons,
         runs=len(motions) + len(references),
         calibration=None,
         motion=calibration,
@@ -111,7 +111,7 @@ def _scaled(
     calibration: MotionCalibration,
     references: Sequence[Reference],
     centre: Centre | None,
-) -> tuple[MotionCalibration, Refusal | None]:
+) -> tuple[MotionCalibration, Refusal]:
     """The calibration with the torque scale that the references show, or why they do not show it."""
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
     ratios, stds = [], []
@@ -142,7 +142,9 @@ def _scaled(
     scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
     std = float(np.hypot(min(stds), scatter))
     runs = tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": kg} for m, kg in references)
-    return replace(calibration, torque_scale=scale, torque_scale_std=std / scale, runs=(*calibration.runs, *runs)), None
+    return replace(
+        calibration, torque_scale=scale, torque_scale_std=std / scale, runs=(*calibration.runs, *runs)
+    ), ACCEPTED
 
 
 def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyWeighing, ...]:

@@ -8,8 +8,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
-from proprio_ros.identification.estimate import Verdict
-from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
+from proprio_ros.identification.judge import Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.one_joint_fit import carried_by
 from proprio_ros.identification.regression.one_joint_known import learn_joint, tables_of, terms_of
 from proprio_ros.identification.regression.refusals import UNEXPLAINED_SHARE
@@ -40,7 +39,7 @@ def calibrate_joint(
         RecordingError: There are too few, or one is of no use.
     """
     learnt = learn_joint(robot, motions, loads_kg, facts)
-    refusal = next(_refusals(robot, motions, learnt), None)
+    refusal = judge(_refusals(robot, motions, learnt))
     heaviest = float(learnt.loads_kg.max())
     weighable = Weighable(
         heaviest,
@@ -51,13 +50,13 @@ def calibrate_joint(
     )
     return CalibrationEstimate(
         robot=robot.name,
-        verdict=Verdict.ACCEPTED if refusal is None else refusal.verdict,
-        reasons=() if refusal is None else tuple(refusal.reasons),
+        verdict=refusal.verdict,
+        reasons=refusal.reasons,
         runs=len(motions),
         calibration=None,
         joint=learnt,
         notes=tuple(note for motion in motions for note in motion.notes),
-        weighable=weighable if refusal is None else None,
+        weighable=None if refusal.withheld else weighable,
         weighed_empty=tuple(EmptyWeighing(run["name"], run["read_kg"], run["std_kg"], Z95) for run in learnt.runs),
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.identification.estimate import Estimate, Fit
-from proprio_ros.identification.judge import Refusal, rejected
+from proprio_ros.identification.judge import Refusal, judge, positive, rejected
 from proprio_ros.identification.regression.motion_fit import check_torque_constant
 from proprio_ros.identification.regression.one_joint_fit import STRETCH_S
 from proprio_ros.identification.regression.one_joint_known import KnownJointFit, weigh_by_joint
@@ -16,7 +16,7 @@ from proprio_ros.identification.regression.refusals import (
     interval_too_wide,
     lighter_than_empty,
 )
-from proprio_ros.probes.payload.moving import MotionDetail, mass_value, motion_answer
+from proprio_ros.probes.payload.moving import MotionDetail, motion_answer
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -43,13 +43,13 @@ def weigh_known_joint(
     """
     check_torque_constant(robot, calibration.joint, calibration.torque_constant, "it was")
     fit = weigh_by_joint(robot, motions, calibration, facts)
-    refusal = next(_refusals(motions[0], calibration, fit), None)
+    refusal = judge(_refusals(motions[0], calibration, fit))
     loads = calibration.loads_kg
     return motion_answer(
         robot,
         motions,
         refusal,
-        [mass_value(fit.mass, fit.std, fit.quantile * fit.std, refusal)],
+        [positive("payload_mass", "kg", fit.mass, fit.std, refusal.withheld, quantile=fit.quantile)],
         (
             f"one joint moved under a controller: the {motions[0].source} and the positions, with torque, rotor and friction as "
             f"{len(loads)} motions with known loads of {shown('kg', float(loads.min()), spec='.0f')} to "

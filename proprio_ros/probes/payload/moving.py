@@ -13,7 +13,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
-from proprio_ros.identification.judge import Refusal, not_identifiable, rejected
+from proprio_ros.identification.judge import Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.motion_equations import STRETCH_S
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
@@ -67,17 +67,10 @@ class MotionDetail:
         return {"motion": {"stretches": self.stretches, "stretch_s": self.stretch_s, "undetermined": list(self.unseen)}}
 
 
-def mass_value(mass: float, std: float, half: float, refusal: Refusal | None) -> Value:
-    """A mass with its interval of half width ``half`` [kg], cut off at nothing, or why there is none."""
-    if refusal is not None:
-        return Value("payload_mass", "kg", None, reason=refusal.withheld)
-    return Value("payload_mass", "kg", max(mass, 0.0), std, [max(mass - half, 0.0), max(mass + half, 0.0)])
-
-
 def motion_answer(
     robot: Robot,
     motions: Sequence[Motion],
-    refusal: Refusal | None,
+    refusal: Refusal,
     values: Sequence[Value],
     assumptions: tuple[str, ...],
     *,
@@ -85,15 +78,13 @@ def motion_answer(
     budget: Sequence[tuple[str, float]],
     detail: MotionDetail | None,
     beside: Sequence[Motion] = (),
-    wide: tuple[Reason, ...] = (),
 ) -> Estimate:
-    """The answer of any regression; ``wide`` says why one that is not refused is ``too_wide``, ``beside`` has notes, too."""
-    accepted = Verdict.TOO_WIDE if wide else Verdict.ACCEPTED
+    """The answer of any regression; ``beside`` has notes, too."""
     return Estimate(
         probe="payload",
         robot=robot.name,
-        verdict=accepted if refusal is None else refusal.verdict,
-        reasons=wide if refusal is None else tuple(refusal.reasons),
+        verdict=refusal.verdict,
+        reasons=refusal.reasons,
         values=tuple(values),
         fit=fit,
         solver=None,
@@ -140,13 +131,13 @@ def weigh_in_motion(
             "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about "
             "the same motion with an empty hand and add it with --baseline, or calibrate with it (`proprio calibrate`)",
         )
-        nothing = [mass_value(0.0, 0.0, 0.0, unknown)]
+        nothing = [positive("payload_mass", "kg", 0.0, 0.0, unknown.withheld)]
         assumptions = _assumptions(robot, motions, None, None)
         return motion_answer(robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None)
-    refusal = next(chain(of_arm, _refusals(motions, fit, known)), None)
+    refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
     mass, std = float(fit.values[0]), float(fit.std[0])
-    values = [mass_value(mass, std, fit.half_width, refusal)]
-    if refusal is None and not centre_is_stated:
+    values = [positive("payload_mass", "kg", mass, std, refusal.withheld, quantile=fit.quantile)]
+    if not refusal.withheld and not centre_is_stated:
         values.extend(_place(fit))
     return motion_answer(
         robot,
@@ -158,7 +149,6 @@ def weigh_in_motion(
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
-        wide=_too_wide(fit),
     )
 
 
@@ -214,18 +204,15 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
     yield from lighter_than_empty(float(fit.values[0]), fit.half_width, "are the recordings mixed up?")
 
 
-def _too_wide(fit: MotionFit) -> tuple[Reason, ...]:
-    """Why an answer that nothing else speaks against is not accepted; empty where it is."""
+def _too_wide(fit: MotionFit) -> Iterator[Refusal]:
+    """Why an answer that nothing else speaks against is not accepted."""
     half = fit.half_width
-    if half <= max(WIDEST_SHARE * abs(float(fit.values[0])), WIDEST_OF_ARM * fit.arm_kg):
-        return ()
-    return (
-        Reason(
-            "too_wide",
+    if half > max(WIDEST_SHARE * abs(float(fit.values[0])), WIDEST_OF_ARM * fit.arm_kg):
+        sentence = (
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
-            f"the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and record the empty hand in the same motion",
-        ),
-    )
+            f"the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and record the empty hand in the same motion"
+        )
+        yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
 
 
 def _assumptions(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, Value
-from proprio_ros.identification.judge import FAR, Refusal, not_identifiable, rejected
+from proprio_ros.identification.judge import FAR, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE, relative_torque_std
 from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, carried_by, fit_one_joint
 from proprio_ros.identification.regression.refusals import (
@@ -17,7 +18,7 @@ from proprio_ros.identification.regression.refusals import (
     lighter_than_empty,
     unlike_urdf,
 )
-from proprio_ros.probes.payload.moving import MotionDetail, mass_value, motion_answer
+from proprio_ros.probes.payload.moving import MotionDetail, motion_answer
 from proprio_ros.quantity import Quantity, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -97,12 +98,10 @@ def weigh_one_joint(
     fit = fit_one_joint(robot, motions, joint)
     empty = fit_one_joint(robot, baseline, joint) if baseline else None
     weighed = _weighed(robot, motions[0], fit, empty, facts)
-    refusal = next(_refusals(motions[0], fit, weighed), None)
-    mass_refusal = refusal
-    if mass_refusal is None and empty is not None:
-        mass_refusal = next(_refusals(baseline[0], empty, weighed), None)
-    if mass_refusal is None:
-        mass_refusal = next(_mass_refusals(robot, motions[0], fit, weighed), None)
+    refusal = mass_refusal = judge(_refusals(motions[0], fit, weighed))
+    if not refusal.withheld:
+        of_empty = _refusals(baseline[0], empty, weighed) if empty is not None else ()
+        mass_refusal = judge(chain(of_empty, _mass_refusals(robot, motions[0], fit, weighed)))
     return _estimate(robot, motions, fit, empty, weighed, refusal, mass_refusal)
 
 
@@ -279,10 +278,10 @@ def _estimate(
     fit: OneJointFit,
     empty: OneJointFit | None,
     weighed: Weighed,
-    refusal: Refusal | None,
-    mass_refusal: Refusal | None,
+    refusal: Refusal,
+    mass_refusal: Refusal,
 ) -> Estimate:
-    if refusal is not None:
+    if refusal.withheld:
         length = Value("equivalent_pendulum_length", "m", None, reason=refusal.withheld)
     else:
         value, std = float(fit.values[0]), float(fit.std[0])
@@ -293,11 +292,12 @@ def _estimate(
         if empty is not None
         else f"the bodies of the URDF, to {100.0 * URDF_SHARE:.0f} %"
     )
+    mass = positive("payload_mass", "kg", weighed.mass, weighed.std, mass_refusal.withheld, quantile=fit.quantile)
     return motion_answer(
         robot,
         motions,
         mass_refusal,
-        (mass_value(weighed.mass, weighed.std, fit.quantile * weighed.std, mass_refusal), length),
+        (mass, length),
         (
             f"one joint moved under a controller: the {motions[0].source} and the positions were fitted together; inertia over "
             "first moment, the length of the equivalent pendulum, needs no scale of the torque, and is that of arm, rotor and "
