@@ -76,19 +76,9 @@ class EffortDriver:
         self._count_rad = np.array([drive.encoder_resolution for drive in drives])
         per_current = np.array([drive.nominal_effort_per_current for drive in drives])
         # without a supply or a resistance stated nothing limits the current at speed
-        limited = [drive.supply_voltage_V > 0.0 and drive.resistance_ohm > 0.0 for drive in drives]
-        self._supply_A = np.array(
-            [
-                d.supply_voltage_V / d.resistance_ohm if bound else math.inf
-                for d, bound in zip(drives, limited, strict=True)
-            ]
-        )
-        self._per_speed_A = np.array(
-            [
-                d.back_emf_V_s_per_rad / d.resistance_ohm if bound else 0.0
-                for d, bound in zip(drives, limited, strict=True)
-            ]
-        )
+        laws = [(d.supply_voltage_V, d.back_emf_V_s_per_rad, d.resistance_ohm) for d in drives]
+        bounds = [(volt / ohm, emf / ohm) if volt > 0.0 and ohm > 0.0 else (math.inf, 0.0) for volt, emf, ohm in laws]
+        self._supply_A, self._per_speed_A = np.array(bounds).T
         self._effort_per_A = np.ones(len(per_current)) if unit == "A" else per_current
         self._columns = [self.arm.joints.index(name) for name in self.joints]
         self._latency_s = truth.latency_s
