@@ -150,8 +150,10 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     over_urdf = float(fitted @ by_urdf / (by_urdf @ by_urdf))
     scale_std = max(relative_torque_std(robot, name) for name in names)
     # where the robot file knows the arm's weight, torques that say another one are the torque constants' doing
-    believed = 2.0 * np.hypot(robot.arm_scale.std, scale_std) if robot.arm_scale.std > 0.0 else np.inf
-    if abs(over_urdf - 1.0) > min(believed, URDF_SHARE):
+    limit = URDF_SHARE
+    if robot.arm_scale.std > 0.0:
+        limit = min(2.0 * float(np.hypot(robot.arm_scale.std, scale_std)), max(URDF_SHARE, 2.0 * scale_std))
+    if abs(over_urdf - 1.0) > limit:
         scale_std = float(np.hypot(scale_std, over_urdf - 1.0))
     return MotionCalibration(
         joints=names,
