@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proprio_ros.identification.regression.running import RunningEstimate
+from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.base import Online
 from proprio_ros.recordings.motions import Motion
@@ -81,7 +81,7 @@ class Grasps:
         assert isinstance(request.probe, Online)
         self._running = request.probe.running(robot, request.facts, dict(first.held))
         self._gripper = gripper_joint(robot, first)
-        self._last: dict[float, RunningEstimate] = {}
+        self._last: dict[float, OnlineEstimate] = {}
         self._times: list[FloatArray] = []
         self._positions: list[FloatArray] = []
         self._begin = 0.0, 0
@@ -157,7 +157,7 @@ class Grasps:
         return bool(near.any() and np.ptp(gripper[near]) > max(MOVED_SHARE * reach, 1e-4))
 
 
-def _said(before: RunningEstimate | None, now: RunningEstimate, gripper_moved: bool | None) -> tuple[str, str]:
+def _said(before: OnlineEstimate | None, now: OnlineEstimate, gripper_moved: bool | None) -> tuple[str, str]:
     """What became of the load, as a code and as a sentence.
 
     Args:

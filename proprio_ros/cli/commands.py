@@ -139,10 +139,10 @@ def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
     settings = _settings(options.set)
     from proprio_ros.pipeline.api import Plans
-    from proprio_ros.pipeline.calibrate import plan_probes
+    from proprio_ros.pipeline.calibrate import plan_excitations
 
     asked = _asked(options, settings=settings)
-    plans = Plans(*plan_probes(masses, asked, options.count, say_progress), masses)
+    plans = Plans(*plan_excitations(masses, asked, options.count, say_progress), masses)
     robot = plans.robot
     if options.json:
         show_json(plans.as_json())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
-from proprio_ros.excitation.plans import ProbeSequence
+from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.robot import Robot
 
 
@@ -42,7 +42,7 @@ class Controller:
         self.holding = False
         """Whether this commands the joints; from the first sequence on, until it is released or has lost them."""
 
-    def check_joints(self, sequence: ProbeSequence) -> None:
+    def check_joints(self, sequence: ExcitationSequence) -> None:
         """Whether a sequence moves only joints of this controller.
 
         Raises:

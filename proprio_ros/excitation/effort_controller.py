@@ -12,7 +12,7 @@ from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.controller import Controller
 from proprio_ros.excitation.hold import LONGEST_WAIT_S, SLOWEST_HZ, Hold, HoldGains
-from proprio_ros.excitation.plans import ProbeSequence
+from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.robot import Robot
 
 UNITS = ("N.m", "A")
@@ -86,7 +86,7 @@ class EffortController(Controller):
         """What a recording says of it, as this package's driver would: the efforts of currents that push, zero for what is held."""
         return {name: self.pushed_A.get(name, 0.0) * scale for name, scale in self._effort_per_A.items()}
 
-    def check(self, sequence: ProbeSequence) -> None:
+    def check(self, sequence: ExcitationSequence) -> None:
         """Whether this controller can make a sequence now.
 
         Raises:

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.controller import Controller
-from proprio_ros.excitation.plans import ProbeSequence
+from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.robot import Robot
 from proprio_ros.robot.drives import PositionServo
 from proprio_ros.robot.kinematics import zero_pose
@@ -77,7 +77,7 @@ class GoalController(Controller):
         """What a recording says of it: the goals that were sent last; nothing where somebody else may send others."""
         return dict(self._sent) if self.holding else {}
 
-    def check(self, sequence: ProbeSequence) -> None:
+    def check(self, sequence: ExcitationSequence) -> None:
         """Whether this controller can make a sequence now.
 
         Raises:

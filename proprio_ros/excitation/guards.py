@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import JointSample
-from proprio_ros.excitation.free_swing import free_swing
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.excitation.free_response import free_swing
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.excitation.ways import Ways
 
 
@@ -77,7 +77,7 @@ def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
 
 
 def check_step(
-    run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, ways: Ways, guards: Guards, words: str
+    run: ExcitationRun, start: Mapping[str, float], sequence: ExcitationSequence, ways: Ways, guards: Guards, words: str
 ) -> None:
     """Whether a servo that goes all the way to its goal stays within limits and clear of the table.
 
@@ -97,8 +97,8 @@ def check_step(
         )
 
 
-def check_swing(
-    run: ProbeRun, start: Mapping[str, float], sequence: ProbeSequence, ways: Ways, guards: Guards, words: str
+def check_free_response(
+    run: ExcitationRun, start: Mapping[str, float], sequence: ExcitationSequence, ways: Ways, guards: Guards, words: str
 ) -> None:
     """Whether the joint would swing back without a guard ending it, with the lightest rotor that the robot file allows.
 

@@ -21,13 +21,13 @@ import numpy as np
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.free_swing import FreeSwing, free_swing
-from proprio_ros.excitation.guards import Guards, check_start, check_step, check_swing, unfit
+from proprio_ros.excitation.free_response import FreeResponse, free_swing
+from proprio_ros.excitation.guards import Guards, check_free_response, check_start, check_step, unfit
 from proprio_ros.excitation.plans import (
     LEAST_CURRENT_A,
     LEAST_SWING_RAD,
-    ProbeRun,
-    ProbeSequence,
+    ExcitationRun,
+    ExcitationSequence,
     check_sequence,
     margin,
 )
@@ -126,7 +126,7 @@ class ExcitationMachine:
         self.joints = self.ways.joints
         self._per_rad = self.ways.per_rad
         self.phase = Phase.IDLE
-        self.sequence: ProbeSequence | None = None
+        self.sequence: ExcitationSequence | None = None
         self.command = Command()
         self.outcomes: list[RunOutcome] = []
         self.attempt = 1
@@ -150,7 +150,7 @@ class ExcitationMachine:
         self._travel = 0.0
         self._off_since_s: dict[str, float] = {}
         self._expected_s: list[tuple[float, ...]] = []
-        self._swing: FreeSwing | None = None  # of the run, where it is one
+        self._swing: FreeResponse | None = None  # of the run, where it is one
         self._caught_for: _Problem | None = None  # what ends the sequence as soon as the joint is caught
 
     @property
@@ -170,7 +170,7 @@ class ExcitationMachine:
 
     # ------------------------------------------------------------------------------------------------------- interface
 
-    def start(self, sequence: ProbeSequence, sample: JointSample) -> None:
+    def start(self, sequence: ExcitationSequence, sample: JointSample) -> None:
         """Begin a sequence at the pose of a sample; the first command holds that pose.
 
         Raises:
@@ -203,7 +203,7 @@ class ExcitationMachine:
             if run.goal_step:
                 check_step(run, after, sequence, self.ways, self.guards, words)
             if run.free:
-                check_swing(run, after, sequence, self.ways, self.guards, f"{words} cannot swing freely")
+                check_free_response(run, after, sequence, self.ways, self.guards, f"{words} cannot swing freely")
         if sequence.home:
             home = self.ways.find(before, {**before, **sequence.home}, sequence, "home")
             expected_s.append((home.duration_s,))
@@ -385,7 +385,7 @@ class ExcitationMachine:
     # --------------------------------------------------------------------------------------------------- what comes next
 
     @property
-    def _run(self) -> ProbeRun:
+    def _run(self) -> ExcitationRun:
         assert self.sequence is not None
         return self.sequence.runs[self._run_index]
 

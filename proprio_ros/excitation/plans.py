@@ -39,7 +39,7 @@ LEAST_SWING_RAD = 0.1  # a recording tells which joint swung freely by that
 
 
 @dataclass(frozen=True)
-class ProbeRun:
+class ExcitationRun:
     """One excitation: a push of one joint, or its free response.
 
     Attributes:
@@ -114,7 +114,7 @@ class Until:
 
 
 @dataclass(frozen=True)
-class ProbeSequence:
+class ExcitationSequence:
     """Runs in the order in which they are made.
 
     Attributes:
@@ -134,7 +134,7 @@ class ProbeSequence:
 
     name: str
     hand: str
-    runs: tuple[ProbeRun, ...]
+    runs: tuple[ExcitationRun, ...]
     until: Until | None = None
     description: str = ""
     approach_velocity: float = 0.8
@@ -144,7 +144,7 @@ class ProbeSequence:
     from_here: tuple[str, ...] = ()
     min_clearance_m: float = 0.03
 
-    def begun_at(self, pose: Mapping[str, float]) -> ProbeSequence:
+    def begun_at(self, pose: Mapping[str, float]) -> ExcitationSequence:
         """The sequence with numbers for the joints of `from_here`.
 
         Args:
@@ -160,7 +160,7 @@ def sequence_names() -> tuple[str, ...]:
     return tuple(name for name in resource_names("probes") if "excitation" in _content(resource("probes", name)))
 
 
-def as_text(sequence: ProbeSequence) -> str:
+def as_text(sequence: ExcitationSequence) -> str:
     """A sequence as JSON, which `load_sequence` reads."""
     section = {key: value for key, value in asdict(sequence).items() if key not in ("name", "until")}
     if sequence.until is not None:
@@ -170,7 +170,7 @@ def as_text(sequence: ProbeSequence) -> str:
     return json.dumps(section)
 
 
-def load_sequence(name_or_path: str | Path, robot: Robot) -> ProbeSequence:
+def load_sequence(name_or_path: str | Path, robot: Robot) -> ExcitationSequence:
     """Read the section ``excitation`` of a probe file and check it against the robot.
 
     Args:
@@ -200,7 +200,7 @@ def load_sequence(name_or_path: str | Path, robot: Robot) -> ProbeSequence:
     return sequence
 
 
-def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
+def check_sequence(sequence: ExcitationSequence, robot: Robot) -> None:
     """Whether the robot can make these runs at all.
 
     Raises:
@@ -240,7 +240,7 @@ def check_sequence(sequence: ProbeSequence, robot: Robot) -> None:
         )
 
 
-def _check_until(until: Until, sequence: ProbeSequence) -> None:
+def _check_until(until: Until, sequence: ExcitationSequence) -> None:
     where = f"{sequence.name}: until"
     units = [unit for unit, hands in UNTIL_UNITS.items() if sequence.hand in hands]
     if until.unit not in units:
@@ -274,7 +274,7 @@ def margin(robot: Robot, joint: str, margin_rad: float) -> float:
     return margin_rad * abs(robot.drive_trains[joint].transmission)
 
 
-def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
+def _check_run(run: ExcitationRun, robot: Robot, where: str) -> None:
     if run.joint not in robot.drive_trains:
         raise ConfigurationError(f"{where}: no such driven joint; {robot.name} drives {', '.join(robot.drive_trains)}")
     if run.goal_step != 0.0:
@@ -315,7 +315,7 @@ def _check_run(run: ProbeRun, robot: Robot, where: str) -> None:
         _check_shake(run, where)
 
 
-def _check_shake(run: ProbeRun, where: str) -> None:
+def _check_shake(run: ExcitationRun, where: str) -> None:
     """The wave's period, and its two currents in every attempt that raising or easing can lead to."""
     longest_s = run.duration_s / LEAST_SHAKES
     if not SHORTEST_SHAKE_S <= run.shake_period_s <= longest_s:
@@ -337,7 +337,7 @@ def _check_shake(run: ProbeRun, where: str) -> None:
 
 def _check_pose(
     stated: Mapping[str, float],
-    sequence: ProbeSequence,
+    sequence: ExcitationSequence,
     robot: Robot,
     where: str,
     known: Mapping[str, float] | None = None,
@@ -400,10 +400,12 @@ def _whole(section: Any, path: Path) -> Any:
     return {**base, **{key: value for key, value in section.items() if key != "like"}}
 
 
-def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequence:
+def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:
     chosen = isinstance(section, Mapping) and "until" in section  # then there need be no runs of one's own
     own = ("runs", "from_here", "until")
-    values = _values({"runs": [], **section} if chosen else section, ProbeSequence, where, own, leave_out=("name",))
+    values = _values(
+        {"runs": [], **section} if chosen else section, ExcitationSequence, where, own, leave_out=("name",)
+    )
     if "from_here" in values:
         names = values["from_here"]
         if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
@@ -415,17 +417,17 @@ def _sequence(section: Any, name: str, robot: Robot, where: str) -> ProbeSequenc
     if not isinstance(runs, list) or not (runs or "until" in values):
         raise ConfigurationError(f"{where}.runs: expected a list of runs, each with joint, current_A and duration_s")
     values["runs"] = tuple(_run(run, robot, f"{where}.runs[{number}]") for number, run in enumerate(runs, 1))
-    return ProbeSequence(name=name, **values)
+    return ExcitationSequence(name=name, **values)
 
 
-def _run(section: Any, robot: Robot, where: str) -> ProbeRun:
+def _run(section: Any, robot: Robot, where: str) -> ExcitationRun:
     if isinstance(section, Mapping) and "goal_step" in section:
         section = {"current_A": 0.0, **section}
-    values = _values(section, ProbeRun, where)
-    run = ProbeRun(**values)
+    values = _values(section, ExcitationRun, where)
+    run = ExcitationRun(**values)
     if "max_travel" not in values and run.joint in robot.drive_trains:
         # the default counts at the shaft, too: a finger cannot move 1 m
-        return replace(run, max_travel=margin(robot, run.joint, ProbeRun.max_travel))
+        return replace(run, max_travel=margin(robot, run.joint, ExcitationRun.max_travel))
     return run
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import JointSample
-from proprio_ros.excitation.plans import ProbeSequence, margin
+from proprio_ros.excitation.plans import ExcitationSequence, margin
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
@@ -93,7 +93,9 @@ class Ways:
         model, spare = self.robot.model.joint(joint), margin_rad * self.per_rad[joint]
         return model.lower + spare, model.upper - spare
 
-    def find(self, before: Mapping[str, float], after: Mapping[str, float], sequence: ProbeSequence, where: str) -> Way:
+    def find(
+        self, before: Mapping[str, float], after: Mapping[str, float], sequence: ExcitationSequence, where: str
+    ) -> Way:
         """The straight way in joint space, or one over a higher pose when that comes too low.
 
         Args:

@@ -16,7 +16,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.machine import ExcitationMachine
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, check_sequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, check_sequence
 from proprio_ros.excitation.ways import approach_s
 from proprio_ros.experiment_design.candidates import Push, TimeOf
 from proprio_ros.experiment_design.sequential import WORTH
@@ -69,7 +69,7 @@ class Decision:
         sought: What is identified; is_known: whether any run has said anything of it.
     """
 
-    run: ProbeRun | None
+    run: ExcitationRun | None
     reason: str
     ended_by: str
     value: float
@@ -134,7 +134,7 @@ class Chooser(ABC):
     def __init__(
         self,
         robot: Robot,
-        sequence: ProbeSequence,
+        sequence: ExcitationSequence,
         sought: Sought,
         whole: Callable[[Sequence[Run]], float | None] | None = None,
     ) -> None:
@@ -166,7 +166,7 @@ class Chooser(ABC):
         """
 
     @abstractmethod
-    def run_of(self, push: Push) -> ProbeRun:
+    def run_of(self, push: Push) -> ExcitationRun:
         """A push as a run of a sequence."""
 
     def stood_still(self) -> None:
@@ -268,7 +268,7 @@ class Chooser(ABC):
         if decision.push is not None:
             self._ended_at.append((decision.push.joint, decision.push.start[decision.push.joint]))
 
-    def sequence_of(self, run: ProbeRun) -> ProbeSequence:
+    def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:
         """A sequence of one push, which stays where it ends."""
         return alone(self._sequence, run)
 
@@ -295,12 +295,12 @@ class Chooser(ABC):
         return float(np.hypot(self.sought.half_of(std, self._found.value), self._widening))
 
 
-def alone(sequence: ProbeSequence, run: ProbeRun) -> ProbeSequence:
+def alone(sequence: ExcitationSequence, run: ExcitationRun) -> ExcitationSequence:
     """A push made as a sequence makes its own, after which the arm stays where it ends."""
     return replace(sequence, name="chosen", runs=(run,), until=None, home={})
 
 
-def time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) -> TimeOf:
+def time_of(robot: Robot, sequence: ExcitationSequence, pose: Mapping[str, float]) -> TimeOf:
     """How long pushes take beside themselves, by their starts [s]: the way there from a pose, rest and brake."""
     names, beside_s = robot.model.independent_joints, sequence.settle_s + sequence.brake_s
     here = np.array([pose.get(name, 0.0) for name in names])
@@ -312,7 +312,7 @@ def time_of(robot: Robot, sequence: ProbeSequence, pose: Mapping[str, float]) ->
     return seconds
 
 
-def passes(machine: ExcitationMachine, sequence: ProbeSequence, pose: Mapping[str, float]) -> bool:
+def passes(machine: ExcitationMachine, sequence: ExcitationSequence, pose: Mapping[str, float]) -> bool:
     """Whether the excitation's guards would let a sequence of one push through, and the way to it."""
     driven = {name: pose[name] for name in machine.joints}
     try:

@@ -23,7 +23,7 @@ from proprio_ros.experiment_design.candidates import (
     start_poses,
     still_run,
 )
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan, Weighable
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan, Weighable
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
@@ -93,7 +93,7 @@ def plan(
     duration_s: float = 0.6,
     joints: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> list[ProbePlan]:
+) -> list[ExcitationPlan]:
     """Rank weighings by the widest interval they would give over the masses.
 
     Args:
@@ -112,7 +112,7 @@ def plan(
         raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
     masses = np.array(sorted(masses_kg))
     asked = _Asked(robot, masses, facts or PayloadFacts(), None, duration_s)
-    found: list[ProbePlan] = []
+    found: list[ExcitationPlan] = []
     for joint in joints or candidate_joints(robot):
         progress(f"simulating candidate runs of {joint}")
         for candidates, r in _suitable(asked, [joint], STARTS, POSES):
@@ -143,7 +143,7 @@ def with_advice(
     if calibration is None:
         return estimate
     began = time.perf_counter()
-    suggestions: list[ProbePlan] = []
+    suggestions: list[ExcitationPlan] = []
     can_weigh = None
     if estimate.verdict is not Verdict.REJECTED and calibration.swing_error == 0.0:
         if whole is not None:
@@ -162,7 +162,7 @@ def with_advice(
     return replace(estimate, advice=tuple(suggestions), weighable=can_weigh, timing_s=timing_s)
 
 
-def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: float = 0.6) -> list[ProbePlan]:
+def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: float = 0.6) -> list[ExcitationPlan]:
     """Empty-hand runs that would teach most about the drive trains of these joints, given the robot's calibration.
 
     Ranked by how much each shrinks the joint uncertainty of torque constants, friction and armatures (D-optimality).
@@ -175,7 +175,7 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
     old = before.covariance[np.ix_(place, place)]
     asked = _Asked(robot, np.zeros(1), PayloadFacts(), KnownLoad(), duration_s)
     turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
-    found: list[tuple[float, ProbePlan]] = []
+    found: list[tuple[float, ExcitationPlan]] = []
     for candidates, r in _suitable(asked, turning, COARSE_STARTS, COARSE_POSES):
         keys, covariance = candidates.posterior(0, r)
         # of other joints' drive trains this run determines only what is correlated with its own
@@ -239,7 +239,7 @@ def _words_for_masses(masses: np.ndarray, stds: Sequence[float]) -> str:
     return f"widest 95 % interval +-{interval}, at {shown('kg', masses[widest], spec='.0f')}"
 
 
-def _varied(plans: Sequence[ProbePlan], count: int) -> list[ProbePlan]:
+def _varied(plans: Sequence[ExcitationPlan], count: int) -> list[ExcitationPlan]:
     """The best, but not ten times the same: a weighing gains from both directions and from other joints."""
     shown: dict[tuple[str, str], int] = {}
     kept = []
@@ -306,7 +306,7 @@ def _candidates(asked: _Asked, joint: str, pose: Mapping[str, float]) -> _Candid
     return _Candidates(problem, dq, alive, travel, clear, fits)
 
 
-def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ProbePlan:
+def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ExcitationPlan:
     prepared = candidates.problem.runs[r]
     run, travel = prepared.run, candidates.travel[:, r]
     pose = {**run.held, run.joint: float(run.position[0])}
@@ -315,7 +315,7 @@ def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str)
     moves = f"moves {np.abs(travel).min():.2f} rad"
     if len(travel) > 1:
         moves = f"moves {np.abs(travel).min():.2f} to {np.abs(travel).max():.2f} rad"
-    return ProbePlan(
+    return ExcitationPlan(
         run.joint,
         {name: pose[name] for name in candidates.problem.robot.model.independent_joints},
         current,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from proprio_ros.excitation.machine import ExcitationMachine
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.experiment_design.candidates import Push
 from proprio_ros.experiment_design.choosing import Chooser, Found, alone, passes, time_of
 from proprio_ros.experiment_design.sequential import (
@@ -49,7 +49,7 @@ class CatalogueChooser(Chooser):
     _unknown_kg = UNKNOWN_KG
     """What the hand may hold while no run says it [kg]."""
 
-    def run_of(self, push: Push) -> ProbeRun:
+    def run_of(self, push: Push) -> ExcitationRun:
         return run_of(push, self.robot)
 
     def stood_still(self) -> None:
@@ -77,7 +77,7 @@ class UntilSure(CatalogueChooser):
         self,
         robot: Robot,
         facts: PayloadFacts,
-        sequence: ProbeSequence,
+        sequence: ExcitationSequence,
         whole: Callable[[Sequence[Run]], float | None] | None = None,
     ) -> None:
         super().__init__(robot, sequence, Sought("mass", "kg"), whole)
@@ -99,7 +99,7 @@ class UntilSure(CatalogueChooser):
         return self.catalogue.rank(self._known, beside, target_std, self._unknown_kg)
 
 
-def run_of(push: Push, robot: Robot) -> ProbeRun:
+def run_of(push: Push, robot: Robot) -> ExcitationRun:
     """A push as a run of a sequence."""
     # the fingers hold what they hold
     start = {
@@ -108,7 +108,7 @@ def run_of(push: Push, robot: Robot) -> ProbeRun:
     limit = robot.motors[push.joint].current_limit_A - abs(push.shake_A)
     steady = push.shake_A == 0.0
     eased = push.current_A * push.travel < 0.0  # the current only supports what gravity pulls
-    return ProbeRun(
+    return ExcitationRun(
         push.joint,
         push.current_A,
         push.duration_s,
@@ -123,8 +123,8 @@ def run_of(push: Push, robot: Robot) -> ProbeRun:
 
 
 def chosen_known(
-    robot: Robot, reference_kg: float, half_interval: float, at_most_s: float, sequence: ProbeSequence
-) -> list[ProbeRun]:
+    robot: Robot, reference_kg: float, half_interval: float, at_most_s: float, sequence: ExcitationSequence
+) -> list[ExcitationRun]:
     """Pushes with a known load in the hand after which a weighing is to be as sure as asked; all chosen beforehand.
 
     What they would tell follows from where the arm is pushed, so that nothing of them need be recorded before the next is chosen.
@@ -144,8 +144,8 @@ def chosen_known(
 
 
 def chosen_refresh(
-    fresh: Robot, aged: Robot, at_most_s: float, sequence: ProbeSequence
-) -> tuple[list[ProbeRun], float, float]:
+    fresh: Robot, aged: Robot, at_most_s: float, sequence: ExcitationSequence
+) -> tuple[list[ExcitationRun], float, float]:
     """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
 
     Args:
@@ -169,7 +169,9 @@ def chosen_refresh(
     return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
 
 
-def _predicted_weighing(catalogue: Catalogue, weighed_kg: float, sequence: ProbeSequence) -> tuple[Known, list[Push]]:
+def _predicted_weighing(
+    catalogue: Catalogue, weighed_kg: float, sequence: ExcitationSequence
+) -> tuple[Known, list[Push]]:
     """What will be known after a weighing, and its pushes: without its own noise nothing would be worth learning."""
     robot = catalogue.robot
     known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
@@ -185,15 +187,15 @@ def _chosen(
     known: Known,
     half_interval: float,
     at_most_s: float,
-    sequence: ProbeSequence,
+    sequence: ExcitationSequence,
     load_kg: float,
-) -> list[ProbeRun]:
+) -> list[ExcitationRun]:
     """Pushes with a known load, one after the other, for the sake of a predicted weighing."""
     robot, machine = catalogue.robot, ExcitationMachine(catalogue.robot)
     here, elapsed_s = bent_pose(robot), 0.0
     for run in sequence.runs:
         here |= run.start
-    chosen: list[ProbeRun] = []
+    chosen: list[ExcitationRun] = []
     while half_of(known.std) > half_interval:
         ranked = catalogue.rank(known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg)
         for push in ranked:

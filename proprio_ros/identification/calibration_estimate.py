@@ -18,7 +18,7 @@ NOT_EMPTY = 5.0
 
 
 @dataclass(frozen=True)
-class ProbePlan:
+class ExcitationPlan:
     """A run that has not been made.
 
     Attributes:
@@ -138,7 +138,7 @@ class EmptyHand:
 
 
 @dataclass(frozen=True)
-class EmptyWeighing:
+class EmptyHandEstimate:
     """A motion with an empty hand, weighed by the calibration of the others.
 
     Attributes:
@@ -194,13 +194,13 @@ class CalibrationEstimate:
     unknowns: tuple[UnknownRow, ...] = ()
     held_out: tuple[HeldOutRun, ...] = ()
     not_separated: tuple[str, ...] = ()
-    advice: tuple[ProbePlan, ...] = ()
+    advice: tuple[ExcitationPlan, ...] = ()
     notes: tuple[str, ...] = ()
     weighable: Weighable | None = None
     empty_hand: EmptyHand | None = None
     motion: MotionCalibration | None = None
     joint: JointCalibration | None = None
-    weighed_empty: tuple[EmptyWeighing, ...] = ()
+    weighed_empty: tuple[EmptyHandEstimate, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
     whole: Calibration | None = None

@@ -22,7 +22,7 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joi
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS, robot_unknowns
-from proprio_ros.identification.swings import CHANGING, MISSED_SHARE, are_swings, missed_share, said_missed
+from proprio_ros.identification.swings import CHANGING, MISSED_SHARE, are_free_responses, missed_share, said_missed
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import shown
@@ -83,7 +83,7 @@ def calibrate(
     usable = usable_runs(robot, runs, found)
     if not usable:
         return nothing_usable(robot, "every probed", len(runs), found)
-    swings = are_swings(usable)
+    swings = are_free_responses(usable)
     if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
         raise ConfigurationError(
             f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known, "

@@ -35,7 +35,7 @@ USUAL_SHARE, USUAL_SAMPLES = 0.01, 16.0
 be followed better than the next one by chance."""
 
 
-def are_swings(runs: Sequence[PreparedRun]) -> bool:
+def are_free_responses(runs: Sequence[PreparedRun]) -> bool:
     """Whether the runs are free swings.
 
     Raises:

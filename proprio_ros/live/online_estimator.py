@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from proprio_ros.identification.regression.running import RunningEstimate, RunningWeight
+from proprio_ros.identification.regression.online import OnlineEstimate, OnlineEstimator
 from proprio_ros.probes.base import Carried, Online
 from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.recordings.effort import ampere
@@ -42,7 +42,7 @@ def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: I
     return any(most[name] - least[name] > MOVED_RAD for name in joints if name in least)
 
 
-class RunningFeed:
+class OnlineFeed:
     """Makes a running estimate of joint states as they come.
 
     Args:
@@ -68,12 +68,12 @@ class RunningFeed:
         self.others = [name for name in robot.model.independent_joints if name not in self.joints]
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
-        self._running: RunningWeight | None = None
+        self._running: OnlineEstimator | None = None
         self._held = zero_pose(self._robot, self.others)
         self.waits_for, self.samples = "", 0
         self.moved: set[str] = set()
 
-    def _make(self, held: dict[str, float]) -> RunningWeight:
+    def _make(self, held: dict[str, float]) -> OnlineEstimator:
         return self.probe.running(self._robot, self._facts, held)
 
     def load(self, mass_kg: float) -> Carried:
@@ -98,7 +98,7 @@ class RunningFeed:
 
     def add(
         self, time_s: float, names: Sequence[str], position: Sequence[float], effort: Sequence[float], unit: str
-    ) -> RunningEstimate | None:
+    ) -> OnlineEstimate | None:
         """One joint state, of some or all joints.
 
         Args:
@@ -156,7 +156,7 @@ def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str
     )
 
 
-def running_entries(feed: RunningFeed, estimate: RunningEstimate, behind_s: float) -> Mapping[str, Any]:
+def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) -> Mapping[str, Any]:
     """Keys and values of a diagnostics message.
 
     Args:
@@ -176,7 +176,7 @@ def running_entries(feed: RunningFeed, estimate: RunningEstimate, behind_s: floa
     }  # fmt: skip
 
 
-def running_words(estimate: RunningEstimate) -> str:
+def online_words(estimate: OnlineEstimate) -> str:
     """The same as a sentence."""
     words = shown("kg", estimate.mass_kg, Z95 * estimate.std_kg, spec=spec_for("kg", estimate.std_kg), between=" +- ")
     return f"running: {f'changed just now: {words}' if estimate.changed else words}"

@@ -29,13 +29,13 @@ from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.job import Job
 from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
 from proprio_ros.live.workspace import Workspace
-from proprio_ros.nodes.exciting import CALL_S, Excitation
-from proprio_ros.nodes.handing_on import HandingOn
+from proprio_ros.nodes.excitation_client import CALL_S, Excitation
 from proprio_ros.nodes.identifier_parameters import PARAMETERS, services
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.jobs import Jobs
 from proprio_ros.nodes.numeric import WeighAction
 from proprio_ros.nodes.parameters import value_of
+from proprio_ros.nodes.payload_export import HandingOn
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import IDLE_PAUSE_S, LATCHED, Answer, LongService, ManagedNode, run_node
 from proprio_ros.nodes.weighing import Weighing

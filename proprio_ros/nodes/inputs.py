@@ -230,7 +230,7 @@ class Inputs:
             session.add(topic, _type_of(Bool), sent_ns if same_clock else now_ns, bytes(data))
             self.swings |= not deserialize_message(data, Bool).data
 
-    def told_motors(self) -> list[RawMessage]:
+    def published_motors(self) -> list[RawMessage]:
         """What the driver said of its motors; nothing where none of ours runs any more."""
         if not self._motors or not self._node.count_publishers(self._motors_topic):
             return []

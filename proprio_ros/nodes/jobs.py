@@ -37,7 +37,7 @@ from proprio_ros.live.session import (
     replay_command,
 )
 from proprio_ros.live.workspace import Workspace
-from proprio_ros.nodes.exciting import READY_S, Excitation
+from proprio_ros.nodes.excitation_client import READY_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.refreshing import refresh_robot
@@ -330,7 +330,7 @@ class Jobs:
         inputs.swings = False
         if inputs.live is not None:
             inputs.live.reset()
-        for told in inputs.told_motors():
+        for told in inputs.published_motors():
             session.add(*told)
         inputs.session = session
         failure = ""
@@ -443,7 +443,7 @@ class Jobs:
             while True:
                 time.sleep(CHECK_S)
                 try:
-                    notes = check_input(folder, [*heard, *self._inputs.told_motors()], request)
+                    notes = check_input(folder, [*heard, *self._inputs.published_motors()], request)
                     break
                 except RecordingError:
                     if time.monotonic() > deadline:

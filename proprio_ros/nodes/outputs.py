@@ -20,7 +20,7 @@ from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
 from proprio_ros.excitation.goal_controller import GoalController
 from proprio_ros.excitation.hold import HoldGains
-from proprio_ros.excitation.plans import ProbeSequence
+from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.nodes import last_words, messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.runtime import ManagedNode
@@ -78,7 +78,7 @@ class Output(ABC):
     holds = False
 
     @abstractmethod
-    def check(self, sequence: ProbeSequence) -> None:
+    def check(self, sequence: ExcitationSequence) -> None:
         """Raises: ExcitationError: It cannot be made now."""
 
     @abstractmethod
@@ -131,7 +131,7 @@ class DriverOutput(Output):
         self._currents, self._positions = currents, positions
         self._driving = False
 
-    def check(self, sequence: ProbeSequence) -> None:
+    def check(self, sequence: ExcitationSequence) -> None:
         """Raises: ExcitationError: It pushes by steps of goals, while this package's driver has currents for that."""
         if any(run.goal_step for run in sequence.runs):
             raise ExcitationError(
@@ -188,7 +188,7 @@ class ControllerOutput(Output):
         self._untaken: dict[int, dict[str, float]] = {}  # by when it was sent, on the clock of the joint states
         self._recorded_at_s = self._lost_at_s = -1e9
 
-    def check(self, sequence: ProbeSequence) -> None:
+    def check(self, sequence: ExcitationSequence) -> None:
         """Raises: ExcitationError: Nobody listens, somebody else commands, or the controller cannot make it."""
         if self._node.count_subscribers(self._topic) == 0:
             raise ExcitationError(f"nobody listens to {self._topic}: load and activate the controller")

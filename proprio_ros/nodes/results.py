@@ -16,10 +16,10 @@ from visualization_msgs.msg import MarkerArray
 from proprio_ros.experiment_design.choosing import Decision, words_of
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.regression.running import RunningEstimate
+from proprio_ros.identification.regression.online import OnlineEstimate
 from proprio_ros.live.answers import as_diagnostics, calibration_as_diagnostics, interval_of
 from proprio_ros.live.job import WEIGH, Job
-from proprio_ros.live.online_estimator import RunningFeed, running_entries, running_words
+from proprio_ros.live.online_estimator import OnlineFeed, online_entries, online_words
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.numeric import StampedEstimates
@@ -188,7 +188,7 @@ class Results:
             self._markers.publish(messages.markers(now_ns, frame, shapes, value.value, value.std, value.unit, accepted))
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
-    def running(self, feed: RunningFeed, estimate: RunningEstimate, link: str, behind_s: float) -> None:
+    def running(self, feed: OnlineFeed, estimate: OnlineEstimate, link: str, behind_s: float) -> None:
         """What the hand holds now.
 
         Args:
@@ -197,11 +197,11 @@ class Results:
             link: That holds it.
             behind_s: Since the newest sample came.
         """
-        probe, words = feed.probe, "; ".join(filter(None, (running_words(estimate), feed.warning)))
+        probe, words = feed.probe, "; ".join(filter(None, (online_words(estimate), feed.warning)))
         level = "warning" if feed.warning else "ok"
         self.link, held = link, max(estimate.mass_kg, 0.0)
         load = feed.load(held) if estimate.known else None
-        entries = {**running_entries(feed, estimate, behind_s), **_about_load(load)}
+        entries = {**online_entries(feed, estimate, behind_s), **_about_load(load)}
         self.publish_estimate(level, probe.name, words, entries)
         if load is None:
             return self.withdraw()

@@ -20,7 +20,7 @@ from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, refusal_of
 from proprio_ros.live.job import WEIGH, Job, JobError
-from proprio_ros.live.online_estimator import NO_MOTIONS, RunningFeed, any_moved
+from proprio_ros.live.online_estimator import NO_MOTIONS, OnlineFeed, any_moved
 from proprio_ros.live.session import Session
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes import messages
@@ -61,7 +61,7 @@ class Weighing:
             results,
             silent,
         )
-        self._make_feed: Callable[[], RunningFeed] | None = None
+        self._make_feed: Callable[[], OnlineFeed] | None = None
 
     def prepare(self) -> None:
         """Keep what weighing needs, and have the running estimate ready where it is asked for.
@@ -87,7 +87,7 @@ class Weighing:
         if asked:
             probe = probe_at_work()
             request = self._workspace.request(probe, stated, None)
-            self._make_feed = partial(RunningFeed, probe, request.robot, request.facts)
+            self._make_feed = partial(OnlineFeed, probe, request.robot, request.facts)
             self._make_feed()  # so that a calibration of another arm is refused now
             self._link = request.robot.payload_frame
 
@@ -147,7 +147,7 @@ class Weighing:
         """End it."""
         self._inputs.arrived = None
 
-    def _run(self, feed: RunningFeed) -> None:
+    def _run(self, feed: OnlineFeed) -> None:
         try:
             self._weigh_on(feed)
         except Exception as error:  # a defect must be reported, and must not take the services along
@@ -156,7 +156,7 @@ class Weighing:
                 "error", f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
             )
 
-    def _weigh_on(self, feed: RunningFeed) -> None:
+    def _weigh_on(self, feed: OnlineFeed) -> None:
         """Take what arrived, and publish what it says."""
         arrived, renamed = self._inputs.arrived, self._inputs.conventions.renamed
         published_s, fed_s, samples, said = -math.inf, time.monotonic(), 0, ""
@@ -183,7 +183,7 @@ class Weighing:
                     behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
                     self._results.running(feed, estimate, self._link, behind_s)
 
-    def _say_whether_fed(self, feed: RunningFeed, fed_s: float, said: str) -> str:
+    def _say_whether_fed(self, feed: OnlineFeed, fed_s: float, said: str) -> str:
         """Say once that nothing came for some time from which anything can be estimated, and once that it does again.
 
         Returns:

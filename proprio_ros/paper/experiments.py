@@ -37,7 +37,7 @@ from proprio_ros.paper.cases import (
     squeezed,
 )
 from proprio_ros.paper.hand import CAMERA_STD_M, HungPayload, known_robot, play
-from proprio_ros.paper.hung import Hung, weigh_hung
+from proprio_ros.paper.hung import Hung, identify_hung
 from proprio_ros.paper.searches import landscapes, optimisers
 from proprio_ros.paper.speed import speed
 from proprio_ros.paper.ways import (
@@ -232,7 +232,7 @@ def _hung(seed: int) -> list[Rows]:
         rigid = weigh(robot, runs, PayloadFacts(np.array(held.com_m), shape=shape))
         rows.append(answered(rigid, rigid.value("payload_mass")).row(way="as if it were rigid", **labels))
         for way, hung in ways:
-            found, seconds = timed(lambda hung=hung, runs=runs: weigh_hung(robot, runs, hung), lambda: None)  # type: ignore[misc]
+            found, seconds = timed(lambda hung=hung, runs=runs: identify_hung(robot, runs, hung), lambda: None)  # type: ignore[misc]
             verdict = "explained" if found.explains else "not explained"
             rows.append(Answer(found.mass, found.low, found.high, seconds, verdict).row(way=way, **labels))
     return rows

@@ -271,7 +271,7 @@ class HungEstimate:
     decay: float
 
 
-def weigh_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> HungEstimate:
+def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> HungEstimate:
     """The mass of a payload on a joint of its own.
 
     Args:

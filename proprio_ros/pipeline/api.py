@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.inputs.resources import paths_of
-from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_probes
+from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_excitations
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.looked_into import BagCheck
 from proprio_ros.pipeline.looked_into import as_json as checks_as_json
@@ -266,7 +266,7 @@ class _Listed(Sequence[_Row]):
         return iter(self._rows)
 
 
-class Plans(_Listed[ProbePlan]):
+class Plans(_Listed[ExcitationPlan]):
     """Runs that have not been made, best first.
 
     Attributes:
@@ -274,7 +274,7 @@ class Plans(_Listed[ProbePlan]):
         masses_kg: What the hand may hold [kg].
     """
 
-    def __init__(self, robot: Robot, plans: Iterable[ProbePlan], masses_kg: Sequence[float]) -> None:
+    def __init__(self, robot: Robot, plans: Iterable[ExcitationPlan], masses_kg: Sequence[float]) -> None:
         super().__init__(plans)
         self.robot, self.masses_kg = robot, list(masses_kg)
 
@@ -452,7 +452,7 @@ def plan(
     """
     options = _options(locals())
     asked = [float(masses)] if isinstance(masses, (int, float)) else [float(mass) for mass in masses]
-    return Plans(*plan_probes(asked, options, count, progress), asked)
+    return Plans(*plan_excitations(asked, options, count, progress), asked)
 
 
 def check(

@@ -22,7 +22,7 @@ from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibratio
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.planning import plan, with_advice
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.refresh import refresh
@@ -208,12 +208,12 @@ def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdenti
 
 
 @one_blas_thread
-def plan_probes(
+def plan_excitations(
     masses_kg: Sequence[float],
     options: Options | None = None,
     count: int = 10,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Robot, list[ProbePlan]]:
+) -> tuple[Robot, list[ExcitationPlan]]:
     """The robot, and the weighings that would determine most about objects of these masses.
 
     Raises:

@@ -24,10 +24,10 @@ from proprio_ros.kinds import Kind, add_kinds
 if TYPE_CHECKING:
     import numpy as np
 
-    from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.excitation.plans import ExcitationSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.identification.regression.running import RunningWeight
+    from proprio_ros.identification.regression.online import OnlineEstimator
     from proprio_ros.recordings.motions import Motion
     from proprio_ros.recordings.text import TextRecording
     from proprio_ros.records import Run
@@ -302,7 +302,7 @@ class Guards(Probe[Facts]):
         """
         return
 
-    def check(self, robot: Robot, facts: Facts, sequence: ProbeSequence, limits: Mapping[str, float]) -> None:
+    def check(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
         """Whether a sequence may be made with this object.
 
         Args:
@@ -321,7 +321,9 @@ class ChoosesNext(Probe[Facts]):
     """Somebody chooses its pushes, one by one."""
 
     @abstractmethod
-    def chooser(self, robot: Robot, facts: Facts, sequence: ProbeSequence, baseline: Sequence[Run] = ()) -> Chooser:
+    def chooser(
+        self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
+    ) -> Chooser:
         """Who chooses the pushes of a sequence that has `until`, with what is in the hand.
 
         Args:
@@ -379,7 +381,7 @@ class Online(Carries[Facts]):
     """It says what the hand holds while the arm works, without runs of its own."""
 
     @abstractmethod
-    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> RunningWeight:
+    def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> OnlineEstimator:
         """An estimate that goes along with the arm's work.
 
         Args:
@@ -405,7 +407,7 @@ class Shown(Probe[Facts]):
 
 
 def chooser_of(
-    probe: Probe[Any], robot: Robot, facts: Any, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+    probe: Probe[Any], robot: Robot, facts: Any, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
 ) -> Chooser:
     """As `ChoosesNext.chooser`, for any probe.
 

@@ -42,7 +42,7 @@ class SqueezeData:
 
 
 @wp.func
-def push_of_block(
+def excitation_of_block(
     q: FLOAT,
     v: FLOAT,
     p: wp.array2d(dtype=FLOAT),
@@ -94,7 +94,7 @@ def plain_rate(
     data: SqueezeData,
     r: wp.int32,
 ):
-    load, _by_q, _by_v, _by_p = push_of_block(q, v, p, w, data, r)
+    load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
     return acceleration(q, v, command, extra + load, p, w, data.constants, r)
 
 
@@ -116,7 +116,7 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
         data: SqueezeData,
         r: wp.int32,
     ):
-        load, by_q, by_v, by_p = push_of_block(y[0], y[1], p, w, data, r)
+        load, by_q, by_v, by_p = excitation_of_block(y[0], y[1], p, w, data, r)
         d_load = by_q * dy[0] + by_v * dy[1]
         d_load = d_load + by_p[0] * dp[w, YOUNGS_MODULUS] + by_p[1] * dp[w, POISSONS_RATIO]
         d_load = d_load + by_p[2] * dp[w, BLOCK_VISCOSITY] + by_p[3] * dp[w, GAP]

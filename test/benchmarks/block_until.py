@@ -26,7 +26,7 @@ from support.hand import ROBOT, Hand
 from support.squeezing import EDGE_M, GAP_M, calibrated, made
 from until_sure import endings
 
-from proprio_ros.excitation.plans import ProbeSequence, Until, load_sequence
+from proprio_ros.excitation.plans import ExcitationSequence, Until, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes import probe_named
@@ -66,7 +66,7 @@ class Case:
     decided_s: tuple[float, ...]
 
 
-def squeezed(robot: Robot, hand: Hand, sequence: ProbeSequence) -> tuple[list[Run], Decision, list[float], float]:
+def squeezed(robot: Robot, hand: Hand, sequence: ExcitationSequence) -> tuple[list[Run], Decision, list[float], float]:
     """The runs of a block that is squeezed until sure, how it ended, what deciding took, and how long it lasted [s]."""
     chooser = probe_named("softness").chooser(robot, SoftnessJob(FACTS, SqueezeOptions()), sequence)
     began, decided = hand.time_s, []

@@ -24,7 +24,7 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, Request
-from proprio_ros.probes.payload.moving import weigh_in_motion
+from proprio_ros.probes.payload.moving import identify_in_motion
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
@@ -180,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def answer(robot: Robot, motion: Motion, baseline: list[Motion], truth: float) -> float | str:
     """By how many standard deviations of its interval it is off, or why there is none."""
     try:
-        estimate = weigh_in_motion(robot, [motion], baseline, PayloadFacts())
+        estimate = identify_in_motion(robot, [motion], baseline, PayloadFacts())
     except ProprioError as error:
         return type(error).__name__
     mass = estimate.values[0]

@@ -18,7 +18,7 @@ from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
 
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.identification.regression.running import RunningWeight
+from proprio_ros.identification.regression.online import OnlineEstimator
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
@@ -36,7 +36,7 @@ def work(robot: Robot, seed: int) -> Day:
 def watch(robot: Robot, day: Day) -> tuple[np.ndarray, list[float], int, float]:
     """Mass, error and half interval [kg] in rows; how late each change was noticed [s]; false changes; CPU per second of data."""
     empty, parts = day
-    weight = RunningWeight(robot, fit_empty(robot, empty), held={"gripper_left_joint": 0.0})
+    weight = OnlineEstimator(robot, fit_empty(robot, empty), held={"gripper_left_joint": 0.0})
     rows, late, false, samples, begun_s = [], [], 0, 0, time.process_time()
     before = False
     for number, (mass, part) in enumerate(parts):

@@ -32,7 +32,7 @@ from random_arm import EFFECTS, EFFECTS_DEFAULT, GRIPPER, JOINTS, SPREAD, Hidden
 from results import Results, parser_of
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, Until, load_sequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, Until, load_sequence
 from proprio_ros.excitation.ways import approach_s
 from proprio_ros.experiment_design.sequential import half_of
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
@@ -55,13 +55,13 @@ class Bench:
     """A random robot that makes pushes; time goes on as it would."""
 
     hidden: HiddenRobot
-    sequence: ProbeSequence
+    sequence: ExcitationSequence
     rng: np.random.Generator
 
     def __post_init__(self) -> None:
         self.pose, self.time_s = dict(AT_HOME), 0.0
 
-    def push(self, probe: ProbeRun, load: Load | None) -> list[Run]:
+    def push(self, probe: ExcitationRun, load: Load | None) -> list[Run]:
         """A push and its repetitions, as the excitation node would make them."""
         runs: list[Run] = []
         current: float | None = probe.current_A
@@ -83,7 +83,7 @@ class Bench:
         return runs
 
     def _record(
-        self, probe: ProbeRun, start: Mapping[str, float], current: float, duration_s: float, load: Load | None
+        self, probe: ExcitationRun, start: Mapping[str, float], current: float, duration_s: float, load: Load | None
     ) -> Run:
         recording = record(
             self.hidden, probe.joint, start, current, duration_s, load, self.rng,

@@ -7,7 +7,7 @@ import pytest
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.robot import load_robot
 
 ROBOT = load_robot("open_manipulator_x")
@@ -96,10 +96,10 @@ def test_before_the_first_sequence_and_after_release_nothing_is_held() -> None:
 
 def test_what_cannot_be_made_is_refused() -> None:
     arm = ("joint1", "joint2", "joint3", "joint4")
-    grip = ProbeSequence("grip", "any", (ProbeRun(GRIPPER, 0.1, 0.5),))
+    grip = ExcitationSequence("grip", "any", (ExcitationRun(GRIPPER, 0.1, 0.5),))
     with pytest.raises(ExcitationError, match=f"grip moves {GRIPPER}, which the effort controller does not have"):
         held(joints=arm).check(grip)
-    lift = ProbeSequence("lift", "any", (ProbeRun("joint3", 0.1, 0.5),))
+    lift = ExcitationSequence("lift", "any", (ExcitationRun("joint3", 0.1, 0.5),))
     held(joints=arm).check(lift)
     with pytest.raises(ExcitationError, match="joint states come 40 times a second"):
         held(rate_hz=40.0).check(lift)
@@ -122,7 +122,7 @@ def test_what_is_stated_wrong_is_named(joints: tuple[str, ...], unit: str, words
 
 
 def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
-    lift = ProbeSequence("lift", "any", (ProbeRun("joint3", 0.1, 0.5),))
+    lift = ExcitationSequence("lift", "any", (ExcitationRun("joint3", 0.1, 0.5),))
     controller = held()
     controller.observe(1.45, POSE)
     for step in range(20):

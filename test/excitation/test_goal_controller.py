@@ -15,7 +15,7 @@ from proprio_ros.excitation.effort_controller import EffortController
 from proprio_ros.excitation.goal_controller import LARGEST_SUM_RAD, GoalController
 from proprio_ros.excitation.joint_states import JointStates
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, as_text, load_sequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, as_text, load_sequence
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.effort_driver import PositionDriver
 from proprio_ros.virtual.objects import Payload
@@ -25,8 +25,8 @@ ROBOT = load_robot("so101")
 JOINTS = tuple(ROBOT.drive_trains)
 ORDER = ("gripper", "elbow_flex", "shoulder_pan", "wrist_roll", "wrist_flex", "shoulder_lift")
 POSE = {**dict.fromkeys(JOINTS, 0.0), "shoulder_lift": -0.4, "elbow_flex": 0.2, "wrist_flex": 0.3, "gripper": 0.2}
-PUSH = ProbeRun("elbow_flex", 0.0, 0.4, goal_step=-0.25)
-QUICK = ProbeSequence("quick", "any", (PUSH,), settle_s=0.3, brake_s=0.2)
+PUSH = ExcitationRun("elbow_flex", 0.0, 0.4, goal_step=-0.25)
+QUICK = ExcitationSequence("quick", "any", (PUSH,), settle_s=0.3, brake_s=0.2)
 
 
 def held() -> GoalController:
@@ -134,7 +134,7 @@ def test_a_controller_that_cannot_be_is_refused(joints: tuple[str, ...], words: 
 
 def test_currents_are_for_others_and_goals_not_for_them() -> None:
     with pytest.raises(ExcitationError, match="state goal_step"):
-        held().check(replace(QUICK, runs=(ProbeRun("elbow_flex", -0.3, 0.4),)))
+        held().check(replace(QUICK, runs=(ExcitationRun("elbow_flex", -0.3, 0.4),)))
     with pytest.raises(ExcitationError, match="moves elbow_flex, which the position controller"):
         GoalController(ROBOT, ["gripper"]).check(QUICK)
     held().check(QUICK)
@@ -176,7 +176,7 @@ def test_a_sequence_of_steps_comes_back_from_its_text() -> None:
 class Arm:
     """State machine, controller and virtual servos, 30 times a second on a clock of the test's own."""
 
-    def __init__(self, sequence: ProbeSequence = QUICK, payload_kg: float = 0.0) -> None:
+    def __init__(self, sequence: ExcitationSequence = QUICK, payload_kg: float = 0.0) -> None:
         pytest.importorskip("mujoco")
         self.driver = PositionDriver(ROBOT, Truth.draw(ROBOT, 1), joints=ORDER, position=POSE)
         if payload_kg:

@@ -19,7 +19,7 @@ from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import MOST_LOST_RUNS, ExcitationMachine, Phase
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence, load_sequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, load_sequence
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import InputRecord, JointRecord, Recording
@@ -32,7 +32,7 @@ GRIPPER = "gripper_left_joint"
 FINGER = 0.01149  # m per rad of its motor
 COUNT_RAD, VELOCITY_COUNT_RAD_S = 0.001534, 0.024
 HOME = {"joint1": 0.2, "joint2": -0.8, "joint3": 0.4, "joint4": 0.3, GRIPPER: 0.004}
-QUICK = ProbeSequence("quick", "any", (ProbeRun("joint3", -0.3, 0.6),), settle_s=0.3, brake_s=0.1)
+QUICK = ExcitationSequence("quick", "any", (ExcitationRun("joint3", -0.3, 0.6),), settle_s=0.3, brake_s=0.1)
 
 
 # ------------------------------------------------------------------------------------------------------------ an arm
@@ -205,7 +205,7 @@ def test_a_run_ends_at_the_nearest_tick(tick_s: float) -> None:
 
 
 def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() -> None:
-    run = ProbeRun("joint4", -0.05, 0.6, {}, 0.8, 0.3, 1.5, 0.3)  # begins, and begins again, where the joint is
+    run = ExcitationRun("joint4", -0.05, 0.6, {}, 0.8, 0.3, 1.5, 0.3)  # begins, and begins again, where the joint is
     machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.03)
     machine.start(replace(QUICK, runs=(run,)), arm.sample())
     ticks = drive(machine, arm, 100.0)
@@ -224,9 +224,9 @@ def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() 
 
 
 def test_raising_ends_at_the_largest_current_and_says_so() -> None:
-    stuck = ProbeRun("joint4", -0.05, 0.2, {"joint4": 0.0}, 0.8, 0.3, 1.5, 0.1)
+    stuck = ExcitationRun("joint4", -0.05, 0.2, {"joint4": 0.0}, 0.8, 0.3, 1.5, 0.1)
     machine, arm = ExcitationMachine(ROBOT), Arm(HOME, friction=0.8)
-    machine.start(replace(QUICK, runs=(stuck, ProbeRun("joint1", 0.55, 0.3))), arm.sample())
+    machine.start(replace(QUICK, runs=(stuck, ExcitationRun("joint1", 0.55, 0.3))), arm.sample())
     drive(machine, arm, 100.0)
     assert machine.phase is Phase.DONE
     first = [outcome for outcome in machine.outcomes if outcome.run_number == 1]
@@ -239,7 +239,7 @@ def test_raising_ends_at_the_largest_current_and_says_so() -> None:
 
 
 def test_a_lowering_run_is_eased() -> None:
-    held = ProbeRun("joint4", -0.08, 0.6, {"joint3": 0.0, "joint2": -0.3, "joint4": 0.3}, 0.8, 0.15, 0.5)
+    held = ExcitationRun("joint4", -0.08, 0.6, {"joint3": 0.0, "joint2": -0.3, "joint4": 0.3}, 0.8, 0.15, 0.5)
     machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
     machine.start(replace(QUICK, runs=(held,)), arm.sample())
     drive(machine, arm, 100.0)
@@ -248,7 +248,7 @@ def test_a_lowering_run_is_eased() -> None:
     assert machine.outcomes[-1].used
 
 
-SHAKE = ProbeRun("joint4", -0.08, 0.6, {}, 0.9, 0.0, 0.5, None, 0.12, 0.2)
+SHAKE = ExcitationRun("joint4", -0.08, 0.6, {}, 0.9, 0.0, 0.5, None, 0.12, 0.2)
 
 
 def waves(ticks: list[Tick]) -> list[list[float]]:
@@ -350,7 +350,7 @@ def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
 
 
 def test_the_gripper_counts_in_metres() -> None:
-    run = ProbeRun(GRIPPER, -0.1, 0.5, {GRIPPER: 0.014}, max_travel=0.004)
+    run = ExcitationRun(GRIPPER, -0.1, 0.5, {GRIPPER: 0.014}, max_travel=0.004)
     machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
     machine.start(replace(QUICK, runs=(run,)), arm.sample())
     drive(machine, arm, 100.0)
@@ -390,7 +390,9 @@ class Bench:
         return self.machine.tick(now_s, self.sample)
 
 
-def bench(phase: Phase, sequence: ProbeSequence = QUICK, pose: dict[str, float] = HOME, guards: Guards | None = None):
+def bench(
+    phase: Phase, sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME, guards: Guards | None = None
+):
     machine = ExcitationMachine(ROBOT, guards)
     sample = JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0))
     machine.start(sequence, sample)
@@ -413,7 +415,7 @@ def assert_stopped(ready: Bench, command: Command, ended_by: str, words: str) ->
     assert machine.tick(0.0, None) == command == machine.tick(math.nan, replace(ready.sample, time_s=1e9))
 
 
-def pushed(sequence: ProbeSequence = QUICK, pose: dict[str, float] = HOME) -> Bench:
+def pushed(sequence: ExcitationSequence = QUICK, pose: dict[str, float] = HOME) -> Bench:
     ready = bench(Phase.PROBE, sequence, pose)
     assert ready.tick().current_A == {"joint3": -0.3}
     return ready
@@ -573,7 +575,7 @@ def test_abort_without_a_sequence_does_nothing() -> None:
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.SETTLE, Phase.BRAKE, Phase.RETURN])
 def test_a_joint_that_does_not_follow(phase: Phase) -> None:
     sequence = replace(
-        QUICK, runs=(ProbeRun("joint3", -0.3, 0.2, {"joint3": 0.6}),), settle_s=1.0, brake_s=1.0, home=HOME
+        QUICK, runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint3": 0.6}),), settle_s=1.0, brake_s=1.0, home=HOME
     )
     ready = bench(phase, replace(sequence, approach_velocity=0.1))
     goal = ready.machine.command.position["joint1"]
@@ -620,7 +622,7 @@ def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
 
     machine, limp = ExcitationMachine(ROBOT), Arm(HOME, friction=1.0)
     limp.STIFFNESS = limp.DAMPING = 0.0
-    machine.start(replace(QUICK, runs=(ProbeRun("joint3", -0.3, 0.6, {"joint1": 1.0}),)), limp.sample())
+    machine.start(replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint1": 1.0}),)), limp.sample())
     drive(machine, limp, 100.0)
     assert "joint1 does not follow" in machine.abort_reason and not machine.outcomes
 
@@ -654,7 +656,7 @@ def test_what_cannot_start() -> None:
     assert machine.busy and machine.abort_reason == "" and machine.outcomes == []
 
 
-def lowest_goal(sequence: ProbeSequence, pose: dict[str, float]) -> float:
+def lowest_goal(sequence: ExcitationSequence, pose: dict[str, float]) -> float:
     """Lowest clearance of all goals of the approach."""
     ready = bench(Phase.SETTLE, sequence, pose)
     machine = ExcitationMachine(ROBOT)
@@ -675,16 +677,16 @@ def test_the_way_leads_over_a_higher_pose_where_the_straight_one_dips() -> None:
         for n in range(51)
     ]  # fmt: skip
     assert min(straight) < 0.03 < min(straight[0], straight[-1])
-    sequence = replace(QUICK, runs=(ProbeRun("joint3", -0.3, 0.6, after),))
+    sequence = replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, after),))
     assert lowest_goal(sequence, before) >= 0.029
 
 
 def test_an_arm_that_lies_on_the_table_may_only_rise() -> None:
     lying = {**HOME, "joint2": 1.0, "joint3": 0.6, "joint4": 0.2}
     assert clearance(ROBOT, lying) < 0.03
-    rising = replace(QUICK, runs=(ProbeRun("joint3", -0.3, 0.6, {"joint2": -0.5, "joint3": 0.5, "joint4": 0.0}),))
+    rising = replace(QUICK, runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint2": -0.5, "joint3": 0.5, "joint4": 0.0}),))
     assert lowest_goal(rising, lying) >= clearance(ROBOT, lying) - 1e-3
-    staying = replace(QUICK, runs=(ProbeRun(GRIPPER, -0.1, 0.5),))
+    staying = replace(QUICK, runs=(ExcitationRun(GRIPPER, -0.1, 0.5),))
     with pytest.raises(ExcitationError, match="higher pose by hand"):
         ExcitationMachine(ROBOT).start(staying, JointSample(0.0, lying, dict.fromkeys(JOINTS, 0.0)))
 
@@ -711,8 +713,8 @@ DISTURBANCES = st.sampled_from(
     st.sampled_from([0.01, 0.025]),
 )
 def test_no_current_but_in_a_run_and_never_above_the_limit(steps: list[tuple[str, str, float]], tick_s: float) -> None:
-    run = ProbeRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
-    sequence = ProbeSequence("any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05)
+    run = ExcitationRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
+    sequence = ExcitationSequence("any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05)
     machine = ExcitationMachine(ROBOT)
     now_s = 3.0
     position, velocity = dict(HOME), dict.fromkeys(JOINTS, 0.0)
@@ -744,8 +746,8 @@ def test_no_current_but_in_a_run_and_never_above_the_limit(steps: list[tuple[str
 
 def test_random_disturbances_do_meet_a_current() -> None:
     """The test above says something: undisturbed, its sequence is under current within fifty ticks."""
-    run = ProbeRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
-    sequence = ProbeSequence("any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05)
+    run = ExcitationRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
+    sequence = ExcitationSequence("any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05)
     ready = bench(Phase.PROBE, sequence)
     assert ready.sample.time_s - 5.0 < 50 * 0.01 + 0.1
 
@@ -754,9 +756,9 @@ def test_another_robot() -> None:
     """One joint that turns without limits, from a file of its own."""
     robot: Robot = load_robot("pendulum")
     (joint,) = robot.drive_trains
-    run = ProbeRun(joint, 0.1, 0.3, {joint: 0.5})
+    run = ExcitationRun(joint, 0.1, 0.3, {joint: 0.5})
     machine = ExcitationMachine(robot)
-    sequence = ProbeSequence("swing", "any", (run,), settle_s=0.3, min_clearance_m=0.0)
+    sequence = ExcitationSequence("swing", "any", (run,), settle_s=0.3, min_clearance_m=0.0)
     assert sequence.runs[0].max_travel == 1.0
     machine.start(sequence, JointSample(0.0, {joint: 0.0}, {joint: 0.0}))
     now_s, command = 0.0, machine.command

@@ -12,8 +12,8 @@ from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.excitation.plans import (
     LEAST_CURRENT_A,
     START_MARGIN_RAD,
-    ProbeRun,
-    ProbeSequence,
+    ExcitationRun,
+    ExcitationSequence,
     check_sequence,
     load_sequence,
     sequence_names,
@@ -121,7 +121,7 @@ def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: R
             mean_A = run.other_current(mean_A)
             attempts += 1
         assert attempts > 3
-    constant = ProbeRun("joint4", -0.1, 0.6)
+    constant = ExcitationRun("joint4", -0.1, 0.6)
     assert {constant.current_at(0.01 * n, -0.115) for n in range(60)} == {-0.115}
 
 
@@ -142,10 +142,10 @@ def test_a_file_of_the_users(robot: Robot, tmp_path: Path) -> None:
     path = section(tmp_path, more="  settle_s: 2\n  home: {joint2: -1.0}\n")
     sequence = load_sequence(path, robot)
     assert sequence == load_sequence(str(path), robot)
-    assert sequence == ProbeSequence(
+    assert sequence == ExcitationSequence(
         name="mine",
         hand="payload",
-        runs=(ProbeRun("joint3", -0.3, 0.6, {"joint2": -1.4, "joint3": 0.6, "joint4": 0.0}),),
+        runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint2": -1.4, "joint3": 0.6, "joint4": 0.0}),),
         settle_s=2.0,
         home={"joint2": -1.0},
     )

@@ -19,7 +19,7 @@ from proprio_ros.experiment_design.planning import (
     plan,
     with_advice,
 )
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ProbePlan
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
@@ -68,12 +68,12 @@ def test_only_a_calibration_that_holds_gets_advice(estimate: CalibrationEstimate
 
 
 @pytest.fixture(scope="module")
-def plans(calibrated: Robot) -> list[ProbePlan]:
+def plans(calibrated: Robot) -> list[ExcitationPlan]:
     return plan(calibrated, MASSES, BALL, count=20)
 
 
 @pytest.mark.long
-def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ProbePlan]) -> None:
+def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ExcitationPlan]) -> None:
     assert len(plans) >= 6
     for entry in plans:
         limits = calibrated.model.joint(entry.joint)
@@ -90,7 +90,7 @@ def test_every_plan_keeps_the_limits(calibrated: Robot, plans: list[ProbePlan]) 
 
 
 @pytest.mark.long
-def test_the_best_comes_first_and_not_ten_times(plans: list[ProbePlan]) -> None:
+def test_the_best_comes_first_and_not_ten_times(plans: list[ExcitationPlan]) -> None:
     widest = [max(entry.std_kg) for entry in plans]
     assert widest == sorted(widest)
     kinds = [(entry.joint, entry.kind) for entry in plans]
@@ -98,7 +98,7 @@ def test_the_best_comes_first_and_not_ten_times(plans: list[ProbePlan]) -> None:
 
 
 @pytest.mark.long
-def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ProbePlan]) -> None:
+def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ExcitationPlan]) -> None:
     """A robot without friction, exactly as its file says but for what that leaves open, recorded in MuJoCo at the plan's pose."""
     from random_arm import EMPTY_PROBES, GRIPPER, JOINTS, ball, draw_robot, record
 
@@ -128,7 +128,7 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[ProbePl
 
 
 @pytest.mark.long
-def test_a_calibration_makes_better_promises(calibrated: Robot, plans: list[ProbePlan]) -> None:
+def test_a_calibration_makes_better_promises(calibrated: Robot, plans: list[ExcitationPlan]) -> None:
     (before, *_) = plan(load_robot("open_manipulator_x"), [0.03], BALL, count=1)
     (after, *_) = plan(calibrated, [0.03], BALL, count=1)
     assert after.std_kg[0] < 0.2 * before.std_kg[0]

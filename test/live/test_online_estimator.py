@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from proprio_ros.live.online_estimator import RunningFeed, any_moved
+from proprio_ros.live.online_estimator import OnlineFeed, any_moved
 from proprio_ros.robot import load_robot
 
 JOINTS = ("joint1", "joint2")
@@ -30,25 +30,25 @@ class Estimator:
         return self
 
 
-def new_feed() -> RunningFeed:
+def new_feed() -> OnlineFeed:
     arm = load_robot("open_manipulator_x")
     robot: Any = SimpleNamespace(
         model=arm.model, drive_trains=arm.drive_trains, motion_calibration=SimpleNamespace(joints=JOINTS)
     )
     probe: Any = SimpleNamespace(running=lambda robot, facts, held: Estimator(dict(held)))
-    return RunningFeed(probe, robot, None)
+    return OnlineFeed(probe, robot, None)
 
 
 @pytest.fixture
-def feed() -> RunningFeed:
+def feed() -> OnlineFeed:
     return new_feed()
 
 
-def test_it_says_what_it_rests_on(feed: RunningFeed) -> None:
+def test_it_says_what_it_rests_on(feed: OnlineFeed) -> None:
     assert "measured effort" in feed.about and "joint3, joint4, gripper_left_joint counts as standing" in feed.about
 
 
-def test_a_joint_state_without_measured_effort_is_named(feed: RunningFeed) -> None:
+def test_a_joint_state_without_measured_effort_is_named(feed: OnlineFeed) -> None:
     assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "A") is not None and not feed.waits_for and feed.samples == 1
     for effort in ([], [1.0], [1.0, math.nan]):
         feed = new_feed()
@@ -60,7 +60,7 @@ def test_a_joint_state_without_measured_effort_is_named(feed: RunningFeed) -> No
     assert feed.add(0.2, JOINTS, AT_REST, [1.0, 2.0], "A") is not None and not feed.waits_for
 
 
-def test_an_effort_of_which_nobody_says_the_unit_is_named(feed: RunningFeed) -> None:
+def test_an_effort_of_which_nobody_says_the_unit_is_named(feed: OnlineFeed) -> None:
     assert feed.add(0.0, JOINTS, AT_REST, [1.0, 2.0], "") is None
     assert feed.waits_for.endswith("give the parameter driver or effort_unit")
     feed = new_feed()
@@ -68,7 +68,7 @@ def test_an_effort_of_which_nobody_says_the_unit_is_named(feed: RunningFeed) -> 
     assert feed.waits_for == "no joint states of joint2 are coming"
 
 
-def test_a_joint_outside_the_calibration_that_moves_is_named(feed: RunningFeed) -> None:
+def test_a_joint_outside_the_calibration_that_moves_is_named(feed: OnlineFeed) -> None:
     feed.add(0.0, ["joint3"], [0.4], [0.0], "A")  # from a publisher of its own, before the others
     estimate: Any = feed.add(0.1, JOINTS, AT_REST, [1.0, 2.0], "A")
     assert estimate.held["joint3"] == 0.4 and estimate.held["joint4"] == 0.0

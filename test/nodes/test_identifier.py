@@ -179,11 +179,11 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
     node = nodes.identifier("arm1", data_directory=tmp_path)
     elbow = MotorIdentity(1020, 13, 46, 7, 0, 10)
     node._inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {"joint3": elbow.as_text()}, "")))
-    assert node._inputs.told_motors() == []  # no driver of ours runs
+    assert node._inputs.published_motors() == []  # no driver of ours runs
     monkeypatch.setattr(node, "count_publishers", lambda topic: int(topic == "/arm1/motors"))
     state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
     states = RawMessage("/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state))
-    write_messages(tmp_path / "bag", [states, *node._inputs.told_motors()])
+    write_messages(tmp_path / "bag", [states, *node._inputs.published_motors()])
     assert read_motors(tmp_path / "bag") == {"joint3": elbow}
 
 

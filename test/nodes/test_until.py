@@ -21,7 +21,7 @@ from support.live import HEARD, Client, replayed_alike, running
 from visualization_msgs.msg import Marker, MarkerArray
 
 from proprio_ros.calibration_files.pushes import Calibration, Moment
-from proprio_ros.excitation.plans import ProbeRun, load_sequence
+from proprio_ros.excitation.plans import ExcitationRun, load_sequence
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.live.job import Job, JobError
 from proprio_ros.live.workspace import Workspace
@@ -47,7 +47,7 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     made: list[Any] = []
     learnt = SimpleNamespace(calibration=None, verdict=Verdict.ACCEPTED)
     monkeypatch.setattr(jobs, "calibrate_from_bags", lambda bags, references, options: learnt)
-    monkeypatch.setattr(jobs, "chosen_known", lambda *asked: made.append(asked) or [ProbeRun("joint3", -0.3, 0.5)])
+    monkeypatch.setattr(jobs, "chosen_known", lambda *asked: made.append(asked) or [ExcitationRun("joint3", -0.3, 0.5)])
     work: Any = jobs.Jobs.__new__(jobs.Jobs)
     work._results, work._node = SimpleNamespace(tell=print), SimpleNamespace(say=print)
     path = tmp_path / "empty.yaml"
@@ -88,7 +88,7 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
     )
     inputs: Any = SimpleNamespace(live=None, moment=lambda: Moment(made_s))
     recorded: list[str] = []
-    monkeypatch.setattr(refreshing, "chosen_refresh", lambda *_: ([ProbeRun("joint3", -0.3, 0.5)], 8e-4, 2e-3))
+    monkeypatch.setattr(refreshing, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3))
 
     def refreshed() -> tuple[bool, str]:
         job = Job("refresh", "refresh_robot")

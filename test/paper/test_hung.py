@@ -10,7 +10,7 @@ import pytest
 from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.hand import HungPayload, known_robot, play, stated_robot
-from proprio_ros.paper.hung import Hung, HungProblem, hung_unknowns, weigh_hung
+from proprio_ros.paper.hung import Hung, HungProblem, hung_unknowns, identify_hung
 from proprio_ros.probes.container.virtual_object import Container
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.records import Run
@@ -77,7 +77,7 @@ def test_sensitivities_against_finite_differences(hung: Hung, swinging: tuple[Ru
 
 
 def test_a_pendulum_is_weighed_on_its_joint_and_not_as_if_it_were_rigid(swinging: tuple[Run, ...]) -> None:
-    found = weigh_hung(known_robot(), swinging, PENDULUM)
+    found = identify_hung(known_robot(), swinging, PENDULUM)
     assert found.explains and found.low <= 0.05 <= found.high
     assert abs(found.mass - 0.05) < 0.002
     rigid = weigh(known_robot(), swinging, PayloadFacts(COM, shape=SHAPE)).value("payload_mass").value

@@ -9,7 +9,7 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.pipeline import request as module
-from proprio_ros.pipeline.calibrate import plan_probes, refresh_from_bags
+from proprio_ros.pipeline.calibrate import plan_excitations, refresh_from_bags
 from proprio_ros.pipeline.request import (
     DEFAULT_ROBOT,
     TEXT_ROBOT,
@@ -97,7 +97,7 @@ def test_facts_alone_need_no_robot() -> None:
 
 def test_settings_that_would_be_without_effect_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"held.joint1: a plan says where every joint is"):
-        plan_probes([0.05], Options(settings={"held.joint1": 0.1}))
+        plan_excitations([0.05], Options(settings={"held.joint1": 0.1}))
     options = Options(calibration=tmp_path / "old.yaml", settings={"robot.arm_scale": 1.1})
     with pytest.raises(ConfigurationError, match=r"robot.arm_scale: .*old.yaml says what the robot is"):
         refresh_from_bags(tmp_path / "bag", options)

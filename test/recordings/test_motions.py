@@ -18,7 +18,7 @@ from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payl
 from proprio_ros.pipeline.loading import bag_motion, runs_or_motion
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.probes.payload import moving
-from proprio_ros.probes.payload.moving import weigh_in_motion
+from proprio_ros.probes.payload.moving import identify_in_motion
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.records import InputRecord, JointRecord, Recording
 from proprio_ros.robot import load_robot
@@ -193,7 +193,7 @@ def test_a_real_arm_whose_two_recordings_differ_in_their_unit_is_refused(ur10e: 
     options = Options(robot=str(ur10e), effort_unit="A")
     loaded, empty = (bag_motion(REAL / bag, Request(robot, options)) for bag in ("ur10e_loaded_14", "ur10e_empty_14"))
     loaded = replace(loaded, current_A=loaded.current_A * np.array(factors))
-    estimate = weigh_in_motion(robot, [loaded], [empty], PayloadFacts())
+    estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     assert estimate.verdict is Verdict.REJECTED and estimate.reasons[0].code in ("misfit", "other_torque")
 
 
@@ -330,7 +330,7 @@ def test_fingers_that_were_not_recorded_are_taken_to_stand_somewhere(slow: Motio
 def test_ten_slow_seconds_weigh_what_ten_others_held(slow: Motion, late: bool) -> None:
     robot = load_robot("open_manipulator_x")
     known = replace(robot, motion_calibration=fit_empty(robot, [half(slow, not late)]))
-    answer = weigh_in_motion(known, [half(slow, late)], [], PayloadFacts())
+    answer = identify_in_motion(known, [half(slow, late)], [], PayloadFacts())
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     mass = answer.values[0]
     assert isinstance(mass.value, float) and mass.value < 0.005

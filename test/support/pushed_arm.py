@@ -9,7 +9,7 @@ import numpy as np
 
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
-from proprio_ros.excitation.plans import ProbeSequence
+from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.paper import hand as paper_hand
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
@@ -36,7 +36,7 @@ class Hand:
         joints = tuple(self.robot.drive_trains)
         return joints, np.array([self.robot.drive_trains[joint].transmission for joint in joints])
 
-    def make(self, sequence: ProbeSequence) -> None:
+    def make(self, sequence: ExcitationSequence) -> None:
         machine, now = ExcitationMachine(self.robot), self.sample()
         joints, scale = self._joints()
         machine.start(sequence, now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
-from proprio_ros.excitation.plans import ProbeSequence, load_sequence
+from proprio_ros.excitation.plans import ExcitationSequence, load_sequence
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.softness.identify import find_softness
@@ -25,7 +25,7 @@ def played(name: str, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], f
     return made(load_sequence(name, ROBOT), hand)
 
 
-def made(sequence: ProbeSequence, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
+def made(sequence: ExcitationSequence, hand: Hand) -> tuple[ExcitationMachine, tuple[Run, ...], float]:
     """The machine at its end, the runs of the recording, and how far the fingers closed from where they began [m]."""
     machine, sample = ExcitationMachine(ROBOT), hand.sample()
     machine.start(sequence, sample)

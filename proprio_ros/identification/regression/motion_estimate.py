@@ -9,7 +9,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyHandEstimate, Weighable
 from proprio_ros.identification.estimate import UnknownRow
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.motion_equations import Arm
@@ -147,7 +147,7 @@ def _scaled(
     ), ACCEPTED
 
 
-def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyWeighing, ...]:
+def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyHandEstimate, ...]:
     """Each motion weighed by the calibration of the others; a single one in two halves. What they read is the error to expect."""
     parts = list(motions)
     if len(parts) == 1:
@@ -159,7 +159,7 @@ def _weighed_empty(robot: Robot, motions: Sequence[Motion]) -> tuple[EmptyWeighi
             fit = fit_payload(robot, [part], fit_empty(robot, [*parts[:number], *parts[number + 1 :]]))
         except RecordingError:
             continue  # too short to be halved: then the fit's own word has to do
-        weighed.append(EmptyWeighing(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile))
+        weighed.append(EmptyHandEstimate(part.name, float(fit.values[0]), float(fit.std[0]), fit.quantile))
     return tuple(weighed)
 
 
@@ -190,7 +190,7 @@ def _weighable(
     robot: Robot,
     motions: Sequence[Motion],
     calibration: MotionCalibration,
-    weighed: Sequence[EmptyWeighing],
+    weighed: Sequence[EmptyHandEstimate],
     arm: float,
     referenced: bool,
 ) -> Weighable:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from proprio_ros.calibration_files.one_joint import JointCalibration
-from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyWeighing, Weighable
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyHandEstimate, Weighable
 from proprio_ros.identification.judge import Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.one_joint_fit import carried_by
 from proprio_ros.identification.regression.one_joint_known import learn_joint, tables_of, terms_of
@@ -57,7 +57,7 @@ def calibrate_joint(
         joint=learnt,
         notes=tuple(note for motion in motions for note in motion.notes),
         weighable=None if refusal.withheld else weighable,
-        weighed_empty=tuple(EmptyWeighing(run["name"], run["read_kg"], run["std_kg"], Z95) for run in learnt.runs),
+        weighed_empty=tuple(EmptyHandEstimate(run["name"], run["read_kg"], run["std_kg"], Z95) for run in learnt.runs),
     )
 
 

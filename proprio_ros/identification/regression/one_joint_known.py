@@ -288,7 +288,7 @@ def _spread_by(calibration: JointCalibration, mass: float | None = None) -> Floa
     return spread_posterior(errors / scale, np.square(stds / scale))
 
 
-def weigh_by_joint(
+def identify_by_joint(
     robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
 ) -> KnownJointFit:
     """The mass that all motions share.

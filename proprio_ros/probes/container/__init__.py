@@ -25,7 +25,7 @@ from proprio_ros.probes.base import (
 from proprio_ros.probes.container.virtual_object import Container as VirtualContainer
 
 if TYPE_CHECKING:
-    from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.excitation.plans import ExcitationSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.probes.container.problem import ContainerFacts
@@ -142,7 +142,7 @@ class Container(
         compile_kernels(shape, law, facts.solving.integrator, rises=robot.friction_rises)
 
     def chooser(
-        self, robot: Robot, facts: ContainerJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+        self, robot: Robot, facts: ContainerJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
     ) -> Chooser:
         from proprio_ros.probes.container.choosing import SphereUntilSure
         from proprio_ros.probes.container.identify import find_sphere, half_of

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proprio_ros.excitation.plans import LEAST_SHAKES, ProbeSequence
+from proprio_ros.excitation.plans import LEAST_SHAKES, ExcitationSequence
 from proprio_ros.experiment_design.candidates import (
     Push,
     TimeOf,
@@ -88,7 +88,7 @@ class SphereUntilSure(CatalogueChooser):
         robot: Robot,
         facts: ContainerFacts,
         options: ContainerOptions,
-        sequence: ProbeSequence,
+        sequence: ExcitationSequence,
         baseline: Sequence[Run] = (),
         whole: Callable[[Sequence[Run]], float | None] | None = None,
     ) -> None:

@@ -26,10 +26,10 @@ from proprio_ros.probes.base import (
 from proprio_ros.virtual.objects import Payload as VirtualPayload
 
 if TYPE_CHECKING:
-    from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.excitation.plans import ExcitationSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
-    from proprio_ros.identification.regression.running import RunningWeight
+    from proprio_ros.identification.regression.online import OnlineEstimator
     from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
     from proprio_ros.records import Run
@@ -112,7 +112,7 @@ class Payload(
 
     def identify(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
-        from proprio_ros.probes.payload.paper import as_published, weigh_as_paper
+        from proprio_ros.probes.payload.paper import as_published, identify_as_paper
 
         if facts.paper is None:
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
@@ -121,12 +121,12 @@ class Payload(
         stated = facts.paper
         if recorded.text is not None:
             stated = as_published(stated, recorded.text.setting, facts.stated)
-        return weigh_as_paper(robot, recorded.runs, facts.payload, stated)
+        return identify_as_paper(robot, recorded.runs, facts.payload, stated)
 
     def identify_motions(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
-        from proprio_ros.probes.payload.known_joint import weigh_known_joint
-        from proprio_ros.probes.payload.moving import weigh_in_motion
-        from proprio_ros.probes.payload.one_joint import weigh_one_joint
+        from proprio_ros.probes.payload.known_joint import identify_known_joint
+        from proprio_ros.probes.payload.moving import identify_in_motion
+        from proprio_ros.probes.payload.one_joint import identify_one_joint
 
         motions, baseline = recorded.motions, recorded.baseline_motions
         if facts.paper is not None:
@@ -138,10 +138,10 @@ class Payload(
                 raise RecordingError(
                     f"{baseline[0].name}: a joint that was calibrated with known loads takes no --baseline"
                 )
-            return weigh_known_joint(robot, motions, robot.joint_calibration, facts.payload)
+            return identify_known_joint(robot, motions, robot.joint_calibration, facts.payload)
         if len(motions[0].joints) == 1:
-            return weigh_one_joint(robot, motions, baseline, facts.payload)
-        return weigh_in_motion(robot, motions, baseline, facts.payload, "payload.com" in facts.stated)
+            return identify_one_joint(robot, motions, baseline, facts.payload)
+        return identify_in_motion(robot, motions, baseline, facts.payload, "payload.com" in facts.stated)
 
     def identify_so_far(self, robot: Robot, runs: Sequence[Run], facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
@@ -149,7 +149,7 @@ class Payload(
         return weigh(robot, runs, facts.payload, replace(facts.weighing, starts_kg=LIVE_STARTS_KG))
 
     def chooser(
-        self, robot: Robot, facts: PayloadJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+        self, robot: Robot, facts: PayloadJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
     ) -> Chooser:
         from proprio_ros.experiment_design.until import UntilSure
         from proprio_ros.quantity import Z95
@@ -160,13 +160,13 @@ class Payload(
 
         return UntilSure(robot, facts.payload, sequence, whole)
 
-    def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> RunningWeight:
-        from proprio_ros.identification.regression.running import CENTRE_STD_M, RunningWeight
+    def running(self, robot: Robot, facts: PayloadJob, held: dict[str, float]) -> OnlineEstimator:
+        from proprio_ros.identification.regression.online import CENTRE_STD_M, OnlineEstimator
 
         assert robot.motion_calibration is not None
         centre_m = [float(axis) for axis in facts.payload.com]
         std_m = float(max(facts.payload.com_std)) or CENTRE_STD_M
-        return RunningWeight(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
+        return OnlineEstimator(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
 
     def load(self, facts: PayloadJob, mass_kg: float) -> Carried:
         from proprio_ros.probes.payload.facts import inertia_tensor

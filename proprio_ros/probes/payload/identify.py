@@ -50,7 +50,7 @@ from proprio_ros.identification.swings import (
     FRICTION_LAW_SHARE,
     MISSED_SHARE,
     MUCH_WORSE,
-    are_swings,
+    are_free_responses,
     missed_share,
     said_missed,
     swing_error,
@@ -124,7 +124,7 @@ def weigh(
             still.append(prepared)
     if not weighing:
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-    if are_swings(usable):
+    if are_free_responses(usable):
         return _weigh_swings(robot, usable, facts, options, found, len(runs))
     drift = _drift(robot, usable[weighing:], facts, options)
     known = robot.is_calibrated(joints_of(usable))

@@ -9,7 +9,7 @@ from proprio_ros.identification.estimate import Estimate, Fit
 from proprio_ros.identification.judge import Refusal, judge, positive, rejected
 from proprio_ros.identification.regression.motion_fit import check_torque_constant
 from proprio_ros.identification.regression.one_joint_fit import STRETCH_S
-from proprio_ros.identification.regression.one_joint_known import KnownJointFit, weigh_by_joint
+from proprio_ros.identification.regression.one_joint_known import KnownJointFit, identify_by_joint
 from proprio_ros.identification.regression.refusals import (
     UNEXPLAINED_SHARE,
     WIDEST_SHARE,
@@ -26,7 +26,7 @@ MISFIT_RATIO = 5.0
 """A motion may be explained so much worse than those of the calibration, which may have been gentler."""
 
 
-def weigh_known_joint(
+def identify_known_joint(
     robot: Robot, motions: Sequence[Motion], calibration: JointCalibration, facts: PayloadFacts
 ) -> Estimate:
     """Identify the payload that all ``motions`` share.
@@ -42,7 +42,7 @@ def weigh_known_joint(
         RobotError: The torque constant is no longer that of the calibration.
     """
     check_torque_constant(robot, calibration.joint, calibration.torque_constant, "it was")
-    fit = weigh_by_joint(robot, motions, calibration, facts)
+    fit = identify_by_joint(robot, motions, calibration, facts)
     refusal = judge(_refusals(motions[0], calibration, fit))
     loads = calibration.loads_kg
     return motion_answer(

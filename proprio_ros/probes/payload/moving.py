@@ -96,7 +96,7 @@ def motion_answer(
     )
 
 
-def weigh_in_motion(
+def identify_in_motion(
     robot: Robot,
     motions: Sequence[Motion],
     baseline: Sequence[Motion],

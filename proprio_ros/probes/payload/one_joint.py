@@ -80,7 +80,7 @@ def torque_std(robot: Robot, joint: str) -> float:
     return UNSTATED_TORQUE_STD
 
 
-def weigh_one_joint(
+def identify_one_joint(
     robot: Robot, motions: Sequence[Motion], baseline: Sequence[Motion], facts: PayloadFacts
 ) -> Estimate:
     """Identify how the joint swings, and the payload that all ``motions`` share.

@@ -66,7 +66,7 @@ class PaperOptions:
             raise ConfigurationError("paper.starts_kg needs at least one positive mass in kg")
 
 
-def weigh_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, options: PaperOptions) -> Estimate:
+def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, options: PaperOptions) -> Estimate:
     """Identify the mass of one run as the paper does.
 
     The value is the least-error mass. It carries no interval, because the method has none; the verdict comes from the whole

@@ -27,7 +27,7 @@ from proprio_ros.probes.softness.virtual_object import SoftBlock
 if TYPE_CHECKING:
     import numpy as np
 
-    from proprio_ros.excitation.plans import ProbeSequence
+    from proprio_ros.excitation.plans import ExcitationSequence
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.probes.softness.identify import SqueezeOptions
@@ -107,7 +107,9 @@ class Softness(
         block = block_facts(settings, defaults["block"])
         return SoftnessJob(block, settings.options(SqueezeOptions, "solver.", defaults["solver"]))
 
-    def check(self, robot: Robot, facts: SoftnessJob, sequence: ProbeSequence, limits: Mapping[str, float]) -> None:
+    def check(
+        self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, limits: Mapping[str, float]
+    ) -> None:
         joint, *others = {run.joint for run in sequence.runs}
         if others or robot.model.joint(joint).kind != "prismatic":
             raise ConfigurationError(
@@ -154,7 +156,7 @@ class Softness(
         return content, "\n".join(lines)
 
     def chooser(
-        self, robot: Robot, facts: SoftnessJob, sequence: ProbeSequence, baseline: Sequence[Run] = ()
+        self, robot: Robot, facts: SoftnessJob, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
     ) -> Chooser:
         from proprio_ros.probes.softness.choosing import SqueezesUntilSure
         from proprio_ros.quantity import Z95

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.excitation.plans import ProbeRun, ProbeSequence
+from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.experiment_design.candidates import Push, best_first, still_run
 from proprio_ros.experiment_design.choosing import Chooser, Found, alone, time_of
 from proprio_ros.experiment_design.predicted_precision import SharedUnknowns
@@ -59,7 +59,7 @@ class SqueezesUntilSure(Chooser):
         robot: Robot,
         facts: BlockFacts,
         options: SqueezeOptions,
-        sequence: ProbeSequence,
+        sequence: ExcitationSequence,
         whole: Callable[[Sequence[Run]], float | None] | None = None,
     ) -> None:
         super().__init__(robot, sequence, Sought("youngs_modulus", "Pa", share=True, label="Young's modulus"), whole)
@@ -158,7 +158,7 @@ class SqueezesUntilSure(Chooser):
                 pushes.append(Push(self._first.joint, start, current, 0.0, duration, lasts, std, gain, ends))
         return pushes
 
-    def run_of(self, push: Push) -> ProbeRun:
+    def run_of(self, push: Push) -> ExcitationRun:
         return replace(
             self._first,
             current_A=push.current_A,
@@ -169,6 +169,6 @@ class SqueezesUntilSure(Chooser):
             max_current_A=self._limit_A,
         )
 
-    def sequence_of(self, run: ProbeRun) -> ProbeSequence:
+    def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:
         """A sequence of one squeeze, after which the fingers let go."""
         return replace(alone(self._sequence, run), from_here=(), home=dict(run.start))

@@ -13,7 +13,7 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.identification.regression.solve import Prior, correlated_windows, posterior
-from proprio_ros.probes.payload.moving import weigh_in_motion
+from proprio_ros.probes.payload.moving import identify_in_motion
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -76,11 +76,11 @@ def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
     factor[1] *= 0.7 if torque == "one joint" else 1.0
     loaded, empty = replace(loaded, current_A=loaded.current_A * factor), arm.record("empty", 20.0)
     if calibrated:
-        estimate = weigh_in_motion(
+        estimate = identify_in_motion(
             replace(robot, motion_calibration=fit_empty(robot, [empty])), [loaded], [], PayloadFacts()
         )
     else:
-        estimate = weigh_in_motion(robot, [loaded], [empty], PayloadFacts())
+        estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     if not codes:
         assert estimate.verdict is Verdict.ACCEPTED
     else:

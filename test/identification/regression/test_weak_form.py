@@ -16,7 +16,7 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.identification.regression.weak_form import Windows, torque_regressor
-from proprio_ros.probes.payload.moving import weigh_in_motion
+from proprio_ros.probes.payload.moving import identify_in_motion
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, RobotModel, load_robot
 from proprio_ros.robot.regressor import body_parameters, kinematics
@@ -88,7 +88,7 @@ Recorded = tuple[Robot, Motion, Motion, Motion]
 @pytest.mark.long
 def test_a_payload_and_its_place(twin: Recorded) -> None:
     robot, empty, loaded, _ = twin
-    estimate = weigh_in_motion(robot, [loaded], [empty], PayloadFacts())
+    estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     mass, centre = estimate.value("payload_mass"), estimate.value("payload_com")
     assert mass.ci95[0] < 0.8 < mass.ci95[1]
@@ -102,12 +102,12 @@ def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
     robot, arm, centre = load_robot(write_robot(tmp_path)), Twin(11), np.array([0.05, 0.03, -0.02])
     truth = (0.25, 0.25, 0.02)
     empty = arm.record("empty", 20.0)
-    bar = weigh_in_motion(robot, [arm.record("bar", 20.0, (2.0, centre), truth)], [empty], PayloadFacts())
+    bar = identify_in_motion(robot, [arm.record("bar", 20.0, (2.0, centre), truth)], [empty], PayloadFacts())
     inertia = bar.value("payload_inertia")
     told = [n for n in (0, 3, 5) if inertia.value[n] is not None]
     assert told and all(inertia.ci95[n][0] < truth[(0, 3, 5).index(n)] < inertia.ci95[n][1] for n in told)
     assert all(low < 0.0 < high for low, high in (inertia.ci95[n] for n in (1, 2, 4) if inertia.value[n] is not None))
-    ball = weigh_in_motion(robot, [arm.record("ball", 20.0, (2.0, centre))], [empty], PayloadFacts())
+    ball = identify_in_motion(robot, [arm.record("ball", 20.0, (2.0, centre))], [empty], PayloadFacts())
     assert ball.value("payload_inertia").value[0] is None
     assert "not determined by this motion" in ball.value("payload_inertia").reason
 
@@ -115,7 +115,7 @@ def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_an_empty_hand_weighs_nothing(twin: Recorded) -> None:
     robot, empty, _, again = twin
-    estimate = weigh_in_motion(robot, [again], [empty], PayloadFacts())
+    estimate = identify_in_motion(robot, [again], [empty], PayloadFacts())
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     mass = estimate.value("payload_mass")
     assert mass.value < 0.05 and mass.ci95[0] == 0.0
@@ -127,7 +127,7 @@ def test_what_must_be_refused(twin: Recorded) -> None:
     robot, empty, loaded, again = twin
 
     def refused(motion: Motion, baseline: list[Motion], verdict: Verdict, words: str) -> None:
-        estimate = weigh_in_motion(robot, [motion], baseline, PayloadFacts())
+        estimate = identify_in_motion(robot, [motion], baseline, PayloadFacts())
         assert estimate.verdict is verdict and words in estimate.reasons[0], estimate.reasons
         assert estimate.value("payload_mass").value is None
 

@@ -18,7 +18,7 @@ STEP_RAD = 0.02
 
 
 @dataclass(frozen=True)
-class FreeSwing:
+class FreeResponse:
     """A joint as a pendulum: gravity's moment on it is ``moment_N_m sin(rest - position)``.
 
     Attributes:
@@ -46,7 +46,7 @@ class FreeSwing:
         return np.linspace(start, end, 2 + math.ceil(abs(end - start) / STEP_RAD))
 
 
-def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeSwing:
+def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeResponse:
     """The pendulum that a joint is, with an empty hand.
 
     Args:
@@ -70,4 +70,4 @@ def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeSwing
         raise ExcitationError(f"gravity does not move {joint} here: it cannot swing; choose another joint or start")
     rest = math.atan2(at_zero, -at_quarter)
     rest += 2.0 * math.pi * round((pose[joint] - rest) / (2.0 * math.pi))
-    return FreeSwing(moment, rest, float(np.trace(second) - axis @ second @ axis))
+    return FreeResponse(moment, rest, float(np.trace(second) - axis @ second @ axis))

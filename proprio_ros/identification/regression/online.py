@@ -72,7 +72,7 @@ CENTRE_STD_M = 0.01
 
 
 @dataclass(frozen=True)
-class RunningEstimate:
+class OnlineEstimate:
     """What the hand holds now.
 
     Attributes:
@@ -100,7 +100,7 @@ class RunningEstimate:
         return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * max(WIDEST_KG, WIDEST_SHARE * abs(self.mass_kg))
 
 
-class RunningWeight:
+class OnlineEstimator:
     """A running estimate of the mass in the hand.
 
     Args:
@@ -271,7 +271,7 @@ class RunningWeight:
         self._mass = solution.mass_kg, solution.std_kg
         self._apart = rows.apart(solution)
 
-    def estimate(self) -> RunningEstimate | None:
+    def estimate(self) -> OnlineEstimate | None:
         """What the hand holds now; None before anything moved."""
         if self._mass is None:
             return None
@@ -285,7 +285,7 @@ class RunningWeight:
         since = self._changed_at_s if np.isfinite(self._changed_at_s) else self._first_s
         begun = self._fresh_s if self._fresh_s is not None else self._steps[-1] if self._steps else -np.inf
         resting = self._looked_s - self._moved_s >= RESTING_S
-        return RunningEstimate(
+        return OnlineEstimate(
             self._looked_s,
             mass,
             std,
@@ -318,7 +318,7 @@ class _Solution:
 class _Rows:
     """All equations of the kept windows, by joint and then by time."""
 
-    def __init__(self, windows: list[Rows], arm: RunningWeight) -> None:
+    def __init__(self, windows: list[Rows], arm: OnlineEstimator) -> None:
         self._arm = arm
         rows = Rows.together(windows)
         order = np.argsort(rows.joint, kind="stable")

@@ -16,7 +16,7 @@ from support.arm_in_motion import FOUR, Twin, write_robot
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.identification.regression.running import LATEST_STEP_S, RunningEstimate, RunningWeight
+from proprio_ros.identification.regression.online import LATEST_STEP_S, OnlineEstimate, OnlineEstimator
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 
@@ -34,9 +34,9 @@ class Case:
         self.calibration: MotionCalibration = fit_empty(self.robot, [arm.record(f"empty {n}", 20.0) for n in range(2)])
         self.parts = [arm.record("before", 8.0), arm.record("held", 8.0, HELD), arm.record("after", 8.0)]
 
-    def day(self) -> Iterator[tuple[int, float, RunningEstimate]]:
+    def day(self) -> Iterator[tuple[int, float, OnlineEstimate]]:
         """Number of the part, seconds into it, and the estimate, each tenth of a second."""
-        weight, begun_s = RunningWeight(self.robot, self.calibration), 0.0
+        weight, begun_s = OnlineEstimator(self.robot, self.calibration), 0.0
         for number, part in enumerate(self.parts):
             for time_s, position, current in rows_of(part):
                 if weight.add(begun_s + time_s, position, current):
@@ -71,7 +71,7 @@ def test_an_object_is_noticed_weighed_and_missed(case: Case) -> None:
 
 @pytest.mark.long
 def test_an_arm_at_rest_keeps_its_answer_whatever_its_motors_do(case: Case) -> None:
-    weight = RunningWeight(case.robot, case.calibration)
+    weight = OnlineEstimator(case.robot, case.calibration)
     for time_s, position, current in rows_of(case.parts[0]):
         weight.add(time_s, position, current)
     moving = weight.estimate()
@@ -92,7 +92,7 @@ def test_an_arm_at_rest_keeps_its_answer_whatever_its_motors_do(case: Case) -> N
 
 @pytest.mark.long
 def test_samples_that_say_nothing_change_nothing(case: Case) -> None:
-    usual, disturbed = (RunningWeight(case.robot, case.calibration) for _ in range(2))
+    usual, disturbed = (OnlineEstimator(case.robot, case.calibration) for _ in range(2))
     for time_s, position, current in rows_of(case.parts[1]):
         usual.add(time_s, position, current)
         disturbed.add(time_s, position, current)
@@ -104,7 +104,7 @@ def test_samples_that_say_nothing_change_nothing(case: Case) -> None:
 
 @pytest.mark.long
 def test_a_clock_that_was_set_back_begins_anew(case: Case) -> None:
-    weight = RunningWeight(case.robot, case.calibration)
+    weight = OnlineEstimator(case.robot, case.calibration)
     for time_s, position, current in rows_of(case.parts[1]):
         weight.add(100.0 + time_s, position, current)
     assert weight.estimate() is not None
@@ -114,7 +114,7 @@ def test_a_clock_that_was_set_back_begins_anew(case: Case) -> None:
 
 @pytest.mark.long
 def test_a_pause_of_a_year_takes_no_time(case: Case) -> None:
-    weight = RunningWeight(case.robot, case.calibration)
+    weight = OnlineEstimator(case.robot, case.calibration)
     for pause_s in (0.0, 3e7):
         for time_s, position, current in rows_of(case.parts[1]):
             weight.add(pause_s + time_s, position, current)
@@ -127,7 +127,7 @@ def test_samples_come_in_any_rhythm(case: Case) -> None:
     """Half as many, and unevenly spaced, say about the same."""
     masses = []
     for keep in (1, 2):
-        weight, rng = RunningWeight(case.robot, case.calibration), np.random.default_rng(2)
+        weight, rng = OnlineEstimator(case.robot, case.calibration), np.random.default_rng(2)
         for row, (time_s, position, current) in enumerate(rows_of(case.parts[1])):
             if row % keep == 0 and rng.uniform() > 0.05:
                 weight.add(time_s, position, current)
@@ -147,7 +147,7 @@ def test_torque_constants_apart_and_friction_by_the_angle_are_known_from_the_cal
     held = arm.record("held", 10.0, HELD)
     late: dict[str, np.ndarray] = {}
     for name, calibration in (("known", known), ("unknown", without_shares_and_waves(known))):
-        weight, rows = RunningWeight(robot, calibration), []
+        weight, rows = OnlineEstimator(robot, calibration), []
         for time_s, position, current in rows_of(held):
             if weight.add(time_s, position, current) and time_s > 4.0:
                 estimate = weight.estimate()
@@ -173,5 +173,5 @@ def without_shares_and_waves(known: MotionCalibration) -> MotionCalibration:
 def test_a_calibration_of_another_arm_is_refused(case: Case) -> None:
     other = replace(case.calibration, joints=("j2", "j1", "j3", "j4"))
     with pytest.raises(RobotError, match="the motion calibration is of j2"):
-        RunningWeight(case.robot, other)
+        OnlineEstimator(case.robot, other)
     assert LATEST_STEP_S > 0.0

@@ -13,10 +13,10 @@ from support.hand import JOINTS, PERIOD_S, RATE_HZ, ROBOT, Hand
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation import machine as machine_module
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.free_swing import free_swing
+from proprio_ros.excitation.free_response import free_swing
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import CAUGHT_RAD_S, LET_GO_S, LONGEST_CATCH_S, ExcitationMachine, Phase
-from proprio_ros.excitation.plans import LEAST_CURRENT_A, ProbeRun, ProbeSequence, load_sequence
+from proprio_ros.excitation.plans import LEAST_CURRENT_A, ExcitationRun, ExcitationSequence, load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.recordings.runs import MOVING_SPAN, cut_runs
 from proprio_ros.records import InputRecord, JointRecord, Recording
@@ -37,7 +37,7 @@ class Tick:
 
 
 def swung(
-    sequence: ProbeSequence = ONCE,
+    sequence: ExcitationSequence = ONCE,
     coulomb: float | None = LOOSE_N_M,
     guards: Guards | None = None,
     seed: int = 1,
@@ -106,7 +106,7 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
     def refused(
         words: str, start: dict[str, float], joint: str = WRIST, guards: Guards | None = None, **more: float
     ) -> None:
-        run = ProbeRun(joint, 0.0, 2.0, start)
+        run = ExcitationRun(joint, 0.0, 2.0, start)
         machine = ExcitationMachine(ROBOT, guards)
         with pytest.raises(ExcitationError, match=words):
             machine.start(replace(ONCE, runs=(run,), **more), Hand(1, None).sample())
@@ -125,7 +125,7 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
 
 
 def test_a_stronger_friction_that_is_known_is_refused_and_a_weaker_one_is_not() -> None:
-    run = ProbeRun(WRIST, 0.0, 2.0, {"joint2": 0.0, "joint3": 0.42, WRIST: 0.9})
+    run = ExcitationRun(WRIST, 0.0, 2.0, {"joint2": 0.0, "joint3": 0.42, WRIST: 0.9})
     for coulomb, words in ((0.06, "friction is probably 0.06 N m"), (0.02, "")):
         robot = ROBOT.with_overrides({f"joints.{WRIST}.drive_train.coulomb_N_m": {"value": coulomb, "std": 0.001}})
         machine = ExcitationMachine(robot)
@@ -215,7 +215,7 @@ def test_a_guard_catches_the_joint_and_ends_the_sequence(
     ended_by: str, guards: Guards, least_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a hand that is not as the machine takes it to be: what it foretells is switched off."""
-    monkeypatch.setattr(machine_module, "check_swing", lambda *_: None)
+    monkeypatch.setattr(machine_module, "check_free_response", lambda *_: None)
     sequence = replace(ONCE, min_clearance_m=least_m, approach_velocity=0.6)
     machine, ticks, _ = swung(sequence, guards=guards)
     assert machine.phase is Phase.ABORTED and machine.aborted_by == ended_by
@@ -231,7 +231,7 @@ def test_a_guard_catches_the_joint_and_ends_the_sequence(
 
 def test_a_joint_that_is_caught_too_late_is_held_at_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing brakes it: the catch commands the current, and the motor gives none."""
-    monkeypatch.setattr(machine_module, "check_swing", lambda *_: None)
+    monkeypatch.setattr(machine_module, "check_free_response", lambda *_: None)
     monkeypatch.setattr("proprio_ros.excitation.machine.CATCH_TIME_S", 1e9)
     start = {"joint2": 0.0, "joint3": 0.42, WRIST: 0.1}
     run = replace(ONCE.runs[0], start=start)
