@@ -39,7 +39,11 @@ NODES = {
     "virtual": "VirtualNode",
 }
 PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
-    "identifier": (("results:Results.__init__", {}), ("inputs:Inputs.open", {}), ("excitation_client:Excitation.__init__", {})),
+    "identifier": (
+        ("results:Results.__init__", {}),
+        ("inputs:Inputs.open", {}),
+        ("excitation_client:Excitation.__init__", {}),
+    ),
     "excitation": (
         ("excitation:ExcitationNode._driver_output", {}),
         ("excitation:ExcitationNode._controller_output", {"interface": "effort"}),
