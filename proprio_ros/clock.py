@@ -1,4 +1,4 @@
-"""Cycles that begin on time, and stamps that run smoothly."""
+"""The clock that everything takes its time from; cycles that begin on time, and stamps that run smoothly."""
 
 from __future__ import annotations
 
@@ -12,7 +12,92 @@ import statistics
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+
+class Event(Protocol):
+    """As `threading.Event`."""
+
+    def is_set(self) -> bool: ...
+
+    def set(self) -> None: ...
+
+    def clear(self) -> None: ...
+
+    def wait(self, timeout: float | None = None) -> bool: ...
+
+
+class Thread(Protocol):
+    """As `threading.Thread`."""
+
+    def start(self) -> None: ...
+
+    def join(self, timeout: float | None = None) -> None: ...
+
+    def is_alive(self) -> bool: ...
+
+
+class Clock:
+    """The machine's time, and all that waits for it. A simulation brings its own (`use`), and plays hours in seconds."""
+
+    def now(self) -> float:
+        """Time that never runs back [s]."""
+        return time.monotonic()
+
+    def sleep(self, duration_s: float) -> None:
+        time.sleep(duration_s)
+
+    def event(self) -> Event:
+        return threading.Event()
+
+    def lock(self) -> contextlib.AbstractContextManager[bool]:
+        return threading.Lock()
+
+    def thread(self, target: Callable[..., None], name: str, args: tuple[Any, ...] = ()) -> Thread:
+        """A thread that does not keep the process from ending."""
+        return threading.Thread(target=target, name=name, args=args, daemon=True)
+
+
+_clock = Clock()
+
+
+def use(clock: Clock) -> Clock:
+    """Have the whole process take its time from this clock from now on; returns the one before."""
+    global _clock
+    before, _clock = _clock, clock
+    return before
+
+
+def now() -> float:
+    """Time that never runs back [s]."""
+    return _clock.now()
+
+
+def now_ns() -> int:
+    """The same in whole nanoseconds."""
+    return round(1e9 * _clock.now())
+
+
+def sleep(duration_s: float) -> None:
+    """Wait; others run meanwhile."""
+    _clock.sleep(duration_s)
+
+
+def event() -> Event:
+    """As `threading.Event`, on this clock."""
+    return _clock.event()
+
+
+def lock() -> contextlib.AbstractContextManager[bool]:
+    """As `threading.Lock`, on this clock."""
+    return _clock.lock()
+
+
+def thread(target: Callable[..., None], name: str, args: tuple[Any, ...] = ()) -> Thread:
+    """A thread that waits on this clock, and does not keep the process from ending."""
+    return _clock.thread(target, name, args)
 
 
 @dataclass
@@ -31,13 +116,13 @@ class Pacer:
 
     def wait(self) -> float:
         """Sleep until the next cycle is due; returns how late it begins [s]. Cycles that were missed are left out."""
-        now = time.monotonic()
+        began_s = now()
         if not math.isfinite(self._next_s):
-            self._next_s = now
-        if now < self._next_s:
-            time.sleep(self._next_s - now)
-            now = time.monotonic()
-        late = now - self._next_s
+            self._next_s = began_s
+        if began_s < self._next_s:
+            sleep(self._next_s - began_s)
+            began_s = now()
+        late = began_s - self._next_s
         self._next_s += self.period_s * max(1, int(late / self.period_s) + 1)
         self.lateness_s.append(late)
         if len(self.lateness_s) > self.keep:

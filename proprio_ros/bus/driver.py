@@ -11,8 +11,6 @@ others are refused meanwhile. A current of zero lets go of a joint only where th
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -20,7 +18,7 @@ import numpy as np
 
 from proprio_ros.bus.dynamixel import DynamixelBus, Reading, ServoHealth
 from proprio_ros.bus.state import ArmSample, BusState, CurrentCommand, DrivenJoint, DriverStatistics, JointMode
-from proprio_ros.clock import RoundTrips
+from proprio_ros.clock import RoundTrips, event, lock, now
 from proprio_ros.errors import BusError, PortLostError
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
@@ -91,7 +89,7 @@ class ArmDriver:
         bus: DynamixelBus,
         settings: DriverSettings | None = None,
         log: Callable[[str, str], None] = lambda severity, message: None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = now,
     ) -> None:
         self.robot = robot
         self.bus = bus
@@ -108,13 +106,13 @@ class ArmDriver:
             )
             for servo in bus.servos
         }
-        self._lock = threading.Lock()
+        self._lock = lock()
         self._command: CurrentCommand | None = None
         self._targets: dict[str, float] = {}
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
         self._hold_wanted = False
         self._torque_wanted: bool | None = None
-        self._torque_set = threading.Event()
+        self._torque_set = event()
         self._stop_wanted = False
         self._driving = False
         self._last_answer_s = -np.inf

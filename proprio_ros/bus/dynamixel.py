@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import dynamixel_sdk
 
+from proprio_ros import clock
 from proprio_ros.bus.control_table import (
     BAUD_RATES,
     BUS_WATCHDOG_TRIPPED,
@@ -239,7 +239,7 @@ class DynamixelBus:
 
     def _settle(self) -> None:
         """After a lost reply: whatever still comes belongs to the past."""
-        time.sleep(0.002)
+        clock.sleep(0.002)
         self._guarded(lambda port: port.clearPort())
 
     # --- single servos ------------------------------------------------------------------------------------------------
@@ -414,15 +414,15 @@ class DynamixelBus:
             raise
         except BusError:
             pass  # its answer may be what was lost, and now it boots in silence; what it says afterwards counts
-        deadline = time.monotonic() + ready_s
+        deadline = clock.now() + ready_s
         while True:
-            time.sleep(0.1)
+            clock.sleep(0.1)
             try:
                 status = self.read(servo_id, "hardware_error_status")
             except PortLostError:
                 raise
             except BusError:
-                if time.monotonic() > deadline:
+                if clock.now() > deadline:
                     raise
                 continue
             if status:
@@ -464,13 +464,13 @@ class DynamixelBus:
                 return int(self._packets.syncReadTx(port, *arguments, self._fast))
             return int(self._packets.syncReadTx(port, *arguments))
 
-        asked_at_s = time.monotonic()
+        asked_at_s = clock.now()
         result = self._guarded(request)
-        sampled_at_s = time.monotonic()
+        sampled_at_s = clock.now()
         if result != dynamixel_sdk.COMM_SUCCESS:
             return Reading(sampled_at_s, {})
         blocks = self._guarded(self._receive_fast if self._fast else self._receive_each)
-        round_trip_s = time.monotonic() - asked_at_s
+        round_trip_s = clock.now() - asked_at_s
         if len(blocks) < len(ids):
             self._settle()
         states = {self._by_id[i].joint: self._state(i, error, data) for i, (error, data) in blocks.items()}

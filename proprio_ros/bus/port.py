@@ -6,13 +6,14 @@ import contextlib
 import os
 import select
 import termios
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import dynamixel_sdk
 import serial
+
+from proprio_ros import clock
 
 REPLY_TIMEOUT_S = 0.020
 """How long a reply may take beyond its time on the wire. A timer of 16 ms in an FTDI adapter still fits."""
@@ -65,12 +66,12 @@ class Port(dynamixel_sdk.PortHandler):
             if self._connect is None:
                 select.select([self.ser.fileno()], [], [], min(left_s, 0.005))
             else:
-                time.sleep(min(left_s, 0.0002))  # not every such port has a descriptor to wait for
+                clock.sleep(min(left_s, 0.0002))  # not every such port has a descriptor to wait for
             data = self.ser.read(length)
         return data
 
     def getCurrentTime(self) -> float:
-        return 1e3 * time.monotonic()
+        return 1e3 * clock.now()
 
     def setPacketTimeout(self, packet_length: int) -> None:
         self.packet_start_time = self.getCurrentTime()

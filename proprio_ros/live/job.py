@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from proprio_ros import clock
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import Until
 from proprio_ros.experiment_design.choosing import Decision
@@ -52,8 +52,8 @@ class Job:
 
     kind: str
     service: str
-    cancelled: threading.Event = field(default_factory=threading.Event)
-    ended: threading.Event = field(default_factory=threading.Event)
+    cancelled: clock.Event = field(default_factory=clock.event)
+    ended: clock.Event = field(default_factory=clock.event)
     success: bool = False
     message: str = ""
     settings: tuple[str, ...] = ()

@@ -16,7 +16,6 @@ import shlex
 import shutil
 import struct
 import tempfile
-import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -25,6 +24,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from proprio_ros import clock
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.resources import paths_of, private_folder, write_in_one_step
@@ -64,7 +64,7 @@ class Session:
         self.bag: Path | None = None
         self._messages: list[RawMessage] = []
         self._journal: BinaryIO | None = None
-        self._lock = threading.Lock()
+        self._lock = clock.lock()
 
     def open(self) -> None:
         """Make the folder and begin to write; without it the messages are in memory until `save`.
@@ -370,7 +370,7 @@ class LiveEstimate:
     def __init__(self, request: Request) -> None:
         self._request = request
         self.joints = tuple(request.robot.drive_trains)
-        self._lock = threading.Lock()
+        self._lock = clock.lock()
         self.reset()
 
     def reset(self) -> None:

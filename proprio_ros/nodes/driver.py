@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+from proprio_ros import clock
 from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
 from proprio_ros.bus.senders import Senders
@@ -67,8 +66,8 @@ class DriverNode(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("driver", **kwargs)
         self._driver: ArmDriver | None = None
-        self._thread: threading.Thread | None = None
-        self._ended = threading.Event()
+        self._thread: clock.Thread | None = None
+        self._ended = clock.event()
         self._hold_at_end = False
         self._told: tuple[str, ...] = ()
         self._told_motors: Motors = {}
@@ -131,7 +130,7 @@ class DriverNode(ManagedNode):
         if self._thread is None:
             self._hold_at_end = self.values["on_shutdown"] == "hold"
             self._ended.clear()
-            self._thread = threading.Thread(target=self._loop, name="servo bus", daemon=True)
+            self._thread = clock.thread(target=self._loop, name="servo bus")
             self._thread.start()
 
     def deactivate(self) -> None:
@@ -182,7 +181,7 @@ class DriverNode(ManagedNode):
 
     def _publish(self, driver: ArmDriver, sample: ArmSample) -> None:
         if self._stamps.offset_ns is None:
-            self._stamps.look(self.get_clock().now().nanoseconds, time.monotonic())
+            self._stamps.look(self.get_clock().now().nanoseconds, clock.now())
         stamp = self._stamps.stamp_ns(sample.sampled_at_s)
         names = driver.joints
         measured = [sample.current_A[name] * self._effort_per_current[name] for name in names]
@@ -254,7 +253,7 @@ class DriverNode(ManagedNode):
         if driver is None or self._thread is None:
             return
         if self.active and "driven" not in driver.modes.values():
-            moved_s = self._stamps.look(self.get_clock().now().nanoseconds, time.monotonic())
+            moved_s = self._stamps.look(self.get_clock().now().nanoseconds, clock.now())
             if abs(moved_s) > CLOCK_JUMP_S:
                 self.say("warning", f"the system's clock was set by {moved_s:+.3f} s; stamps follow it from here on")
         self._tell(driver)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -15,6 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
+from proprio_ros import clock
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.effort_controller import UNITS
@@ -222,7 +222,7 @@ class ExcitationNode(ManagedNode):
                 self._abort(f"the arm was let go: {lost}")
 
     def _on_lease(self, message: Bool) -> None:
-        self._leased_at_s = time.monotonic() if message.data else None
+        self._leased_at_s = clock.now() if message.data else None
 
     def _on_torque_enabled(self, message: Bool) -> None:
         self._torque_enabled = message.data
@@ -249,7 +249,7 @@ class ExcitationNode(ManagedNode):
     def _on_driver(self, message: DiagnosticStatus) -> None:
         """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
         self._driver_state, self._driver_words = messages.values_of(message).get("state", ""), message.message
-        self._driver_at_s = time.monotonic()
+        self._driver_at_s = clock.now()
         if self._machine.busy and self._limp:
             self._abort(f"the driver was {self._limp}", aloud=True)
         self._tell_when_due()
@@ -257,14 +257,14 @@ class ExcitationNode(ManagedNode):
     @property
     def _limp(self) -> str:
         """State and words of a driver that takes no commands; empty where it does, or where it does not say."""
-        known = time.monotonic() - self._driver_at_s < DRIVER_SILENT_S
+        known = clock.now() - self._driver_at_s < DRIVER_SILENT_S
         return f"{self._driver_state}: {self._driver_words}" if known and self._driver_state in LIMP else ""
 
     def _on_timer(self) -> None:
         """Joint states drive the machine; this only notices when they stop coming, or whoever asked for the sequence is gone."""
         now = self.now_s()
         # whoever asked runs in real time, whatever the simulation's does
-        if self._leased_at_s is not None and time.monotonic() - self._leased_at_s > LEASE_S:
+        if self._leased_at_s is not None and clock.now() - self._leased_at_s > LEASE_S:
             self._leased_at_s = None
             if self._machine.busy:
                 self._abort(
@@ -380,7 +380,7 @@ class ExcitationNode(ManagedNode):
 
     def _tell_when_due(self) -> None:
         """By the clock on the wall: who listens must hear that we are alive, though a simulation may pause."""
-        due = self._machine.busy and time.monotonic() - self._published_at_s >= STATUS_PERIOD_S
+        due = self._machine.busy and clock.now() - self._published_at_s >= STATUS_PERIOD_S
         if self.active and (due or self._state() != self._published):
             self._tell()
 
@@ -398,7 +398,7 @@ class ExcitationNode(ManagedNode):
     def _tell(self) -> None:
         machine = self._machine
         self._published = self._state()
-        self._published_at_s = time.monotonic()
+        self._published_at_s = clock.now()
         sequence = machine.sequence
         values = {
             "sequence": self._count,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +11,7 @@ from rclpy.parameter import Parameter as RosParameter
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from proprio_ros import clock
 from proprio_ros.live.job import Job, JobError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
@@ -54,7 +53,7 @@ class Excitation:
 
     def on_status(self, message: DiagnosticStatus) -> None:
         self.values = messages.values_of(message)
-        self._heard_s = time.monotonic()
+        self._heard_s = clock.now()
         if self.values.get("joint_states") != "true":
             self._unfed_s = self._heard_s
         if self.values.get("busy") == "true":
@@ -93,15 +92,15 @@ class Excitation:
         results = self._call(self.set_probe, SetParameters.Request(parameters=[named])).results
         if not results or not results[0].successful:
             raise JobError(f"the excitation node refuses {sequence!r}: {results[0].reason if results else 'no answer'}")
-        begun_s = asked_s = time.monotonic()
+        begun_s = asked_s = clock.now()
         answer = self._call(self.run, Trigger.Request())
-        while not answer.success and time.monotonic() - begun_s < READY_S:
+        while not answer.success and clock.now() - begun_s < READY_S:
             if job.cancelled.wait(0.2):
                 raise JobError("cancelled")
             # where its status says that no joint states reached it: a pause of the bus, over in a second, and nothing has moved
             if self._unfed_s < asked_s:
                 break
-            asked_s = time.monotonic()
+            asked_s = clock.now()
             answer = self._call(self.run, Trigger.Request())
         if not answer.success:
             raise JobError(f"the excitation node refuses: {answer.message}")
@@ -117,7 +116,7 @@ class Excitation:
                 values, heard_s = self.values, max(self._heard_s, begun_s)
                 if values.get("sequence") == number and values.get("busy") == "false":
                     break
-                if time.monotonic() - heard_s > SILENT_S:
+                if clock.now() - heard_s > SILENT_S:
                     raise JobError("the excitation node has fallen silent: the driver holds the arm; restart the node")
         finally:
             self._asking = False
@@ -128,15 +127,15 @@ class Excitation:
     def _stop(self, number: str) -> None:
         """Abort a sequence and see it end."""
         self._abort.call_async(Trigger.Request())
-        deadline = time.monotonic() + ABORT_S
-        while not self.closing and time.monotonic() < deadline:
+        deadline = clock.now() + ABORT_S
+        while not self.closing and clock.now() < deadline:
             if self.values.get("sequence") == number and self.values.get("busy") == "false":
                 return
-            time.sleep(0.01)
+            clock.sleep(0.01)
 
     def _call(self, client: Any, request: Any) -> Any:
         """Call a service and wait for its answer, at most `CALL_S`."""
-        answered = threading.Event()
+        answered = clock.event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
         if not answered.wait(CALL_S):

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +20,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 from std_msgs.msg import String
 
-from proprio_ros import progress
+from proprio_ros import clock, progress
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.inputs.settings import parse_settings
@@ -52,7 +50,7 @@ class IdentifierNode(ManagedNode):
         super().__init__("identifier", **kwargs)
         self._sequences = {each.name: each.default for each in self.parameters if each.name.endswith("_sequence")}
         self._job: Job | None = None
-        self._job_lock = threading.Lock()
+        self._job_lock = clock.lock()
         self._unsaved: list[Session] = []
 
     def _busy(self) -> bool:
@@ -110,7 +108,7 @@ class IdentifierNode(ManagedNode):
         for name, default in self._sequences.items():
             if value_of(self, name) != default:  # not every robot can make every default
                 self._check_sequence(name, value_of(self, name))
-        started = time.monotonic()
+        started = clock.now()
         with progress.listening(partial(self._results.tell_and_log, "starting")):
             # kernels are compiled here, and never inside a probe
             prepare_identification(replace(workspace.options(), settings=stated))
@@ -119,9 +117,7 @@ class IdentifierNode(ManagedNode):
         self._weighing.prepare()
         self._inputs.open(workspace.configured(stated).drive_trains)
         self._prepared = True
-        self.say(
-            "info", f"ready after {time.monotonic() - started:.1f} s; calibration: {workspace.calibration or 'none'}"
-        )
+        self.say("info", f"ready after {clock.now() - started:.1f} s; calibration: {workspace.calibration or 'none'}")
 
     def _on_description(self, described: LiveDescription, message: String) -> None:
         """The robot, where its description is a topic; the first that can be used counts."""
@@ -221,7 +217,7 @@ class IdentifierNode(ManagedNode):
         if why := self._refused():
             return answer(False, why)
         self._job = job
-        threading.Thread(target=self._work, args=(job, answer), name=f"calibrate {job.kind}", daemon=True).start()
+        clock.thread(target=self._work, args=(job, answer), name=f"calibrate {job.kind}").start()
         return None
 
     def _cancel(self, answer: Answer) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -14,6 +13,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
+from proprio_ros import clock
 from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.live.session import LiveEstimate, Session, as_parameters
@@ -159,13 +159,13 @@ class Inputs:
         def listen(data: bytes) -> None:
             now_ns = self._node.get_clock().now().nanoseconds
             if role == "joint_states":
-                self._state_at_s = time.monotonic()
+                self._state_at_s = clock.now()
                 if any(name in data for name in self._joints):  # others on the topic may have another clock
                     self.stamp_ns = messages.first_stamp_ns(data) or now_ns
                     self._lag_ns = now_ns - self.stamp_ns
                     self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
             elif role == "applied_effort":
-                self._effort_at_s = time.monotonic()
+                self._effort_at_s = clock.now()
             session, heard, kept, arrived = self.session, self.heard, self.kept, self.arrived
             if role == "joint_states" and kept is not None:
                 kept.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
@@ -246,12 +246,12 @@ class Inputs:
     @property
     def has_states(self) -> bool:
         """Whether joint states are coming."""
-        return time.monotonic() - self._state_at_s <= STALE_S
+        return clock.now() - self._state_at_s <= STALE_S
 
     @property
     def has_effort(self) -> bool:
         """Whether applied efforts are coming, as our driver publishes them."""
-        return time.monotonic() - self._effort_at_s <= STALE_S
+        return clock.now() - self._effort_at_s <= STALE_S
 
     def measured_unit(self) -> str:
         """What the effort of the joint states is: as stated, or N m where our driver publishes it; empty: nobody says."""
@@ -291,19 +291,19 @@ class Inputs:
 
     def catch_up(self) -> None:
         """Until joint states are heard as soon as ever, so that none from before becomes part of a recording."""
-        deadline = time.monotonic() + LATEST_S
+        deadline = clock.now() + LATEST_S
         while self._lag_ns - self._least_lag_ns > 1e9 * BEHIND_S:
-            if time.monotonic() > deadline:  # a clock was set
+            if clock.now() > deadline:  # a clock was set
                 self._least_lag_ns = self._lag_ns
-            time.sleep(0.02)
+            clock.sleep(0.02)
 
     def await_tail(self) -> None:
         """Until everything has been heard that was measured up to now, and a little more."""
         now_ns = self._node.get_clock().now().nanoseconds - self._least_lag_ns
-        time.sleep(TAIL_S)
-        deadline = time.monotonic() + LATEST_S
-        while self.stamp_ns < now_ns and time.monotonic() < min(deadline, self._state_at_s + SILENT_S):
-            time.sleep(0.02)
+        clock.sleep(TAIL_S)
+        deadline = clock.now() + LATEST_S
+        while self.stamp_ns < now_ns and clock.now() < min(deadline, self._state_at_s + SILENT_S):
+            clock.sleep(0.02)
 
 
 def _type_of(kind: type) -> str:

@@ -6,8 +6,6 @@ replay` calls.
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,7 +15,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from proprio_ros import progress
+from proprio_ros import clock, progress
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import as_text, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Chooser, Decision
@@ -124,7 +122,7 @@ class Jobs:
         Raises:
             JobError: One of them is not there.
         """
-        deadline = time.monotonic() + READY_S
+        deadline = clock.now() + READY_S
         while True:
             if not self._inputs.has_states:
                 missing = "no joint states are coming; start the driver and check its bus"
@@ -132,9 +130,9 @@ class Jobs:
                 missing = self._excitation.missing() or self._inputs.missing()
             if not missing:
                 return
-            if time.monotonic() > deadline:
+            if clock.now() > deadline:
                 raise JobError(f"not ready: {missing}")
-            time.sleep(0.05)
+            clock.sleep(0.05)
 
     # --- kinds of jobs ------------------------------------------------------------------------------------------------
 
@@ -302,7 +300,7 @@ class Jobs:
         published_samples = 0
         while inputs.session is not None and not job.cancelled.is_set():
             if not inputs.driven or inputs.swings:  # what lets go of a joint and what catches it are no probes
-                time.sleep(0.005)
+                clock.sleep(0.005)
                 continue
             estimate = live.estimate()
             answer = None if estimate is None else live_answer(estimate)
@@ -312,7 +310,7 @@ class Jobs:
                     continue
                 published_samples = samples
                 self._results.publish_estimate("ok", estimate.probe, words, entries)
-            time.sleep(period_s)
+            clock.sleep(period_s)
 
     # --- recording ----------------------------------------------------------------------------------------------------
 
@@ -358,7 +356,7 @@ class Jobs:
         """Have the arm moved, and estimate meanwhile."""
 
         def begun() -> None:
-            threading.Thread(target=self._estimate_live, args=(job,), name="live estimate", daemon=True).start()
+            clock.thread(target=self._estimate_live, args=(job,), name="live estimate").start()
 
         try:
             if chooser is None:
@@ -377,7 +375,7 @@ class Jobs:
         def begun() -> None:
             pass
 
-        live, began, tries = self._inputs.live, time.monotonic(), AT_AN_END_TRIES
+        live, began, tries = self._inputs.live, clock.now(), AT_AN_END_TRIES
         assert live is not None
         runs: Sequence[Run] = ()
         if chooser.first_runs:
@@ -386,7 +384,7 @@ class Jobs:
         self._await_position(live)
         while True:
             with threadpool_limits(1, user_api="blas"):
-                decision = chooser.next(runs, live.position(), time.monotonic() - began)
+                decision = chooser.next(runs, live.position(), clock.now() - began)
             entries = {f"choice.{key}": value for key, value in decision.as_entries().items()}
             self._results.tell(job.kind, decision.reason, entries)
             self._node.say("info", f"{decision.reason} (decided in {1e3 * decision.decided_s:.0f} ms)")
@@ -417,17 +415,17 @@ class Jobs:
         Raises:
             JobError: Some say nothing.
         """
-        deadline = time.monotonic() + HEARD_S
+        deadline = clock.now() + HEARD_S
         while silent := sorted(set(live.joints) - set(live.position())):
-            if time.monotonic() > deadline:
+            if clock.now() > deadline:
                 raise JobError(f"no joint states of {', '.join(silent)} come in: without them no push can be chosen")
-            time.sleep(0.005)
+            clock.sleep(0.005)
 
     def _heard_runs(self, live: LiveEstimate, before: int) -> Sequence[Run]:
         """All runs, once more have been heard than before."""
-        deadline = time.monotonic() + HEARD_S
-        while len(runs := live.runs()) <= before and time.monotonic() < deadline:
-            time.sleep(0.02)
+        deadline = clock.now() + HEARD_S
+        while len(runs := live.runs()) <= before and clock.now() < deadline:
+            clock.sleep(0.02)
         return runs
 
     def _check_input(self, folder: Path, request: Request) -> None:
@@ -438,15 +436,15 @@ class Jobs:
         """
         heard: list[RawMessage] = []
         self._inputs.heard = heard
-        deadline = time.monotonic() + LONGEST_CHECK_S
+        deadline = clock.now() + LONGEST_CHECK_S
         try:
             while True:
-                time.sleep(CHECK_S)
+                clock.sleep(CHECK_S)
                 try:
                     notes = check_input(folder, [*heard, *self._inputs.published_motors()], request)
                     break
                 except RecordingError:
-                    if time.monotonic() > deadline:
+                    if clock.now() > deadline:
                         raise
         finally:
             self._inputs.heard = None

@@ -6,7 +6,6 @@ at every joint state what holds the joints, and says what it can before it ends.
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from array import array
 from typing import Any
@@ -15,6 +14,7 @@ from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from proprio_ros import clock
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.effort_controller import EffortController, StampClock
@@ -183,7 +183,7 @@ class ControllerOutput(Output):
         self._topic = self._commands.topic_name
         self._clock = StampClock()  # of the joint states
         self._heard = self._blind = False
-        self._said_ns = time.monotonic_ns()
+        self._said_ns = clock.now_ns()
         self._recorded: dict[str, float] = {}
         self._untaken: dict[int, dict[str, float]] = {}  # by when it was sent, on the clock of the joint states
         self._recorded_at_s = self._lost_at_s = -1e9
@@ -215,8 +215,8 @@ class ControllerOutput(Output):
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
         stamp_ns = messages.time_ns(message.header.stamp)
-        self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, time.monotonic_ns())
-        stamp_ns = stamp_ns or self._clock.at(time.monotonic_ns())
+        self._clock.hear(stamp_ns or self._node.get_clock().now().nanoseconds, clock.now_ns())
+        stamp_ns = stamp_ns or self._clock.at(clock.now_ns())
         controller, lost = self._controller, self._controller.lost
         controller.observe(1e-9 * stamp_ns or now_s, dict(zip(message.name, message.position, strict=False)), now_s)
         if self._blind:  # it is not where it was, and would be thrown back
@@ -226,8 +226,8 @@ class ControllerOutput(Output):
         if controller.holding:
             self._say(controller.commands() if whole else controller.steady())
             if controller.lost and not lost:
-                self._lost_at_s = time.monotonic()
-            elif controller.lost and time.monotonic() - self._lost_at_s > LET_GO_S:
+                self._lost_at_s = clock.now()
+            elif controller.lost and clock.now() - self._lost_at_s > LET_GO_S:
                 self._let_go()
         self._record()
         return "" if lost else controller.lost
@@ -271,7 +271,7 @@ class ControllerOutput(Output):
         self._last_words.close()
 
     def _say(self, commands: list[float]) -> None:
-        self._said_ns = time.monotonic_ns()  # before it is sent: a pause after it would have it sent late
+        self._said_ns = clock.now_ns()  # before it is sent: a pause after it would have it sent late
         self._commands.publish(Float64MultiArray(data=array("d", commands)))
         if self._last_words.due:
             self._last_words.tell([0.0] * len(commands) if self._let_go_at_end else self._controller.last_words())
@@ -282,12 +282,12 @@ class ControllerOutput(Output):
 
     def _record(self) -> None:
         """Remember what drives the joints, for whoever records, when it changes and now and then."""
-        record, now_s = self._controller.record, time.monotonic()
+        record, now_s = self._controller.record, clock.now()
         if not self._heard or not record:
             return  # on whose clock?
         if record != self._recorded or now_s - self._recorded_at_s >= RECORD_PERIOD_S:
             self._recorded, self._recorded_at_s = record, now_s
-            said_ns = self._said_ns if self._controller.holding else time.monotonic_ns()
+            said_ns = self._said_ns if self._controller.holding else clock.now_ns()
             self._untaken[self._clock.at(said_ns)] = record
 
     def _take_up(self, stamp_ns: int | None) -> None:

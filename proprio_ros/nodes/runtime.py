@@ -8,8 +8,6 @@ import logging
 import os
 import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -25,6 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
+from proprio_ros import clock
 from proprio_ros.clock import run_in_real_time
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import share_directory
@@ -113,8 +112,8 @@ class ManagedNode(LifecycleNode):
 
     def now_s(self) -> float:
         """Time that never runs back; with `use_sim_time` the simulation's, whose pauses and pace count [s]."""
-        clock = self.get_clock()
-        return 1e-9 * clock.now().nanoseconds if clock.ros_time_is_active else time.monotonic()
+        ros = self.get_clock()
+        return 1e-9 * ros.now().nanoseconds if ros.ros_time_is_active else clock.now()
 
     def say(self, severity: str, message: str) -> None:
         """Log; severity is ``info``, ``warning`` or ``error``. rclpy wants one place in the code for each severity."""
@@ -158,10 +157,10 @@ class ManagedNode(LifecycleNode):
             if only_newest():
                 callback(newest(subscriptions[-1], message))
             elif together():
-                end_s = time.monotonic() + LONGEST_TURN_S
+                end_s = clock.now() + LONGEST_TURN_S
                 for each in waiting(subscriptions[-1], message):
                     callback(each)
-                    if time.monotonic() > end_s:
+                    if clock.now() > end_s:
                         break
             else:
                 callback(message)
@@ -369,7 +368,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     # no thread may keep the others from the interpreter for long: at the default of 5 ms a flood of commands has the bus miss
     # cycles, and 300 messages in a second do not come through beside a thread that computes
     sys.setswitchinterval(0.0005)
-    ended = threading.Event()
+    ended = clock.event()
     _stay_on_this_machine()
     if (
         getattr(make, "real_time", False)
@@ -379,6 +378,18 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
+    try:
+        return live(make, ended)
+    finally:
+        rclpy.try_shutdown()
+
+
+def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
+    """A node's life: made, configured, activated, spun until it is to end, and ended in order.
+
+    Returns:
+        Exit code: 0, or 2 when it could not be configured.
+    """
     node: ManagedNode | None = None
     spinner = SingleThreadedExecutor()
     code = 0
@@ -392,9 +403,8 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
                 ended.set()
         while not ended.is_set():
             _turn(node, spinner)
-            pause_s = node.pause_s
-            if pause_s > 0.0:
-                time.sleep(pause_s)
+            if node.pause_s > 0.0:
+                clock.sleep(node.pause_s)
     except (ProprioError, ParameterException) as error:
         logging.getLogger("proprio_ros").error("%s", " ".join(str(error).split()))
         code = 2
@@ -404,7 +414,6 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
         spinner.shutdown(timeout_sec=1.0)
         if node is not None:
             node.destroy_node()
-        rclpy.try_shutdown()
     return code
 
 

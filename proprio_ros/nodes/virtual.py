@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import threading
-import time
 from array import array
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from proprio_ros import clock
 from proprio_ros.clock import Pacer
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
@@ -79,7 +78,7 @@ class VirtualNode(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("virtual", **kwargs)
         self._robot: VirtualRobot | EffortDriver | None = None
-        self._thread: threading.Thread | None = None
+        self._thread: clock.Thread | None = None
         self._hand = "any"
         self._content_is_out = False
 
@@ -126,9 +125,7 @@ class VirtualNode(ManagedNode):
                 self._robot = EffortDriver(self._model, self._truth, joints=joints, unit=unit, seed=seed)
             where = f"{self._commands.topic_name} for {', '.join(self._robot.joints)}"
             # a thread: an executor's wake-ups at every period and command would take a core
-            self._thread = threading.Thread(
-                target=self._broadcast, args=(self._robot,), name="joint states", daemon=True
-            )
+            self._thread = clock.thread(target=self._broadcast, args=(self._robot,), name="joint states")
             self._thread.start()
         self._fill_hand()
         self.say("info", f"a virtual {self.values['robot']} at {where}")
@@ -175,7 +172,7 @@ class VirtualNode(ManagedNode):
         warned = False
         while self._robot is driver:
             pacer.wait()
-            now_s, stamp_ns = time.monotonic(), self.get_clock().now().nanoseconds
+            now_s, stamp_ns = clock.now(), self.get_clock().now().nanoseconds
             driver.advance(now_s)
             with self._commands.handle:
                 while (told := self._commands.handle.take_message(Float64MultiArray, False)) is not None:

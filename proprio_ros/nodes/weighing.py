@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +13,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from threadpoolctl import threadpool_limits
 
+from proprio_ros import clock
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.settings import parse_settings
@@ -140,7 +139,7 @@ class Weighing:
             return ""
         feed = self._make_feed()
         self._inputs.arrived = deque(maxlen=5000)
-        threading.Thread(target=self._run, args=(feed,), name="running estimate", daemon=True).start()
+        clock.thread(target=self._run, args=(feed,), name="running estimate").start()
         return feed.about
 
     def end(self) -> None:
@@ -159,12 +158,12 @@ class Weighing:
     def _weigh_on(self, feed: OnlineFeed) -> None:
         """Take what arrived, and publish what it says."""
         arrived, renamed = self._inputs.arrived, self._inputs.conventions.renamed
-        published_s, fed_s, samples, said = -math.inf, time.monotonic(), 0, ""
+        published_s, fed_s, samples, said = -math.inf, clock.now(), 0, ""
         with threadpool_limits(1, user_api="blas"):
             while arrived is not None and arrived is self._inputs.arrived:
                 said = self._say_whether_fed(feed, fed_s, said)
                 if not arrived:
-                    time.sleep(0.02)
+                    clock.sleep(0.02)
                     continue
                 now_ns, data = arrived.popleft()
                 message = deserialize_message(data, JointState)
@@ -173,13 +172,9 @@ class Weighing:
                     time_s, renamed(message.name), message.position, message.effort, self._inputs.measured_unit()
                 )
                 if feed.samples > samples:
-                    samples, fed_s = feed.samples, time.monotonic()
-                if (
-                    estimate is not None
-                    and not self._silent()
-                    and time.monotonic() - published_s >= 0.8 * RUNNING_PERIOD_S
-                ):
-                    published_s = time.monotonic()
+                    samples, fed_s = feed.samples, clock.now()
+                if estimate is not None and not self._silent() and clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S:
+                    published_s = clock.now()
                     behind_s = 1e-9 * (self._node.get_clock().now().nanoseconds - now_ns)
                     self._results.running(feed, estimate, self._link, behind_s)
 
@@ -192,7 +187,7 @@ class Weighing:
         if self._silent():
             return said
         why = ""
-        if time.monotonic() - fed_s > UNFED_S:
+        if clock.now() - fed_s > UNFED_S:
             why = f"the running estimate waits: {feed.waits_for or 'no joint states of the arm are coming'}"
         if why == said:
             return said

@@ -8,12 +8,12 @@ arm's, and what the hardware does not state is NaN.
 from __future__ import annotations
 
 import math
-import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from proprio_ros import clock
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -69,7 +69,7 @@ class EffortDriver:
         known = set(robot.model.independent_joints)
         start = {name: value for name, value in PARKED.items() if name in known} if position is None else position
         self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=PERIOD_S)
-        self.lock = threading.Lock()
+        self.lock = clock.lock()
         drives = [robot.drive_trains[name] for name in self.arm.joints]
         self._limits = np.array([robot.motors[name].current_limit_A for name in self.arm.joints])
         self._transmission = np.array([drive.transmission for drive in drives])

@@ -1,0 +1,219 @@
+"""The whole robot in one process and in simulated time: servos, driver, excitation, identifier, and whoever calls them.
+
+The nodes are those that run on the robot, the bytes on the bus are those of the vendor's library; clock and transport are stand-ins
+(`simulated_time`, `simulated_ros`). Import this before anything of `proprio_ros.nodes`, in a process of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from support import simulated_ros
+from support.memory_port import MemoryPort
+from support.simulated_ros import GRAPH, Graph, Network
+from support.simulated_time import Ended, SimulatedClock, SimulatedThread
+
+simulated_ros.install()
+
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from proprio_ros import clock as time_source
+from proprio_ros.bus.dynamixel import DynamixelBus
+from proprio_ros.nodes import driver, excitation, identifier, runtime, virtual
+from proprio_ros.virtual import robot as virtual_robot
+from proprio_ros.virtual.bus import VirtualBus
+
+WORLD_STEP_S = 0.01
+"""The arm moves on at least so often, though nobody talks to it."""
+PORTS: dict[str, SimulatedPort] = {}
+
+
+class SimulatedPort:
+    """In place of `proprio_ros.virtual.port.PtyPort`: a cable to emulated servos, in memory."""
+
+    def __init__(self, bus: VirtualBus, link: Path | None = None, **_: Any) -> None:
+        self.lock = time_source.lock()
+        self.bus, self.path, self.plugged = bus, link, True
+        self._running = True
+        PORTS[str(link)] = self
+        time_source.thread(self._run, "arm").start()
+
+    def _run(self) -> None:
+        while self._running:
+            with self.lock:
+                self.bus.advance(time_source.now())
+            time_source.sleep(WORLD_STEP_S)
+
+    def unplug(self) -> None:
+        self.plugged = False
+
+    def plug(self) -> None:
+        self.plugged = True
+
+    def close(self) -> None:
+        self._running = False
+        PORTS.pop(str(self.path), None)
+
+
+class Wire(MemoryPort):
+    """The computer's end of the cable."""
+
+    def __init__(self, name: str) -> None:
+        port = PORTS.get(name)
+        if port is None or not port.plugged:
+            raise OSError(2, f"could not open port {name}")
+        self._port = port
+        super().__init__(port.bus, time_source.now)
+
+    def _check(self) -> None:
+        if GRAPH[-1].clock.actor.killed:
+            raise Ended  # who was killed says nothing any more
+        if not self._port.plugged:
+            raise OSError(5, "Input/output error")
+
+    def write(self, data: bytes) -> int:
+        self._check()
+        with self._port.lock:
+            return super().write(data)
+
+    def read(self, size: int) -> bytes:
+        self._check()
+        with self._port.lock:
+            return super().read(size)
+
+    def close(self) -> None:
+        pass
+
+
+class Process:
+    """A node as a process: it may be asked to end, killed and started again."""
+
+    def __init__(self, world: World, name: str, make: Callable[[], Any]) -> None:
+        self._world, self.name, self._make = world, name, make
+        self.node: Any = None
+        self.code: int | None = None
+        self.start()
+
+    def start(self) -> None:
+        self._ended = self._world.clock.event()
+        self._thread: SimulatedThread = self._world.clock.thread(self._run, self.name, group=self.name)
+        self._thread.start()
+
+    def _run(self) -> None:
+        def make() -> Any:
+            self.node = self._make()
+            return self.node
+
+        self.code = runtime.live(make, self._ended)
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    def ask(self, do: Callable[[Any], None]) -> None:
+        """Have the node do something in its own thread, as a callback would."""
+        timer: list[Any] = []
+
+        def once() -> None:
+            self.node.destroy_timer(timer[0])
+            do(self.node)
+
+        timer.append(self.node.create_timer(1e-3, once))
+
+    def end(self) -> None:
+        """As Ctrl-C."""
+        self._ended.set()
+        self._thread.join(20.0)
+
+    def kill(self) -> None:
+        """As ``kill -9``."""
+        self._world.clock.kill(self.name)
+        self._world.graph.remove(self.name)
+
+
+class HandledRobot(virtual_robot.VirtualRobot):
+    """The virtual robot, and a person who may lift its arm."""
+
+    def park(self) -> None:
+        """Lift the arm to where it is parked, as a person does while torque is off."""
+        with self.port.lock:
+            for name, place in virtual_robot.PARKED.items():
+                joint = self.arm.data.joint(name)
+                joint.qpos[:], joint.qvel[:] = place, 0.0
+            self._supported = True  # held by hand until torque is on again
+
+
+class World:
+    """An arm with its servos, and the nodes around it.
+
+    Args:
+        data: Folder of the identifier.
+        seed: Of who runs first, and of the network.
+        network: How messages come.
+        nodes: Parameters by node, beside those that are needed.
+    """
+
+    def __init__(
+        self, data: Path, seed: int = 0, network: Network | None = None, nodes: dict[str, dict[str, Any]] | None = None
+    ) -> None:
+        given = nodes or {}
+        self.clock = SimulatedClock(seed)
+        self.graph = Graph(self.clock, seed, network or Network())
+        GRAPH.append(self.graph)
+        self._before = time_source.use(self.clock)
+        virtual_robot.PtyPort = SimulatedPort  # type: ignore[assignment,misc]
+        driver.DynamixelBus = lambda port, *rest: DynamixelBus(port, *rest, connect=partial(Wire, port))  # type: ignore[assignment,misc]
+        virtual.VirtualRobot = HandledRobot  # type: ignore[misc]
+        link = "/simulated/arm"
+        makes: dict[str, tuple[Any, dict[str, Any]]] = {
+            "virtual": (virtual.VirtualNode, {"link": link}),
+            "driver": (driver.DriverNode, {"port": link}),
+            "excitation": (excitation.ExcitationNode, {}),
+            "identifier": (identifier.IdentifierNode, {"data_directory": str(data), "report": False}),
+        }
+        self.processes: dict[str, Process] = {}
+        for name, (kind, values) in makes.items():
+            parameters = [Parameter(key, value=value) for key, value in {**values, **given.get(name, {})}.items()]
+            self.processes[name] = Process(self, name, partial(kind, parameter_overrides=parameters))
+        self.user = simulated_ros.SimulatedNode("user")
+        self._spinning = self.clock.thread(self._spin, "user", group="user")
+        self._spinning.start()
+
+    def _spin(self) -> None:
+        while True:
+            self.user.spin_once(math.inf)
+
+    def call(self, service: str, kind: Any = Trigger, request: Any = None, within_s: float = 600.0) -> Any:
+        """The answer of a service; None where it never comes."""
+        client = self.user.create_client(kind, service)
+        client.wait_for_service(60.0)
+        future, answered = client.call_async(request or kind.Request()), self.clock.event()
+        future.add_done_callback(lambda _: answered.set())
+        answered.wait(within_s)
+        self.user.destroy_client(client)
+        return future.result()
+
+    @property
+    def arm(self) -> Any:
+        return self.processes["virtual"].node._robot
+
+    def close(self) -> None:
+        with contextlib.suppress(Ended):
+            self.clock.end()
+        time_source.use(self._before)
+        GRAPH.remove(self.graph)
+
+
+@contextlib.contextmanager
+def world(data: Path, **options: Any) -> Iterator[World]:
+    made = World(data, **options)
+    try:
+        yield made
+    finally:
+        made.close()
