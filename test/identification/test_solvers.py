@@ -17,7 +17,7 @@ class Valley:
 
     def __init__(self, upper_x: float = np.inf) -> None:
         self.coordinates = Coordinates(
-            [Unknown("sphere_x", 0.0, np.inf, -5.0, upper_x), Unknown("sphere_y", 0.0, np.inf, -50.0, 50.0)]
+            [Unknown("payload_com_x", 0.0, np.inf, -5.0, upper_x), Unknown("payload_com_y", 0.0, np.inf, -50.0, 50.0)]
         )
 
     def linearise(
@@ -54,7 +54,7 @@ def test_levenberg_marquardt_slides_along_a_bound() -> None:
 class Saturated:
     """r = arctan x: from x = 20 every step of Gauss and Newton lands farther away, until it is 15 times shorter."""
 
-    coordinates = Coordinates([Unknown("sphere_x", 0.0, np.inf, -1e4, 1e4)])
+    coordinates = Coordinates([Unknown("payload_com_x", 0.0, np.inf, -1e4, 1e4)])
 
     def linearise(
         self, internal: np.ndarray, counts: np.ndarray | None = None
