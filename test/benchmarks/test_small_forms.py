@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +59,11 @@ def ran(name: str, words: tuple[str, ...], file: Path) -> dict[str, Any]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SMALL)
-def test_a_benchmark_runs(name: str, tmp_path: Path) -> None:
+def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco")
+    from support import hand
+
+    monkeypatch.setattr(hand, "RATE_HZ", hand.RATE_HZ)  # a benchmark has another; the tests after it have their own again
     if name in NEEDS and not (SHARED / NEEDS[name]).is_dir():
         pytest.skip(f"needs {SHARED / NEEDS[name]}")
     kept = ran(name, SMALL[name], tmp_path / f"{name}.json")
@@ -85,7 +89,7 @@ def test_answers_are_compared(tmp_path: Path) -> None:
     folder = tmp_path / "bags"
     folder.mkdir()
     name = "quantised_s00_fixed_heavy_ball_50g_joint3"
-    (folder / name).symlink_to(REPOSITORY / "bags" / name)
+    shutil.copytree(REPOSITORY / "bags" / name, folder / name)
     for number in (1, 2):
         write(tmp_path / f"{number}.json", [folder])
     assert len(json.loads((tmp_path / "1.json").read_text())) == 1

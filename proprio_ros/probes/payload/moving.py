@@ -169,6 +169,16 @@ def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibrat
 
 def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
+    off = np.abs(fit.torque_ratio - 1.0)
+    far = np.where(off > RATIO_SHARE, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
+    worst = int(np.argmax(far))
+    if far[worst] > APART_SIGMAS:
+        yield rejected(
+            "other_torque",
+            "torques are not those of the empty arm",
+            f"{name}: the torque of {fit.joints[worst]} is {fit.torque_ratio[worst]:.2f} times what it should be by the empty "
+            "hand's motion: were both recorded with the same driver, unit and torque constants, and is it the same arm?",
+        )
     if fit.halves is not None:
         (early, early_std), (late, late_std) = fit.halves
         if abs(early - late) > APART_SIGMAS * np.hypot(early_std, late_std):
@@ -188,16 +198,6 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
             "the model does not explain the recording",
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
             "the payload held firmly, and did nothing touch the arm?",
-        )
-    off = np.abs(fit.torque_ratio - 1.0)
-    far = np.where(off > RATIO_SHARE, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
-    worst = int(np.argmax(far))
-    if far[worst] > APART_SIGMAS:
-        yield rejected(
-            "other_torque",
-            "torques are not those of the empty arm",
-            f"{name}: the torque of {fit.joints[worst]} is {fit.torque_ratio[worst]:.2f} times what it should be by the empty "
-            "hand's motion: were both recorded with the same driver, unit and torque constants, and is it the same arm?",
         )
     yield from unlike_urdf(fit.arm_over_urdf)
     yield from far_from_prior(fit.keys, fit.arm, fit.arm_prior, fit.arm_std, known)
