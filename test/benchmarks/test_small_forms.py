@@ -63,7 +63,9 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     pytest.importorskip("mujoco")
     from support import hand
 
-    monkeypatch.setattr(hand, "RATE_HZ", hand.RATE_HZ)  # a benchmark has another; the tests after it have their own again
+    monkeypatch.setattr(
+        hand, "RATE_HZ", hand.RATE_HZ
+    )  # a benchmark has another; the tests after it have their own again
     if name in NEEDS and not (SHARED / NEEDS[name]).is_dir():
         pytest.skip(f"needs {SHARED / NEEDS[name]}")
     kept = ran(name, SMALL[name], tmp_path / f"{name}.json")
