@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,8 @@ from std_srvs.srv import Trigger
 from support.domains import free_domain
 from support.live import wait_for
 
-from proprio_ros.nodes import excitation, messages, outputs
+from proprio_ros import clock
+from proprio_ros.nodes import excitation, messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.last_words import LastWords
 from proprio_ros.robot import load_robot
@@ -78,9 +78,8 @@ class Arm:
 
     def __init__(self, context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> None:
         self.time_s = 100.0
-        clock = SimpleNamespace(monotonic=lambda: self.time_s, monotonic_ns=lambda: round(1e9 * self.time_s))
-        for module in (outputs, excitation):
-            monkeypatch.setattr(module, "time", clock)
+        monkeypatch.setattr(clock, "now", lambda: self.time_s)
+        monkeypatch.setattr(clock, "now_ns", lambda: round(1e9 * self.time_s))
         self.speaker, self.commands = Speaker(), Published()
         monkeypatch.setattr(excitation, "LastWords", lambda *_given: self.speaker)
         monkeypatch.setattr(ExcitationNode, "real_time", False)

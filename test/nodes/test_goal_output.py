@@ -17,7 +17,8 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 from support.domains import free_domain
 
-from proprio_ros.nodes import excitation, messages, outputs
+from proprio_ros import clock
+from proprio_ros.nodes import excitation, messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.effort_driver import PositionDriver
@@ -57,9 +58,8 @@ class Arm:
 
     def __init__(self, context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.time_s = 100.0
-        clock = SimpleNamespace(monotonic=lambda: self.time_s, monotonic_ns=lambda: round(1e9 * self.time_s))
-        for module in (outputs, excitation):
-            monkeypatch.setattr(module, "time", clock)
+        monkeypatch.setattr(clock, "now", lambda: self.time_s)
+        monkeypatch.setattr(clock, "now_ns", lambda: round(1e9 * self.time_s))
         self.told: list[list[float]] = []
         self.commands, self.goals = Published(), Published()
         speaker = SimpleNamespace(
