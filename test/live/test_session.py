@@ -38,7 +38,7 @@ from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import Recording
 from proprio_ros.robot import FingerTravel, load_robot
-from proprio_ros.sim import sphere, squeeze
+from proprio_ros.sim import sphere_kernels, squeeze
 
 ROBOT = load_robot("open_manipulator_x")
 CONSTANTS = {n: d.nominal_torque_constant / d.transmission for n, d in ROBOT.drive_trains.items()}
@@ -410,11 +410,11 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
 
     def compiled_in_replay(prepared: Options) -> int:
-        sphere.tangent_kernel.cache_clear()
+        sphere_kernels.sphere_law.cache_clear()
         prepare(prepared)
-        before = sphere.tangent_kernel.cache_info().misses
+        before = sphere_kernels.sphere_law.cache_info().misses
         replay([full], options)
-        return int(sphere.tangent_kernel.cache_info().misses - before)
+        return int(sphere_kernels.sphere_law.cache_info().misses - before)
 
     assert compiled_in_replay(options) == 0
     other = replace(options, settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]})
