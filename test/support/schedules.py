@@ -125,8 +125,8 @@ def drawn(seed: int) -> tuple[float, Network, list[Fault]]:
 
 
 class _Schedule:
-    def __init__(self, made: World, outcome: Outcome, mass_kg: float, data: Path) -> None:
-        self.world, self.outcome, self.mass_kg, self.data = made, outcome, mass_kg, data
+    def __init__(self, made: World, outcome: Outcome, mass_kg: float) -> None:
+        self.world, self.outcome, self.mass_kg = made, outcome, mass_kg
         self.position = made.user.create_publisher(Float64MultiArray, "/position_command", 10)
         self.estimates: list[Any] = []
         self.states: list[Any] = []
@@ -158,7 +158,10 @@ class _Schedule:
             clock.stall(fault.whom, fault.lasts_s)
         elif fault.kind == "unplug":
             made.arm.port.unplug()
-            clock.sleep(fault.lasts_s)
+            clock.sleep(min(fault.lasts_s, SAFE_S))
+            if fault.lasts_s > SAFE_S:
+                self.safe(f"{SAFE_S:g} s after the bus was lost")
+                clock.sleep(fault.lasts_s - SAFE_S)
             made.arm.port.plug()
         elif fault.kind in ("overheat", "jump"):
             self.set("virtual", "fault", f"{fault.kind}={fault.whom}")
@@ -249,7 +252,7 @@ def play(seed: int, folder: Path, calibration: Path, tell: bool = False) -> Outc
         "identifier": {"calibration": str(calibration), "payload_sequence": str(sequence), "live_period": 0.0},
     }
     with world(data, seed=seed, network=network, nodes=nodes) as made:
-        schedule = _Schedule(made, outcome, mass_kg, data)
+        schedule = _Schedule(made, outcome, mass_kg)
         made.clock.sleep(1.5)
         begun_s = made.clock.now()
         answered = made.clock.event()
@@ -264,7 +267,7 @@ def play(seed: int, folder: Path, calibration: Path, tell: bool = False) -> Outc
             made.clock.sleep(max(begun_s + fault.at_s - made.clock.now(), 0.0))
             schedule.commit(fault)
             gone = gone or (fault.whom == "identifier" and fault.kind in ("kill", "restart", "end"))
-            if fault.kind in ("kill", "unplug") and fault.whom in ("driver", "") and fault.lasts_s in (0.0,):
+            if fault.kind == "kill" and fault.whom == "driver":
                 made.clock.sleep(SAFE_S)
                 schedule.safe(f"{SAFE_S:g} s after {fault.kind}")
         answered.wait(0.0 if gone else ANSWER_S)
