@@ -14,6 +14,7 @@ from results import REPOSITORY
 
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
+    "between_recordings": ("--arms", "1", "--servos", "0", "--pendulums", "1", "--jobs", "1", "--real"),
     "block_until": ("--robots", "1", "--jobs", "1"),
     "container_until": ("--robots", "1", "--first", "9001", "--reference", "none", "--fixed-every", "2", "--jobs", "1"),
     "coverage": ("--robots", "2", "--per-effect", "0", "--jobs", "1"),

@@ -194,6 +194,27 @@ class Truth:
     warm: np.ndarray
 
 
+@dataclass(frozen=True)
+class Differs:
+    """What one recording of an arm has of its own, each of shape (n,).
+
+    Attributes:
+        scale: Of the torque that its currents say over the motors' own.
+        friction: Over that of the arm.
+        offset: Torque that is read beside the motors' [N m].
+        zero: True position less reading [rad].
+        elsewhere: By how much the middle of the motion is another one [rad].
+        speed: Of the motion, over the usual one, a number.
+    """
+
+    scale: np.ndarray
+    friction: np.ndarray
+    offset: np.ndarray
+    zero: np.ndarray
+    elsewhere: np.ndarray
+    speed: float = 1.0
+
+
 @dataclass
 class Twin:
     """One arm as it really is, drawn at random; `truths` keeps what its motions really were, by name.
@@ -244,8 +265,9 @@ class Twin:
         seconds: float,
         payload: tuple[float, np.ndarray] | None = None,
         moments: Sequence[float] | None = None,
+        differs: Differs | None = None,
     ) -> Motion:
-        """A motion along random sines, with the payload in the hand."""
+        """A motion along random sines, with the payload in the hand, and what it has of its own; else it is friction to 5 %."""
         import mujoco
 
         spec = mujoco.MjSpec.from_string(urdf(self.masses, self.coms, self.inertias, payload, self.build, moments))
@@ -261,6 +283,10 @@ class Twin:
         size = rng.uniform(*build.size, (count, 4))
         middle = np.array(build.middle)
         warm = 1.0 + 0.05 * rng.standard_normal(count)  # friction is not the same twice
+        none = np.zeros(count)
+        own = differs or Differs(none + 1.0, warm, none, none, none)
+        warm, middle, speed = own.friction, middle + own.elsewhere, own.speed * speed
+        viscous = self.viscous * (1.0 if differs is None else warm)
 
         def wanted(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             angle = speed * t + phase
@@ -281,12 +307,10 @@ class Twin:
             q, qd, qdd = wanted(step * STEP_S)
             inertia_matrix(model, data, full)
             measured = data.qpos + 1e-4 * rng.standard_normal(count)
-            command = (
-                full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - data.qvel)) + data.qfrc_bias + self.viscous * qd
-            )
+            command = full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - data.qvel)) + data.qfrc_bias + viscous * qd
             queue.append(command)
             torque = queue.pop(0)
-            transmitted = torque - self.viscous * data.qvel
+            transmitted = torque - viscous * data.qvel
             coulomb = self.coulomb * warm * (1.0 + self.place * self.wave(data.qpos))
             direction = np.tanh(data.qvel / 0.01)
             lost = (coulomb + self.gears * np.abs(transmitted)) * direction
@@ -295,8 +319,9 @@ class Twin:
             if sampled:
                 true.append([data.qpos.copy(), data.qvel.copy(), data.qvel, torque])
                 times.append(step * STEP_S + 2e-4 * rng.standard_normal())
-                positions.append(data.qpos + 1e-4 * rng.standard_normal(count))
-                currents.append(torque / (constants * self.torque) + build.current_noise_A * rng.standard_normal(count))
+                positions.append(data.qpos - own.zero + 1e-4 * rng.standard_normal(count))
+                said = own.scale * (torque + own.offset) / (constants * self.torque)
+                currents.append(said + build.current_noise_A * rng.standard_normal(count))
             mujoco.mj_step(model, data)
             if sampled:
                 true[-1][2] = data.qacc.copy()
