@@ -30,7 +30,7 @@ with ``F_i`` the sum of f over the subtree and ``dI_i`` the inertia that the dir
 
 Code is unrolled over the joints for each tree (tuple of parents) and compiled once; geometry, kinds of joints and inertias are
 data. In the functions without tangents each component of a matrix is assigned once, so that their adjoint is right: the tests hold
-the tangents against one. The code is in ``chain_kernels.py``.
+the tangents against one.
 """
 
 from dataclasses import replace
@@ -41,13 +41,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.paper.chain_kernels import (
-    INERTIAL,
-    JOINT_PARAMETERS,
-    MAT33,
-    ChainData,
-    forward_kernel,
-)
+from proprio_ros.paper.chain_kernels import INERTIAL, JOINT_PARAMETERS, MAT33, ChainData, forward_kernel
 from proprio_ros.robot import ReducedModel, inertia_about_origin, rotation_about
 from proprio_ros.sim.joint import INTEGRATORS
 from proprio_ros.sim.joint_kernels import VEC3
@@ -58,13 +52,11 @@ PAYLOAD_JOINTS = ("prismatic", "universal")
 _BLOCKS = (1, 8)
 """Directions that one thread may take: eight share one evaluation of the dynamics, at a quarter of the time of eight threads."""
 
-_TRIANGLE = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # order of the entries of J in pi
+_TRIANGLE = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # rows and columns of J, in the order of pi
 
 
 def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
-    """The ten inertial parameters (m, hx, hy, hz, Jxx, Jyy, Jzz, Jxy, Jxz, Jyz) of pseudo-inertias.
-
-    Linear, so that it also takes a direction in pseudo-inertia to one in the parameters.
+    """The ten inertial parameters (m, hx, hy, hz, Jxx, Jyy, Jzz, Jxy, Jxz, Jyz) of pseudo-inertias; linear.
 
     Args:
         pseudo: About the body's frame, shape (..., 4, 4).
@@ -74,21 +66,18 @@ def inertial_parameters(pseudo: ArrayLike) -> NDArray[np.float64]:
         products are entries of the matrix (Jxy = -int x y dm).
     """
     pseudo = np.asarray(pseudo, dtype=np.float64)
-    result = np.empty((*pseudo.shape[:-2], INERTIAL))
-    result[..., 0] = pseudo[..., 3, 3]
-    result[..., 1:4] = pseudo[..., :3, 3]
-    trace = np.trace(pseudo[..., :3, :3], axis1=-2, axis2=-1)
-    for column, (i, j) in enumerate(_TRIANGLE):
-        result[..., 4 + column] = (trace if i == j else 0.0) - pseudo[..., i, j]
-    return result
+    rows, columns = _TRIANGLE
+    second = pseudo[..., :3, :3]
+    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    return np.concatenate([pseudo[..., 3, 3:], pseudo[..., :3, 3], inertia[..., rows, columns]], axis=-1)
 
 
-def doubles(values: ArrayLike, dtype: Any, device: str, **kwargs: Any) -> wp.array:
-    """An array on the device."""
-    return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=device, **kwargs)
+def doubles(values: ArrayLike, dtype: Any, **kwargs: Any) -> wp.array:
+    """An array on the CPU."""
+    return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu", **kwargs)
 
 
-def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike, device: str) -> Any:
+def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: ArrayLike) -> Any:
     """What no parameter changes, as the kernels read it."""
     n = len(model.joint_names)
     turn = np.zeros((n, 3, 3, 3))
@@ -103,19 +92,11 @@ def constants_of(model: ReducedModel, friction_velocity: ArrayLike, supply: Arra
             turn[i, 0] = placed
             shift[i, 1] = placed @ axis
     fixed = ChainData()
-    fixed.turn = doubles(turn, MAT33, device)
-    fixed.shift = doubles(shift, VEC3, device)
-    fixed.axis = doubles(model.axes, VEC3, device)
-    fixed.revolute = doubles([kind == "revolute" for kind in model.kinds], FLOAT, device)
+    fixed.turn, fixed.shift, fixed.axis = doubles(turn, MAT33), doubles(shift, VEC3), doubles(model.axes, VEC3)
+    fixed.revolute = doubles([kind == "revolute" for kind in model.kinds], FLOAT)
     fixed.gravity = VEC3(*model.gravity)
-    fixed.friction_velocity = doubles(friction_velocity, FLOAT, device)
-    fixed.supply = doubles(supply, FLOAT, device)
+    fixed.friction_velocity, fixed.supply = doubles(friction_velocity, FLOAT), doubles(supply, FLOAT)
     return fixed
-
-
-def parents_of(model: ReducedModel) -> tuple[int, ...]:
-    """Of each joint, the one that carries it; -1: none."""
-    return tuple(int(parent) for parent in model.parents)
 
 
 class ChainSimulator:
@@ -136,7 +117,6 @@ class ChainSimulator:
         integrator: ``"rk4"``, or ``"semi_implicit"`` (the paper's equation (2)).
         step_s: Longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
         fine_step_s: Step near standstill [s]; None for ``step_s``.
-        device: Warp device name.
 
     Raises:
         SimulationError: Unknown integrator, no samples, wrong shapes, instants out of order or steps that are not positive.
@@ -160,12 +140,13 @@ class ChainSimulator:
         integrator: str = "rk4",
         step_s: float = 1.0 / 240.0,
         fine_step_s: float | None = None,
-        device: str = "cpu",
     ) -> None:
-        n = len(model.joint_names)
-        samples = np.asarray(sample_times_s, dtype=np.float64)
-        switches = np.asarray(input_times_s, dtype=np.float64)
-        current = np.asarray(input_current_A, dtype=np.float64)
+        joints, n = model.joint_names, len(model.joint_names)
+        samples, switches, current = (
+            np.asarray(values, dtype=np.float64) for values in (sample_times_s, input_times_s, input_current_A)
+        )
+        smoothing = np.asarray(friction_velocity, dtype=np.float64)
+        limits = np.zeros((n, 3)) if supply is None else np.asarray(supply, dtype=np.float64)
         fine = step_s if fine_step_s is None else min(fine_step_s, step_s)
         if integrator not in INTEGRATORS:
             raise SimulationError(f"unknown integrator {integrator!r}: choose one of {', '.join(INTEGRATORS)}")
@@ -176,146 +157,66 @@ class ChainSimulator:
         if current.shape != (len(switches), n):
             raise SimulationError(
                 f"input_current_A has shape {current.shape}: give a row for each of the {len(switches)} instants of "
-                f"input_times_s and a column for each joint ({', '.join(model.joint_names)})"
+                f"input_times_s and a column for each joint ({', '.join(joints)})"
             )
-        limits = np.zeros((n, 3)) if supply is None else np.asarray(supply, dtype=np.float64)
         if limits.shape != (n, 3) or np.any(limits < 0.0) or np.any((limits[:, 0] > 0.0) & (limits[:, 2] == 0.0)):
             raise SimulationError("supply must be (voltage, back-EMF constant, resistance) of each joint, not negative")
-        smoothing = np.asarray(friction_velocity, dtype=np.float64)
         if smoothing.shape not in ((), (n,)) or not np.all(smoothing > 0.0):
             raise SimulationError("friction_velocity must be one positive number, or one for each joint")
-        smoothing = np.broadcast_to(smoothing, (n,))
         if not fine > 0.0:
             raise SimulationError(f"the integration step is {fine} s: step_s and fine_step_s must be positive")
         self.model = model
         self.integrator = integrator
-        self.device = device
-        names = [f"{group}[{joint}]" for group in JOINT_PARAMETERS for joint in model.joint_names]
-        names += [f"pi[{joint}][{k}]" for joint in model.joint_names for k in range(INERTIAL)]
-        names += ["delay", *(f"{group}[{joint}]" for group in ("q0", "v0") for joint in model.joint_names)]
+        names = [f"{group}[{joint}]" for group in JOINT_PARAMETERS for joint in joints]
+        names += [f"pi[{joint}][{k}]" for joint in joints for k in range(INERTIAL)]
+        names += ["delay", *(f"{group}[{joint}]" for group in ("q0", "v0") for joint in joints)]
         self.parameter_names = tuple(names)
         sizes = dict.fromkeys(JOINT_PARAMETERS, n) | {"pi": INERTIAL * n, "delay": 1, "q0": n, "v0": n}
         stops = np.cumsum(list(sizes.values())).tolist()
-        self.columns = {
-            group: slice(stop - size, stop) for (group, size), stop in zip(sizes.items(), stops, strict=True)
-        }
+        self.columns = {group: slice(stop - sizes[group], stop) for group, stop in zip(sizes, stops, strict=True)}
         self._n = n
-        self._parents = parents_of(model)
+        self._parents = tuple(model.parents.tolist())
         self._vec = wp.types.vector(length=n, dtype=FLOAT)
-        self._fixed = constants_of(model, smoothing, limits, device)
-        self._samples = doubles(samples, FLOAT, device)
-        self._switches = doubles(switches, FLOAT, device)
-        self._current = doubles(current, self._vec, device)
+        self._fixed = constants_of(model, np.broadcast_to(smoothing, (n,)), limits)
+        self._samples, self._switches = doubles(samples, FLOAT), doubles(switches, FLOAT)
+        self._current = doubles(current, self._vec)
         self._steps = (step_s, fine)
 
-    def pack(self, **groups: ArrayLike) -> NDArray[np.float64]:
-        """Parameters of one or more worlds.
-
-        Args:
-            **groups: A value of each group (see ``columns``) that is not at its default: one number, shape (n,) or (W, n);
-                ``pi`` shape (n, 10) or (W, n, 10); ``delay`` one number or shape (W,). The inertial parameters default to the
-                model's, everything else to zero.
-
-        Returns:
-            Shape (W, P); W is 1 when no group has worlds.
-
-        Raises:
-            SimulationError: Unknown group, or a shape that does not fit.
-        """
-        values = {"pi": inertial_parameters(self.model.pseudo_inertia)} | dict(groups)
-        blocks = []
-        for group, value in values.items():
-            if group not in self.columns:
-                raise SimulationError(f"unknown parameters {group!r}: choose from {', '.join(self.columns)}")
-            own = {"pi": (self._n, INERTIAL), "delay": ()}.get(group, (self._n,))
-            array = np.asarray(value, dtype=np.float64)
-            worlds = array.shape[:1] if array.ndim > len(own) else (1,)
-            try:
-                blocks.append(np.broadcast_to(array, worlds + own).reshape(*worlds, -1))
-            except ValueError as error:
-                raise SimulationError(
-                    f"{group} has shape {array.shape}: give {own}, or one more axis of worlds"
-                ) from error
-        counts = {len(block) for block in blocks} - {1}
-        if len(counts) > 1:
-            raise SimulationError(f"groups have {sorted(counts)} worlds: give each the same number, or one")
-        result = np.zeros((counts.pop() if counts else 1, len(self.parameter_names)))
-        for group, block in zip(values, blocks, strict=True):
-            result[:, self.columns[group]] = block
-        return result
-
-    def _checked(self, p: ArrayLike) -> NDArray[np.float64]:
-        result = np.ascontiguousarray(p, dtype=np.float64)
-        if result.ndim != 2 or result.shape[1] != len(self.parameter_names):
-            raise SimulationError(f"parameters have shape {result.shape}: give (worlds, {len(self.parameter_names)})")
-        return result
-
-    def _launch(
-        self, p: NDArray[np.float64], directions: NDArray[np.float64] | None, capacity: int = 0
-    ) -> tuple[wp.array, ...]:
-        """The forward kernel on parameters (W, P), with directions (W, D, P), or writing down up to ``capacity`` steps."""
-        device = self.device
-        worlds, samples = len(p), len(self._samples)
-        tangent = directions is not None
-        dp = np.zeros((worlds, p.shape[1])) if directions is None else directions.reshape(-1, p.shape[1])
-        q, v = (wp.empty((worlds, samples), dtype=self._vec, device=device) for _ in range(2))
-        dq = wp.empty((len(dp) if tangent else 0, samples), dtype=self._vec, device=device)
-        step, by_delay = (wp.empty((worlds, capacity), dtype=FLOAT, device=device) for _ in range(2))
-        segment = wp.empty((worlds, capacity), dtype=wp.int32, device=device)
-        steps = wp.zeros(worlds, dtype=wp.int32, device=device)
-        sample_step = wp.empty((worlds, 0 if tangent else samples), dtype=wp.int32, device=device)
-        per_world = len(dp) // worlds
-        block = next((size for size in _BLOCKS if size >= per_world), _BLOCKS[-1]) if tangent else 0
-        wp.launch(
-            forward_kernel(self._parents, self.integrator, block),
-            dim=(worlds, -(-per_world // max(block, 1))),
-            inputs=[
-                self._fixed, self._samples, self._switches, self._current, *self._steps,
-                doubles(p, FLOAT, device), doubles(dp, FLOAT, device), per_world,
-            ],
-            outputs=[q, v, dq, step, by_delay, segment, steps, sample_step],
-            device=device,
-        )  # fmt: skip
-        return q, v, dq, step, by_delay, segment, steps, sample_step
-
-    def rollout(self, p: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions and velocities at the sample instants.
-
-        Args:
-            p: Parameters of each world, shape (W, P).
-
-        Returns:
-            q [rad or m] (W, T, n) and v [rad/s or m/s] (W, T, n).
-
-        Raises:
-            SimulationError: The parameters have the wrong shape.
-        """
-        q, v, *_ = self._launch(self._checked(p), None)
-        return q.numpy().copy(), v.numpy().copy()
-
-    def jacobian(self, p: ArrayLike, dp: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions at the sample instants, with exact forward sensitivities.
+    def jacobian(self, p: ArrayLike, dp: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+        """Positions and velocities at the sample instants, with exact forward sensitivities of the positions.
 
         Args:
             p: Parameters of each world, shape (W, P).
             dp: D tangent directions of each world in parameter space, shape (W, P, D).
 
         Returns:
-            q (W, T, n) and dq (W, T, n, D).
+            q [rad or m] (W, T, n), v [rad/s or m/s] (W, T, n) and dq (W, T, n, D).
 
         Raises:
             SimulationError: Parameters or directions have the wrong shape.
         """
-        p = self._checked(p)
-        directions = np.asarray(dp, dtype=np.float64)
+        p, directions = np.ascontiguousarray(p, dtype=np.float64), np.asarray(dp, dtype=np.float64)
+        columns = len(self.parameter_names)
+        if p.ndim != 2 or p.shape[1] != columns:
+            raise SimulationError(f"parameters have shape {p.shape}: give (worlds, {columns})")
         if directions.ndim != 3 or directions.shape[:2] != p.shape or directions.shape[2] == 0:
-            raise SimulationError(f"directions have shape {directions.shape}: give ({p.shape[0]}, {p.shape[1]}, D)")
-        q, _, dq, *_ = self._launch(p, np.ascontiguousarray(directions.transpose(0, 2, 1)))
-        sensitivities = dq.numpy().reshape(len(p), directions.shape[2], len(self._samples), self._n)
-        return q.numpy().copy(), np.ascontiguousarray(sensitivities.transpose(0, 2, 3, 1))
-
-
-# -------------------------------------------------------------------------------------------------------------- payload
+            raise SimulationError(f"directions have shape {directions.shape}: give ({p.shape[0]}, {columns}, D)")
+        worlds, samples, per_world = len(p), len(self._samples), directions.shape[2]
+        rows = (worlds, worlds, worlds * per_world)
+        outputs = [wp.empty((count, samples), dtype=self._vec, device="cpu") for count in rows]
+        block = next((size for size in _BLOCKS if size >= per_world), _BLOCKS[-1])
+        along = doubles(directions.transpose(0, 2, 1).reshape(-1, columns), FLOAT)
+        run = [self._fixed, self._samples, self._switches, self._current, *self._steps]
+        wp.launch(
+            forward_kernel(self._parents, self.integrator, block),
+            dim=(worlds, -(-per_world // block)),
+            inputs=[*run, doubles(p, FLOAT), along, per_world],
+            outputs=outputs,
+            device="cpu",
+        )
+        q, v, dq = (array.numpy().copy() for array in outputs)
+        sensitivities = dq.reshape(worlds, per_world, samples, self._n)
+        return q, v, np.ascontiguousarray(sensitivities.transpose(0, 2, 3, 1))
 
 
 def attach_payload_joint(
@@ -345,13 +246,12 @@ def attach_payload_joint(
     if kind not in PAYLOAD_JOINTS:
         raise SimulationError(f"unknown payload joint {kind!r}: choose one of {', '.join(PAYLOAD_JOINTS)}")
     wanted = (3,) if kind == "prismatic" else (2, 3)
-    directions = np.asarray(axes, dtype=np.float64)
+    directions, pseudo = np.asarray(axes, dtype=np.float64), np.asarray(pseudo_inertia, dtype=np.float64)
     if directions.shape != wanted or not np.all(np.linalg.norm(directions, axis=-1) > 0.0):
         raise SimulationError(
             f"a {kind} payload joint needs non-zero axes of shape {wanted}, got {directions.tolist()}"
         )
     directions = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)
-    pseudo = np.asarray(pseudo_inertia, dtype=np.float64)
     if pseudo.shape != (4, 4) or not np.all(np.isfinite(pseudo)):
         raise SimulationError("the payload's pseudo-inertia must be a finite 4 x 4 matrix")
     if kind == "prismatic":
@@ -369,18 +269,15 @@ def attach_payload_joint(
     if taken:
         raise SimulationError(f"{taken[0]!r} is already a joint or frame of the model: choose another name")
     parent, placement = model.frames[frame]
-    parents, placements = list(model.parents), list(model.placement)
-    for _ in names:
-        parents.append(parent)
-        placements.append(placement)
-        parent, placement = len(parents) - 1, np.eye(4)
+    # the first new joint sits in the hand, a second one on the first
+    first, added = len(model.joint_names), len(names)
     return replace(
         model,
         joint_names=(*model.joint_names, *names),
         kinds=(*model.kinds, *kinds),
-        parents=np.array(parents, dtype=np.int64),
-        placement=np.array(placements),
+        parents=np.array([*model.parents, *[parent, first][:added]], dtype=np.int64),
+        placement=np.concatenate([model.placement, [placement, np.eye(4)][:added]]),
         axes=np.concatenate([model.axes, directions]),
         pseudo_inertia=np.concatenate([model.pseudo_inertia, bodies]),
-        frames={**model.frames, name: (parent, np.eye(4))},
+        frames={**model.frames, name: (first + added - 1, np.eye(4))},
     )

@@ -1,8 +1,7 @@
 """A chain's dynamics for Warp, unrolled over the joints of each tree, and its walk through time: see ``chain.py``.
 
-The walk here is that of ``rollout.py`` written out for this law, because a thread
-here takes a block of directions of a world, whose parameters it reads from rows that blocks share, and because the kernel without
-directions writes its steps down for the tape.
+The walk here is that of ``rollout.py`` written out for this law, because a thread here takes a block of directions of a world,
+whose parameters it reads from rows that blocks share.
 """
 
 from functools import cache
@@ -25,6 +24,7 @@ INERTIAL = 10
 
 runtime.start()
 
+TABLE = wp.array2d(dtype=FLOAT)
 VEC6 = wp.types.vector(length=6, dtype=FLOAT)
 VEC10 = wp.types.vector(length=10, dtype=FLOAT)
 VEC12 = wp.types.vector(length=12, dtype=FLOAT)
@@ -44,7 +44,7 @@ class ChainData:
     revolute: wp.array(dtype=FLOAT)
     gravity: VEC3
     friction_velocity: wp.array(dtype=FLOAT)
-    supply: wp.array2d(dtype=FLOAT)
+    supply: TABLE
 
 
 # ------------------------------------------------------------------------------------------------------- one rigid body
@@ -146,7 +146,7 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def at_base(p: wp.array2d(dtype=FLOAT), w: wp.int32, i: wp.int32, pose: VEC12):
+    def at_base(p: TABLE, w: wp.int32, i: wp.int32, pose: VEC12):
         c = pi_start + 10 * i
         h = VEC3(p[w, c + 1], p[w, c + 2], p[w, c + 3])
         j = MAT33(
@@ -157,14 +157,14 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return _seen_from_base(p[w, c], h, j, pose)
 
     @wp.func
-    def inertias(p: wp.array2d(dtype=FLOAT), w: wp.int32, x: rows12):
+    def inertias(p: TABLE, w: wp.int32, x: rows12):
         result = rows10()
         for i in range(n):
             result[i] = at_base(p, w, i, x[i])
         return result
 
     @wp.func
-    def heavier(dp: wp.array2d(dtype=FLOAT), row: wp.int32, i: wp.int32):
+    def heavier(dp: TABLE, row: wp.int32, i: wp.int32):
         """Whether a direction changes the inertia of body i: most change that of one body, or of none."""
         result = wp.bool(False)
         for k in range(10):
@@ -245,26 +245,26 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def solve(l: square, b: vec):  # noqa: E741
+    def solve(root: square, b: vec):
         y = vec()
         for i in range(n):
             rest = b[i]
             for k in range(n):
                 if wp.static(k < i):
-                    rest = rest - l[i, k] * y[k]
-            y[i] = rest * l[i, i]
+                    rest = rest - root[i, k] * y[k]
+            y[i] = rest * root[i, i]
         x = vec()
         for m in range(n):
             i = wp.static(n - 1 - m)
             rest = y[i]
             for k in range(n):
                 if wp.static(k > n - 1 - m):
-                    rest = rest - l[k, i] * x[k]
-            x[i] = rest * l[i, i]
+                    rest = rest - root[k, i] * x[k]
+            x[i] = rest * root[i, i]
         return x
 
     @wp.func
-    def torques(fixed: ChainData, p: wp.array2d(dtype=FLOAT), w: wp.int32, q: vec, v: vec, command: vec):
+    def torques(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, command: vec):
         result = vec()
         for i in range(n):
             supply = fixed.supply
@@ -279,7 +279,7 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def armed(p: wp.array2d(dtype=FLOAT), w: wp.int32, h: square):
+    def armed(p: TABLE, w: wp.int32, h: square):
         """The mass matrix with the armatures on its diagonal."""
         result = square()
         for i in range(n):
@@ -291,21 +291,22 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def acceleration(fixed: ChainData, p: wp.array2d(dtype=FLOAT), w: wp.int32, q: vec, v: vec, command: vec):
+    def solved(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, command: vec):
+        """Poses, screws, inertias and velocities, the factor of the mass matrix, and the acceleration."""
         x = poses(fixed, q)
         s = screws(fixed, x)
         inertia = inertias(p, w, x)
         vel = velocities(s, v)
         bias = inverse_dynamics(fixed, s, inertia, vel, v, vec())
-        l = factor(armed(p, w, mass_matrix(s, inertia)))  # noqa: E741
-        return solve(l, torques(fixed, p, w, q, v, command) - bias)
+        root = factor(armed(p, w, mass_matrix(s, inertia)))
+        return x, s, inertia, vel, root, solve(root, torques(fixed, p, w, q, v, command) - bias)
 
     @wp.func
     def linearised(
         fixed: ChainData,
-        p: wp.array2d(dtype=FLOAT),
+        p: TABLE,
         w: wp.int32,
-        dp: wp.array2d(dtype=FLOAT),
+        dp: TABLE,
         row: wp.int32,
         count: wp.int32,
         q: vec,
@@ -315,13 +316,7 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         command: vec,
     ):
         """The acceleration and its changes along directions row, row + 1, ...; never taped."""
-        x = poses(fixed, q)
-        s = screws(fixed, x)
-        inertia = inertias(p, w, x)
-        vel = velocities(s, v)
-        bias = inverse_dynamics(fixed, s, inertia, vel, v, vec())
-        l = factor(armed(p, w, mass_matrix(s, inertia)))  # noqa: E741
-        a = solve(l, torques(fixed, p, w, q, v, command) - bias)
+        x, s, inertia, vel, root, a = solved(fixed, p, w, q, v, command)
 
         # what all directions share
         g = fixed.gravity
@@ -402,11 +397,11 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
                     - q[i] * dp[r, STIFFNESS * n + i]
                     - wp.dot(s[i], own_force[i])
                 )
-            da[d] = solve(l, rest)
+            da[d] = solve(root, rest)
         return a, da
 
     @wp.func
-    def sticking(fixed: ChainData, p: wp.array2d(dtype=FLOAT), w: wp.int32, v: vec, a: vec, step: FLOAT):
+    def sticking(fixed: ChainData, p: TABLE, w: wp.int32, v: vec, a: vec, step: FLOAT):
         """Whether a joint with dry friction is, or may come within a step, near standstill."""
         result = wp.bool(False)
         for i in range(n):
@@ -415,17 +410,9 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
                     result = wp.bool(True)
         return result
 
-    return SimpleNamespace(
-        poses=poses,
-        screws=screws,
-        inertias=inertias,
-        velocities=velocities,
-        mass_matrix=mass_matrix,
-        inverse_dynamics=inverse_dynamics,
-        acceleration=acceleration,
-        linearised=linearised,
-        sticking=sticking,
-    )
+    bodies = {"poses": poses, "screws": screws, "inertias": inertias, "velocities": velocities}
+    terms = {"mass_matrix": mass_matrix, "inverse_dynamics": inverse_dynamics}
+    return SimpleNamespace(**bodies, **terms, solved=solved, linearised=linearised, sticking=sticking)
 
 
 def _way_to_base(parents: tuple[int, ...], joint: int) -> tuple[int, ...]:
@@ -448,37 +435,15 @@ def module_of(parents: tuple[int, ...], purpose: str) -> Any:
 
 @cache
 def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -> Any:
-    """Rollout, thread = (world, block of directions): with exact forward sensitivities, or (0) writing down its steps."""
+    """Rollout with exact forward sensitivities; thread = (world, block of so many directions)."""
     n = len(parents)
     delay_column = (len(JOINT_PARAMETERS) + INERTIAL) * n
-    tangent = directions > 0
     vec = wp.types.vector(length=n, dtype=FLOAT)
-    block = wp.types.matrix(shape=(max(directions, 1), n), dtype=FLOAT)
-    instants = wp.types.vector(length=max(directions, 1), dtype=FLOAT)
-    tree = dynamics(parents, max(directions, 1))
-    acceleration, linearised, sticking = tree.acceleration, tree.linearised, tree.sticking
+    block = wp.types.matrix(shape=(directions, n), dtype=FLOAT)
+    instants = wp.types.vector(length=directions, dtype=FLOAT)
+    tree = dynamics(parents, directions)
+    linearised, sticking = tree.linearised, tree.sticking
     rk4 = integrator == "rk4"
-
-    @wp.func
-    def slope(
-        fixed: ChainData,
-        p: wp.array2d(dtype=FLOAT),
-        w: wp.int32,
-        dp: wp.array2d(dtype=FLOAT),
-        row: wp.int32,
-        count: wp.int32,
-        q: vec,
-        v: vec,
-        dq: block,
-        dv: block,
-        command: vec,
-    ):
-        if wp.static(tangent):
-            a, da = linearised(fixed, p, w, dp, row, count, q, v, dq, dv, command)
-        else:
-            a = acceleration(fixed, p, w, q, v, command)
-            da = block()
-        return a, da
 
     @wp.kernel(module=module_of(parents, f"forward_{integrator}_{directions}"), enable_backward=False)
     def kernel(
@@ -490,25 +455,18 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
         coarse: FLOAT,
         fine: FLOAT,
         # World data in: parameters (W, P), directions (W * D, P), D
-        p_in: wp.array2d(dtype=FLOAT),
-        dp_in: wp.array2d(dtype=FLOAT),
+        p_in: TABLE,
+        dp_in: TABLE,
         per_world: wp.int32,
         # World data out: q and v (W, T), dq (W * D, T)
         q_out: wp.array2d(dtype=vec),
         v_out: wp.array2d(dtype=vec),
         dq_out: wp.array2d(dtype=vec),
-        # World data out, without tangent: step length, its change with the delay, segment of the input (W, steps);
-        # number of steps (W,); the step after which each sample is taken, -1 before the onset (W, T)
-        step_out: wp.array2d(dtype=FLOAT),
-        step_by_delay_out: wp.array2d(dtype=FLOAT),
-        segment_out: wp.array2d(dtype=wp.int32),
-        steps_out: wp.array(dtype=wp.int32),
-        sample_step_out: wp.array2d(dtype=wp.int32),
     ):
         w, first = wp.tid()
-        first = first * wp.static(max(directions, 1))
+        first = first * wp.static(directions)
         row = w * per_world + first
-        count = wp.min(wp.static(max(directions, 1)), per_world - first)
+        count = wp.min(wp.static(directions), per_world - first)
         delay = p_in[w, delay_column]
         q = vec()
         v = vec()
@@ -519,30 +477,25 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
             v[i] = p_in[w, delay_column + 1 + n + i]
         # how instants move along each direction: only those of samples do, with the delay
         d_goal = instants(FLOAT(-1.0))
-        if wp.static(tangent):
-            for d in range(count):
-                d_goal[d] = -dp_in[row + d, delay_column]
-                for i in range(n):
-                    dq[d, i] = dp_in[row + d, delay_column + 1 + i]
-                    dv[d, i] = dp_in[row + d, delay_column + 1 + n + i]
+        for d in range(count):
+            d_goal[d] = -dp_in[row + d, delay_column]
+            for i in range(n):
+                dq[d, i] = dp_in[row + d, delay_column + 1 + i]
+                dv[d, i] = dp_in[row + d, delay_column + 1 + n + i]
         half = FLOAT(0.5)
         sixth = FLOAT(1.0) / FLOAT(6.0)
         two = FLOAT(2.0)
         t = FLOAT(0.0)
         dt = instants()
         segment = wp.int32(0)
-        steps = wp.int32(0)
         for k in range(sample_times.shape[0]):
             goal = sample_times[k] - delay
             if goal <= FLOAT(0.0):
                 if first == 0:
                     q_out[w, k] = q + goal * v
                     v_out[w, k] = v
-                if wp.static(tangent):
-                    for d in range(count):
-                        dq_out[row + d, k] = dq[d] + goal * dv[d] + d_goal[d] * v
-                else:
-                    sample_step_out[w, k] = -1
+                for d in range(count):
+                    dq_out[row + d, k] = dq[d] + goal * dv[d] + d_goal[d] * v
             else:
                 arrived = wp.bool(False)
                 while not arrived:
@@ -558,7 +511,7 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
                     command = input_current[segment]
                     last = wp.bool(False)
                     while not last:
-                        a1, da1 = slope(fixed, p_in, w, dp_in, row, count, q, v, dq, dv, command)
+                        a1, da1 = linearised(fixed, p_in, w, dp_in, row, count, q, v, dq, dv, command)
                         h = coarse
                         if fine < coarse:
                             if sticking(fixed, p_in, w, v, a1, coarse):
@@ -569,27 +522,22 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
                             h = end - t
                             dh = d_end - dt
                             last = wp.bool(True)
-                        if wp.static(not tangent):
-                            if steps < step_out.shape[1]:
-                                step_out[w, steps] = h
-                                step_by_delay_out[w, steps] = dh[0]
-                                segment_out[w, steps] = segment
                         if wp.static(rk4):
                             q2 = q + half * h * v
                             v2 = v + half * h * a1
                             dq2 = dq + half * (h * dv + wp.outer(dh, v))
                             dv2 = dv + half * (h * da1 + wp.outer(dh, a1))
-                            a2, da2 = slope(fixed, p_in, w, dp_in, row, count, q2, v2, dq2, dv2, command)
+                            a2, da2 = linearised(fixed, p_in, w, dp_in, row, count, q2, v2, dq2, dv2, command)
                             q3 = q + half * h * v2
                             v3 = v + half * h * a2
                             dq3 = dq + half * (h * dv2 + wp.outer(dh, v2))
                             dv3 = dv + half * (h * da2 + wp.outer(dh, a2))
-                            a3, da3 = slope(fixed, p_in, w, dp_in, row, count, q3, v3, dq3, dv3, command)
+                            a3, da3 = linearised(fixed, p_in, w, dp_in, row, count, q3, v3, dq3, dv3, command)
                             q4 = q + h * v3
                             v4 = v + h * a3
                             dq4 = dq + h * dv3 + wp.outer(dh, v3)
                             dv4 = dv + h * da3 + wp.outer(dh, a3)
-                            a4, da4 = slope(fixed, p_in, w, dp_in, row, count, q4, v4, dq4, dv4, command)
+                            a4, da4 = linearised(fixed, p_in, w, dp_in, row, count, q4, v4, dq4, dv4, command)
                             mean_v = sixth * (v + two * v2 + two * v3 + v4)
                             mean_a = sixth * (a1 + two * a2 + two * a3 + a4)
                             dq = dq + sixth * h * (dv + two * dv2 + two * dv3 + dv4) + wp.outer(dh, mean_v)
@@ -601,7 +549,6 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
                             dv = dv + h * da1 + wp.outer(dh, a1)
                             q = q + h * v
                             dq = dq + h * dv + wp.outer(dh, v)
-                        steps += 1
                         t = t + h
                         if last:
                             t = end
@@ -611,12 +558,7 @@ def forward_kernel(parents: tuple[int, ...], integrator: str, directions: int) -
                 if first == 0:
                     q_out[w, k] = q
                     v_out[w, k] = v
-                if wp.static(tangent):
-                    for d in range(count):
-                        dq_out[row + d, k] = dq[d]
-                else:
-                    sample_step_out[w, k] = steps
-        if wp.static(not tangent):
-            steps_out[w] = steps
+                for d in range(count):
+                    dq_out[row + d, k] = dq[d]
 
     return kernel

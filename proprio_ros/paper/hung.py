@@ -164,7 +164,7 @@ class HungSimulator:
         for row, (chain, by) in enumerate(self._chains):
             mine = np.flatnonzero(world_run == row)
             if len(mine):
-                seen, slopes = chain.jacobian(p[mine] @ by.T, by @ dp[mine])
+                seen, _, slopes = chain.jacobian(p[mine] @ by.T, by @ dp[mine])
                 q[mine, : seen.shape[1]], dq[mine, : seen.shape[1]] = seen[..., 0], slopes[:, :, 0]
         return q, v, dq
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,11 +58,9 @@ def paper_parts(found: Mapping[str, Sequence[Rows]], seeds: int, recording: Rows
 
 def _cost(found: Mapping[str, Sequence[Rows]]) -> list[str]:
     """What all of it took of a processor."""
-    costs = {name: [row.get("cost_s") for row in rows] for name, rows in found.items()}
-    lines = [
-        [name, str(len(each)), over(each), f"{sum(one or 0.0 for one in each):.0f}"] for name, each in costs.items()
-    ]
-    total = sum(one or 0.0 for each in costs.values() for one in each)
+    costs = {name: [row.get("cost_s") or 0.0 for row in rows] for name, rows in found.items()}
+    lines = [[name, str(len(each)), over(each), f"{sum(each):.0f}"] for name, each in costs.items()]
+    total = sum(map(sum, costs.values()))
     if total == 0.0:
         return []
     return [
@@ -97,18 +96,17 @@ def _head(seeds: int, recording: bool) -> list[str]:
 
 def _objects(found: Sequence[Rows]) -> list[str]:
     ways = (("paper", 1, "the paper's, one lift"), ("ours", 1, "ours, one lift"), ("ours", 2, "ours, lift and lower"))
-    lines, totals = [], []
-    for calibrated, state in STATES:
-        for way, runs, words in ways:
-            every = flat(found, way=way, runs=runs, calibrated=calibrated)
-            if not every:
-                continue
-            totals.append((f"{words}, {state}", every))
-            for name in OBJECTS:
-                rows = [row for row in every if row["object"] == name]
-                seconds = over([row["seconds"] for row in rows], 1.0, 2)
-                lines.append([name, f"{1e3 * OBJECTS[name][0]:g}", words, state, *identified(rows, 1e3), seconds])
-    lines.sort(key=lambda line: list(OBJECTS).index(line[0]))
+    totals = [
+        (words, state, rows)
+        for calibrated, state in STATES
+        for way, runs, words in ways
+        if (rows := flat(found, way=way, runs=runs, calibrated=calibrated))
+    ]
+    lines = []
+    for name, (words, state, every) in product(OBJECTS, totals):
+        rows = [row for row in every if row["object"] == name]
+        seconds = over([row["seconds"] for row in rows], 1.0, 2)
+        lines.append([name, f"{1e3 * OBJECTS[name][0]:g}", words, state, *identified(rows, 1e3), seconds])
     header = ["object", "true (g)", "way", "robot", *IN_GRAMS, "time (s)"]
     said = (quoted.MASS_ERRORS, quoted.TIME, quoted.MISSING)
     paper = list(zip(("errors of the four masses", "its time", "identified, by object"), said, strict=True))
@@ -121,22 +119,18 @@ def _objects(found: Sequence[Rows]) -> list[str]:
         table(["the paper says", ""], paper, ()),
         "<h3>With and without calibration, one run against lift and lower</h3>",
     ]
-    over_all = [[words, rms(rows, 1e3), half(rows, 1e3), holds(rows)] for words, rows in totals]
+    over_all, panels = [], []
+    for color, (words, state, rows) in zip((*COLORS, "simulated"), totals, strict=False):
+        name = f"{words}, {state}"
+        over_all.append([name, rms(rows, 1e3), half(rows, 1e3), holds(rows)])
+        dots = [(1e3 * row["truth"], 1e3 * (row["value"] - row["truth"])) for row in rows if row["value"] is not None]
+        if dots:
+            true, off = np.array(dots).T
+            series = Series(name, true, off, color, "dots", listed=False)
+            panels.append(Panel(f"{name}: error (g)", "g", [series], 80.0, rules=[0.0]))
+    drawn = chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way")
     parts.append(linked("all", ["way and robot", "rms error (g)", "interval (g)", "holds"], over_all, (1, 2)))
-    series = []
-    for color, (words, rows) in zip((*COLORS, "simulated"), totals, strict=False):
-        known = [row for row in rows if row["value"] is not None]
-        if not known:
-            continue
-        true = np.array([1e3 * row["truth"] for row in known])
-        off = np.array([1e3 * (row["value"] - row["truth"]) for row in known])
-        series.append(Series(words, true, off, color, "dots", listed=False))
-    panels = [Panel(f"{one.name}: error (g)", "g", [one], 80.0, rules=[0.0]) for one in series]
-    parts.append(
-        framed(chart(panels, Axis("true mass (g)", "g"), "Error of the mass by way"), "A dot is one robot and object.")
-    )
-    parts += _figure_4(found)
-    return parts
+    return [*parts, framed(drawn, "A dot is one robot and object."), *_figure_4(found)]
 
 
 def _figure_4(found: Sequence[Rows]) -> list[str]:
@@ -145,32 +139,46 @@ def _figure_4(found: Sequence[Rows]) -> list[str]:
         trace = next((rows["trace"][kind] for rows in found if kind in rows["trace"]), None)
         if trace is None:
             continue
-        times, masses = np.array(trace["times_s"]), trace["masses_kg"]
-        names = {"wrong": "wrong", "paper": "paper's", "ours": "ours"}
-        series = [
-            Series(f"{names[name]} {1e3 * masses[name]:.1f} g", times, np.array(trace["simulated"][name]), color)
-            for name, color in (("wrong", "apart"), ("paper", "answer"), ("ours", "agreeing"))
+        lines = [
+            (f"{words} {1e3 * trace['masses_kg'][key]:.1f} g", trace["simulated"][key], color)
+            for key, words, color in (
+                ("wrong", "wrong", "apart"),
+                ("paper", "paper's", "answer"),
+                ("ours", "ours", "agreeing"),
+            )
         ]
-        series.append(Series("measured", times, np.array(trace["measured"]), "measured", "dots", listed=False))
         caption = (
             f"The robot {words}; heavy ball, 50 g, the first seed; dots: measured. With a wrong mass and with the one of the "
             "paper's way simulated from rest and with the robot's numbers as they are; ours with what it found beside the mass."
         )
-        parts.append(framed(chart([Panel("elbow (rad)", "rad", series, 190.0)], TIME, f"Lift, robot {words}"), caption))
+        panel = _traced("elbow (rad)", "rad", trace["times_s"], lines, trace["measured"], 190.0, listed=False)
+        parts.append(framed(chart([panel], TIME, f"Lift, robot {words}"), caption))
     return ['<h2 id="figure-4">Figure 4: measured and simulated</h2>', *parts] if parts else []
+
+
+def _traced(
+    title: str,
+    unit: str,
+    times: Any,
+    lines: Sequence[tuple[str, Any, str]],
+    seen: Any,
+    height: float,
+    listed: bool = True,
+) -> Panel:
+    """Simulated lines, and dots where it was measured."""
+    drawn = [Series(name, np.array(times), np.array(values), color) for name, values, color in lines]
+    dots = Series("measured", np.array(times), np.array(seen), "measured", "dots", listed=listed)
+    return Panel(title, unit, [*drawn, dots], height)
 
 
 def _starts(found: Sequence[Rows]) -> list[str]:
     lines = []
     ways = labels(found, "way")
-    for start in STARTS_KG:
-        for calibrated, state in STATES:
-            cells = []
-            for way in ways:
-                rows = [row for row in flat(found, way=way, calibrated=calibrated) if abs(row["start"] - start) < 1e-9]
-                cells.append(over([row["value"] for row in rows], 1e3))
-            if any(cell != "-" for cell in cells):
-                lines.append(["0" if start < 1e-5 else f"{1e3 * start:g}", state, *cells])
+    for start, (calibrated, state) in product(STARTS_KG, STATES):
+        rows = [row for row in flat(found, calibrated=calibrated) if abs(row["start"] - start) < 1e-9]
+        if rows:
+            cells = [over([row["value"] for row in rows if row["way"] == way], 1e3) for way in ways]
+            lines.append(["0" if start < 1e-5 else f"{1e3 * start:g}", state, *cells])
     return [
         '<h2 id="table-2">Table II: first guesses from 0 to 4.772 kg</h2>',
         "<p>Heavy ball, 50 g, one lift. Masses in g at which each search ends.</p>",
@@ -205,11 +213,9 @@ def _published(recording: Rows) -> list[str]:
 
 def _sphere(found: Sequence[Rows]) -> list[str]:
     lines = []
-    for way in labels(found, "way"):
-        for calibrated, state in STATES:
-            rows = flat(found, way=way, calibrated=calibrated)
-            if rows:
-                lines.append([way, state, *identified(rows, 1e3)])
+    for way, (calibrated, state) in product(labels(found, "way"), STATES):
+        if rows := flat(found, way=way, calibrated=calibrated):
+            lines.append([way, state, *identified(rows, 1e3)])
     truth = 1e3 * flat(found)[0]["truth"]
     return [
         '<h2 id="sphere">V-B: the sphere in the box</h2>',
@@ -265,25 +271,21 @@ def _fails(found: Sequence[Rows]) -> str:
         )
     open_spring = flat(found, part="slide", way="on its slide, spring unknown")
     worst = max(1e3 * abs(row["value"] - row["truth"]) for row in open_spring)
-    held = holds(open_spring)
     said.append(
-        f"Where nothing is known of the spring (20 &plusmn; 8 rad/s) the error reaches {worst:.0f} g and {held} intervals hold: a "
-        "soft spring with a heavier ball moves the elbow almost alike. State the joint, and weigh its spring."
+        f"Where nothing is known of the spring (20 &plusmn; 8 rad/s) the error reaches {worst:.0f} g and {holds(open_spring)} "
+        "intervals hold: a soft spring with a heavier ball moves the elbow almost alike. State the joint, and weigh its spring."
     )
     return " ".join(said)
 
 
 def _cubes(found: Sequence[Rows]) -> list[str]:
     quantities = (("youngs_modulus", "Young's modulus (kPa)", 1e-3), ("poissons_ratio", "Poisson's ratio", 1.0))
+    ways = {"paper": "the paper's", "ours": "ours"}
     lines = []
-    for name, (quantity, words, scale), (calibrated, state), way in product(
-        CUBES, quantities, STATES, ("paper", "ours")
-    ):
-        rows = flat(found, object=name, quantity=quantity, calibrated=calibrated, way=way)
-        if rows:
-            called = "the paper's" if way == "paper" else way
+    for name, (quantity, words, scale), (calibrated, state), way in product(CUBES, quantities, STATES, ways):
+        if rows := flat(found, object=name, quantity=quantity, calibrated=calibrated, way=way):
             truth = f"{scale * rows[0]['truth']:.3g}"
-            lines.append([name, words, truth, called, state, *identified(rows, scale, 2)])
+            lines.append([name, words, truth, ways[way], state, *identified(rows, scale, 2)])
     header = ["cube", "of it", "true", "way", "robot", "identified", "rms error", "interval", "holds", "verdict"]
     said = [[name, f"{mu:g}", f"{lam:g}"] for name, (mu, lam) in quoted.LAME.items()]
     return [
@@ -304,16 +306,13 @@ def _figure_5(found: Sequence[Rows]) -> list[str]:
         trace = next((rows["trace"][name] for rows in found if name in rows["trace"]), None)
         if trace is None:
             continue
-        times, moduli = np.array(trace["times_s"]), trace["moduli_Pa"]
-        series = [
-            Series(f"{words} {1e-3 * moduli[key]:.1f} kPa", times, np.array(trace["simulated_mm"][key]), color)
+        lines = [
+            (f"{words} {1e-3 * trace['moduli_Pa'][key]:.1f} kPa", trace["simulated_mm"][key], color)
             for key, words, color in (("wrong", "wrong", "apart"), ("identified", "found", "agreeing"))
         ]
-        series.append(Series("measured", times, np.array(trace["measured_mm"]), "measured", "dots"))
+        panel = _traced("finger (mm)", "mm", trace["times_s"], lines, trace["measured_mm"], 170.0)
         caption = f"The {name}, last of three squeezes, the first seed; Poisson's ratio and the gap as they are."
-        parts.append(
-            framed(chart([Panel("finger (mm)", "mm", series, 170.0)], TIME, f"Squeeze of the {name}"), caption)
-        )
+        parts.append(framed(chart([panel], TIME, f"Squeeze of the {name}"), caption))
     return ['<h2 id="figure-5">Figure 5: the squeeze</h2>', *parts] if parts else []
 
 

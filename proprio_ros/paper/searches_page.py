@@ -26,18 +26,17 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
         timed = np.array([_held(row["seconds"], row["cost"], instants) for row in rows])
         by_step.append(_banded(name, steps, stepped, color))
         by_time.append(_banded(name, instants, timed, color))
-        reached = [next((n + 1 for n, cost in enumerate(row["cost"]) if cost < 1.1), None) for row in rows]
+        good = [1 + int(np.argmax(np.array(row["cost"]) < 1.1)) for row in rows if min(row["cost"]) < 1.1]
         ends = [row["cost"][-1] for row in rows]
-        good = [float(n) for n in reached if n is not None]
-        lines.append(
-            [
-                name,
-                f"{len(good)} of {len(rows)}",
-                over(good, 1.0, 0),
-                ranged(float(np.median(ends)), ends, 1.0, 2),
-                over([row["seconds"][-1] for row in rows], 1e3, 0),
-            ]
-        )
+        end, took = ranged(float(np.median(ends)), ends, 1.0, 2), over([row["seconds"][-1] for row in rows], 1e3, 0)
+        lines.append([name, f"{len(good)} of {len(rows)}", over(good, 1.0, 0), end, took])
+    header = [
+        "search",
+        "within 10 % of the least",
+        "simulations to there",
+        "median cost at the end",
+        "time in all (ms)",
+    ]
     caption = "Median over the seeds, and from the least to the greatest; 1 is the least that any search found."
     return [
         '<h2 id="figure-6">Figure 6: gradients against none</h2>',
@@ -46,18 +45,7 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
         "the least; time is that of a processor.</p>",
         framed(chart(by_step, Axis("simulations", "", log=True), "Cost over simulations"), caption),
         framed(chart(by_time, Axis("time (s)", "s", log=True), "Cost over time"), caption),
-        linked(
-            "figure-6",
-            [
-                "search",
-                "within 10 % of the least",
-                "simulations to there",
-                "median cost at the end",
-                "time in all (ms)",
-            ],
-            lines,
-            (2, 3, 4),
-        ),
+        linked("figure-6", header, lines, (2, 3, 4)),
     ]
 
 
@@ -70,35 +58,36 @@ def _held(x: Any, cost: Sequence[float], grid: np.ndarray) -> np.ndarray:
 
 def _banded(name: str, x: np.ndarray, values: np.ndarray, color: str) -> Panel:
     values = np.minimum(values, 1e9)
+    lines = _between(values, x) if len(values) > 1 else []
     median = Series(name, x, np.median(values, axis=0), color, listed=False)
-    ends = [Series("", x, end, "left-out") for end in (values.min(axis=0), values.max(axis=0))]
-    return Panel(f"{name}: cost over the least", "", [*ends, median] if len(values) > 1 else [median], 80.0, log=True)
+    return Panel(f"{name}: cost over the least", "", [*lines, median], 80.0, log=True)
+
+
+def _between(values: np.ndarray, x: np.ndarray) -> list[Series]:
+    """The least and the greatest of each column."""
+    return [Series("", x, end, "left-out") for end in (values.min(axis=0), values.max(axis=0))]
 
 
 def landscapes(found: Sequence[Rows]) -> list[str]:
     """Figure 7: the cost over what is searched for."""
-    units = {"payload": ("mass (g)", "g", 1e3, False), "sphere": ("mass of the sphere (g)", "g", 1e3, False)}
-    units["squeeze"] = ("Young's modulus (kPa)", "kPa", 1e-3, True)
-    titles = {"payload": "heavy ball", "sphere": "sphere in the box", "squeeze": "heavy cube"}
+    kinds = {
+        "payload": ("heavy ball", "mass (g)", "g", 1e3, False),
+        "sphere": ("sphere in the box", "mass of the sphere (g)", "g", 1e3, False),
+        "squeeze": ("heavy cube", "Young's modulus (kPa)", "kPa", 1e-3, True),
+    }
     parts, lines = [], []
     for row in found[0]["rows"]:
-        words, unit, scale, log = units[row["experiment"]]
+        what, words, unit, scale, log = kinds[row["experiment"]]
         every = flat(found, experiment=row["experiment"])
         least = [[scale * one["x"][int(np.argmin(one[key]))] for one in every] for key in ("last", "all")]
-        lines.append(
-            [f"{titles[row['experiment']]} ({unit})", f"{scale * row['truth']:.3g}", *(over(x) for x in least)]
-        )
-        x = scale * np.array(row["x"])
-        panels = []
+        lines.append([f"{what} ({unit})", f"{scale * row['truth']:.3g}", *(over(x) for x in least)])
+        panels, true = [], [scale * row["truth"]]
         for key, title, color in (("last", "last frame", "answer"), ("all", "all samples, mean", "agreeing")):
-            cost = Series(title, x, np.maximum(1e6 * np.array(row[key]), 1e-3), color, listed=False)
-            panels.append(
-                Panel(f"{title} (mrad\u00b2)", "mrad\u00b2", [cost], 110.0, verticals=[scale * row["truth"]], log=True)
-            )
-        what = titles[row["experiment"]]
-        parts.append(
-            framed(chart(panels, Axis(words, unit, log), f"Cost, {what}"), f"{what}; the red line is the truth.")
-        )
+            squares = np.maximum(1e6 * np.array(row[key]), 1e-3)
+            cost = Series(title, scale * np.array(row["x"]), squares, color, listed=False)
+            panels.append(Panel(f"{title} (mrad\u00b2)", "mrad\u00b2", [cost], 110.0, verticals=true, log=True))
+        drawn = chart(panels, Axis(words, unit, log), f"Cost, {what}")
+        parts.append(framed(drawn, f"{what}; the red line is the truth."))
     return [
         '<h2 id="figure-7">Figure 7: what the cost looks like</h2>',
         "<p>Squared error of the position over what is searched for, calibrated robots: of the last frame, "
@@ -112,33 +101,25 @@ def landscapes(found: Sequence[Rows]) -> list[str]:
 def effects(found: Sequence[Rows]) -> list[str]:
     """What it costs to leave something out."""
     kinds = {
-        "torque": ("torque taken too high by (%)", "%", 100.0, False),
-        "friction": ("friction that the model leaves out (N m)", "N m", 1.0, False),
-        "armature": ("armature taken too high by (%)", "%", 100.0, False),
+        "torque": ("torque taken too high by (%)", "%", 100.0, "1 % of torque", 0.01),
+        "friction": ("friction that the model leaves out (N m)", "N m", 1.0, "0.01 N m of friction", 0.01),
+        "armature": ("armature taken too high by (%)", "%", 100.0, "10 % of armature", 0.1),
     }
     parts, lines = [], []
-    for effect, (words, unit, scale, log) in kinds.items():
+    for effect, (words, unit, scale, amount, per) in kinds.items():
         x, errors = _errors(found, effect)
-        parts.append(
-            framed(chart([_error_panel(scale * x, errors)], Axis(words, unit, log), f"Error of the mass over {effect}"))
-        )
-        per = {
-            "torque": ("1 % of torque", 0.01),
-            "friction": ("0.01 N m of friction", 0.01),
-            "armature": ("10 % of armature", 0.1),
-        }[effect]
-        slopes = [1e3 * per[1] * float(np.polyfit(x, each, 1)[0]) for each in errors]
-        lines.append([per[0], over(slopes, 1.0, 2)])
+        drawn = chart([_error_panel(scale * x, errors)], Axis(words, unit), f"Error of the mass over {effect}")
+        parts.append(framed(drawn))
+        lines.append([amount, over([1e3 * per * float(np.polyfit(x, each, 1)[0]) for each in errors], 1.0, 2)])
     panels = []
     for integrator, words in (("semi_implicit", "semi-implicit Euler"), ("rk4", "RK4")):
         x, errors = _errors(found, integrator)
-        panels.append(_error_panel(x, errors, words))
+        panels.append(_error_panel(x, errors, f"{words}: "))
         for steps in (1, 4, 16, 64):
             at = errors[:, list(x).index(steps)]
             lines.append([f"{words}, {steps} step{'s' * (steps > 1)} per frame", over(at.tolist(), 1e3, 2)])
-    parts.append(
-        framed(chart(panels, Axis("steps per frame of 1/60 s", "", log=True), "Error of the mass over substeps"))
-    )
+    drawn = chart(panels, Axis("steps per frame of 1/60 s", "", log=True), "Error of the mass over substeps")
+    parts.append(framed(drawn))
     return [
         '<h2 id="effects">What the paper leaves out</h2>',
         "<p>A robot of which all is known but one thing, one lift of the heavy ball, all samples fitted. Line: mean over the "
@@ -150,14 +131,11 @@ def effects(found: Sequence[Rows]) -> list[str]:
 
 def _errors(found: Sequence[Rows], effect: str) -> tuple[np.ndarray, np.ndarray]:
     """Amounts (K,) and errors of the mass [kg], shape (seeds, K)."""
-    amounts = list(dict.fromkeys(row["amount"] for row in flat(found, effect=effect)))
-    return np.array(amounts, dtype=np.float64), np.array(
-        [[row["error"] for row in rows["rows"] if row["effect"] == effect] for rows in found]
-    )
+    errors = [[row["error"] for row in rows["rows"] if row["effect"] == effect] for rows in found]
+    return np.array([row["amount"] for row in found[0]["rows"] if row["effect"] == effect], float), np.array(errors)
 
 
 def _error_panel(x: np.ndarray, errors: np.ndarray, words: str = "") -> Panel:
     errors = 1e3 * errors
-    ends = [Series("", x, end, "left-out") for end in (errors.min(axis=0), errors.max(axis=0))]
     mean = Series("mean", x, errors.mean(axis=0), "answer", listed=False)
-    return Panel(f"{words + ': ' if words else ''}error of the mass (g)", "g", [*ends, mean], 130.0, rules=[0.0])
+    return Panel(f"{words}error of the mass (g)", "g", [*_between(errors, x), mean], 130.0, rules=[0.0])

@@ -31,7 +31,7 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import eigsh
 
 from proprio_ros.errors import SimulationError
-from proprio_ros.paper.softbody_kernels import MAT33, SOFT_PARAMETERS, carry, frame_kernel
+from proprio_ros.paper.softbody_kernels import MAT33, SOFT_PARAMETERS, frame_kernel
 from proprio_ros.sim.energies import check_law, check_material
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.mesh import TetMesh
@@ -42,6 +42,7 @@ SOFT_INDEX = {name: row for row, name in enumerate(SOFT_PARAMETERS)}
 KEEP = ("states", "starts")
 SEGMENT_BYTES = 2**20
 """States of a segment: as many whole frames as fit, at least one. A launch costs 50 us, and what fits into the cache is faster."""
+_STATES = 4
 MARGIN = 0.8
 """Of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency."""
 
@@ -76,30 +77,17 @@ class SoftRun:
         return np.asarray(self.input_current_A, dtype=np.float64)[last]
 
 
-class _Rows:
-    """States of some steps (or their adjoints) and what the kernel needs beside them."""
+def _zeros(worlds: int, steps: int, nodes: int, cells: int) -> list[wp.array]:
+    """States of some steps (or their adjoints): q, w, x, v; and what the kernel sums up in every step."""
+    shapes = [((steps + 1,), FLOAT)] * 2 + [((steps + 1, nodes), VEC3)] * 2
+    shapes += [((steps, cells), FLOAT), ((steps, nodes), VEC3), ((steps,), FLOAT)]
+    return [wp.zeros((worlds, *shape), dtype=kind, device="cpu") for shape, kind in shapes]
 
-    def __init__(self, worlds: int, steps: int, nodes: int, cells: int, device: str) -> None:
-        def zeros(shape: tuple[int, ...], kind: Any = FLOAT) -> wp.array:
-            return wp.zeros(shape, dtype=kind, device=device)
 
-        self.states = [
-            zeros((worlds, steps + 1)),
-            zeros((worlds, steps + 1)),
-            zeros((worlds, steps + 1, nodes), VEC3),
-            zeros((worlds, steps + 1, nodes), VEC3),
-        ]
-        self.sums = [zeros((worlds, steps, cells)), zeros((worlds, steps, nodes), VEC3), zeros((worlds, steps))]
-
-    @staticmethod
-    def bytes_of(worlds: int, steps: int, nodes: int, cells: int) -> int:
-        """About how much memory so many rows take [B]."""
-        return 8 * worlds * steps * (3 + 9 * nodes + cells)
-
-    @property
-    def bytes(self) -> int:
-        """Of memory [B]."""
-        return sum(int(array.capacity) for array in (*self.states, *self.sums))
+def _carry(source: list[wp.array], row: int, target: list[wp.array], to: int) -> None:
+    """Copy one row of the states to another."""
+    for before, after in zip(source[:_STATES], target, strict=False):
+        after.numpy()[:, to] = before.numpy()[:, row]
 
 
 class SoftBody:
@@ -112,7 +100,6 @@ class SoftBody:
         law: One of ``energies.LAWS``.
         contact: One of ``quasistatic.CONTACTS``.
         friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
-        device: Warp device name.
 
     Raises:
         SimulationError: Unknown law or contact, no mass or no travel.
@@ -126,7 +113,6 @@ class SoftBody:
         law: str = "log",
         contact: str = "bonded",
         friction_velocity: float = 1e-3,
-        device: str = "cpu",
     ) -> None:
         if contact not in CONTACTS:
             raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
@@ -137,7 +123,6 @@ class SoftBody:
         self.mesh = mesh
         self.law = check_law(law)
         self.contact = contact
-        self.device = device
         self.elastic = Elastic(mesh, law)
         self.travel = travel
         self._smooth = friction_velocity
@@ -151,19 +136,12 @@ class SoftBody:
         inverses = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
         shares = mesh.volumes / np.bincount(mesh.cells, mesh.volumes)[mesh.cells]
 
-        def array(values: np.ndarray, kind: Any = FLOAT) -> wp.array:
-            return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
-
+        grams = inverses @ np.swapaxes(inverses, 1, 2)
+        block = mesh.tets, mesh.cells, shares, mesh.volumes, inverses, grams, self.masses, self._sides, self._ends
+        kinds = wp.int32, wp.int32, FLOAT, FLOAT, MAT33, MAT33, FLOAT, FLOAT, wp.int32
         self._block = [
-            array(mesh.tets.astype(np.int32), wp.int32),
-            array(mesh.cells.astype(np.int32), wp.int32),
-            array(shares),
-            array(mesh.volumes),
-            array(inverses, MAT33),
-            array(inverses @ np.swapaxes(inverses, 1, 2), MAT33),
-            array(self.masses),
-            array(self._sides),
-            array(self._ends.astype(np.int32), wp.int32),
+            wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu")
+            for values, kind in zip(block, kinds, strict=True)
         ]
 
     @cached_property
@@ -199,11 +177,7 @@ class SoftBody:
         return float((np.sqrt(damping**2 + 4.0 * omega2) - damping) / omega2)
 
     def rollout(
-        self,
-        run: SoftRun,
-        p: np.ndarray,
-        keep: str = "states",
-        start: tuple[np.ndarray, np.ndarray] | None = None,
+        self, run: SoftRun, p: np.ndarray, keep: str = "states", start: tuple[np.ndarray, np.ndarray] | None = None
     ) -> "SoftRollout":
         """Integrate the run for some guesses.
 
@@ -247,6 +221,10 @@ class SoftBody:
         return x, v
 
 
+def _doubles(values: Any) -> wp.array:
+    return wp.array(np.asarray(values), dtype=FLOAT, device="cpu")
+
+
 def _largest(matrix: Any, masses: np.ndarray, moves: Any) -> float:
     """Largest eigenvalue of a symmetric matrix over masses, of the coordinates that move."""
     root = diags(1.0 / np.sqrt(masses[moves]))
@@ -265,96 +243,61 @@ class SoftRollout:
     """
 
     def __init__(
-        self,
-        owner: SoftBody,
-        run: SoftRun,
-        p: np.ndarray,
-        keep: str,
-        start: tuple[np.ndarray, np.ndarray] | None,
+        self, owner: SoftBody, run: SoftRun, p: np.ndarray, keep: str, start: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
-        self._owner = owner
-        self._run = run
-        self._keep = keep
-        self._given = p
-        self._p = wp.array(p, dtype=FLOAT, device=owner.device)
+        self._owner, self._run, self._keep, self._given = owner, run, keep, p
+        self._p = _doubles(p)
         faces_mass = float(owner.masses[owner._ends].sum())
-        constants = [0.5 * owner.mesh.length, owner.travel, owner._smooth, faces_mass, run.step_s]
-        self._constants = wp.array(np.array(constants), dtype=FLOAT, device=owner.device)
+        self._constants = _doubles([0.5 * owner.mesh.length, owner.travel, owner._smooth, faces_mass, run.step_s])
         self._kernel = frame_kernel(owner.law, owner.contact == "bonded")
-        per_frame = _Rows.bytes_of(len(p), run.substeps, len(owner.mesh.points), owner.mesh.cell_count)
+        per_frame = 8 * len(p) * run.substeps * (3 + 9 * len(owner.mesh.points) + owner.mesh.cell_count)
         whole = max(1, min(run.frames, SEGMENT_BYTES // per_frame))
         self._first = list(range(0, run.frames, whole))  # frame of each segment
         currents = run.currents()
-        self._currents = [
-            wp.array(currents[k * run.substeps : (k + whole) * run.substeps], dtype=FLOAT, device=owner.device)
-            for k in self._first
-        ]
-        self._segments: list[_Rows] = []
-        self._work: dict[int, _Rows] = {}
-        self._pressed_at_start = owner.travel * p[:, SOFT_INDEX["q0"]] > p[:, SOFT_INDEX["gap"]]
-        rows = self._new_segment(0)
-        x, v = owner._start(p, start)
-        for array, value in zip(rows.states, (p[:, SOFT_INDEX["q0"]], p[:, SOFT_INDEX["v0"]], x, v), strict=True):
-            both = array.numpy()
-            both[:, 0] = value
-            array.assign(both)
+        self._currents = [_doubles(currents[k * run.substeps : (k + whole) * run.substeps]) for k in self._first]
+        q0, v0, gap = (p[:, SOFT_INDEX[name]] for name in ("q0", "v0", "gap"))
+        self._pressed_at_start = owner.travel * q0 > gap
+        self._segments: list[list[wp.array]] = []
         self.q, self.v = np.zeros((2, len(p), run.frames))
+        done: list[wp.array] = []
         for segment, frame in enumerate(self._first):
+            rows = self._rows(0 if keep == "starts" else self._steps(segment))
+            if segment:
+                _carry(done, self._steps(segment - 1), rows, 0)
+            else:
+                for array, value in zip(rows, (q0, v0, *owner._start(p, start)), strict=False):
+                    array.numpy()[:, 0] = value
             self._segments.append(rows)
             done = self._integrate(segment)
             ends = slice(frame, frame + whole)
-            self.q[:, ends] = done.states[0].numpy()[:, run.substeps :: run.substeps]
-            self.v[:, ends] = done.states[1].numpy()[:, run.substeps :: run.substeps]
-            if segment + 1 < len(self._first):
-                rows = self._new_segment(segment + 1)
-                self._copy(done.states, self._steps(segment), rows.states, 0)
-        self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done.states[2:])
+            self.q[:, ends], self.v[:, ends] = (state.numpy()[:, run.substeps :: run.substeps] for state in done[:2])
+        self.points, self.velocities = (array.numpy()[:, -1].copy() for array in done[2:_STATES])
         if not (np.isfinite(self.q).all() and np.isfinite(self.points).all()):
             raise SimulationError(
                 "the rollout diverged: a squeezed block is stiffer than at rest; take more substeps, or less current"
             )
-
-    @property
-    def bytes(self) -> int:
-        """Memory of all states that are kept [B]."""
-        return sum(rows.bytes for rows in (*self._segments, *self._work.values()))
+        #: Memory of all states that are kept, and of those of one segment [B].
+        kept = [*self._segments, *([done] if keep == "starts" else [])]
+        self.bytes = sum(int(array.capacity) for rows in kept for array in rows)
 
     def _steps(self, segment: int) -> int:
         return int(self._currents[segment].shape[0])
 
-    def _new_segment(self, segment: int) -> _Rows:
-        return self._rows(0 if self._keep == "starts" else self._steps(segment))
-
-    def _rows(self, steps: int) -> _Rows:
+    def _rows(self, steps: int) -> list[wp.array]:
         mesh = self._owner.mesh
-        return _Rows(len(self._given), steps, len(mesh.points), mesh.cell_count, self._owner.device)
+        return _zeros(len(self._given), steps, len(mesh.points), mesh.cell_count)
 
-    def _copy(self, source: list[wp.array], row_in: int, target: list[wp.array], row_out: int) -> None:
-        dim = (len(self._given), len(self._owner.mesh.points))
-        wp.launch(carry, dim=dim, inputs=[row_in, row_out, *source], outputs=target, device=self._owner.device)
+    def _launch(self, segment: int, rows: list[wp.array], **adjoint: Any) -> None:
+        inputs = [*self._owner._block, self._constants, self._currents[segment], self._p]
+        wp.launch(self._kernel, dim=len(self._given), inputs=inputs, outputs=rows, device="cpu", **adjoint)
 
-    def _inputs(self, segment: int) -> list[wp.array]:
-        return [*self._owner._block, self._constants, self._currents[segment], self._p]
-
-    def _integrate(self, segment: int) -> _Rows:
+    def _integrate(self, segment: int) -> list[wp.array]:
         """Every step of a segment, from the start that is kept."""
         rows = self._segments[segment]
         if self._keep == "starts":
-            steps = self._steps(segment)
-            work = self._work.get(steps)  # two lengths at most: the last segment may be shorter
-            if work is None:
-                work = self._work[steps] = self._rows(steps)
-            self._copy(rows.states, 0, work.states, 0)
-            rows = work
-            for array in rows.sums:
-                array.zero_()
-        wp.launch(
-            self._kernel,
-            dim=len(self._given),
-            inputs=self._inputs(segment),
-            outputs=[*rows.states, *rows.sums],
-            device=self._owner.device,
-        )
+            start, rows = rows, self._rows(self._steps(segment))
+            _carry(start, 0, rows, 0)
+        self._launch(segment, rows)
         return rows
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
@@ -368,34 +311,18 @@ class SoftRollout:
         """
         run, owner = self._run, self._owner
         later, by_p = self._rows(0), wp.zeros_like(self._p)
-        adjoint: dict[int, _Rows] = {}
+        given = [None] * (len(owner._block) + 2)
         for segment, frame in reversed(list(enumerate(self._first))):
             rows = self._segments[segment] if self._keep == "states" else self._integrate(segment)
             steps = self._steps(segment)
-            mine = adjoint.get(steps)
-            if mine is None:
-                mine = adjoint[steps] = self._rows(steps)
-            else:
-                for array in (*mine.states, *mine.sums):
-                    array.zero_()
-            self._copy(later.states, 0, mine.states, steps)
-            by_q = mine.states[0].numpy()
-            by_q[:, run.substeps :: run.substeps] += weights[:, frame : frame + steps // run.substeps]
-            mine.states[0].assign(by_q)
-            inputs = self._inputs(segment)
-            wp.launch(
-                self._kernel,
-                dim=len(self._given),
-                inputs=inputs,
-                outputs=[*rows.states, *rows.sums],
-                adj_inputs=[*(None for _ in inputs[:-1]), by_p],
-                adj_outputs=[*mine.states, *mine.sums],
-                adjoint=True,
-                device=owner.device,
-            )
-            self._copy(mine.states, 0, later.states, 0)
+            mine = self._rows(steps)
+            _carry(later, 0, mine, steps)
+            at_ends = weights[:, frame : frame + steps // run.substeps]
+            mine[0].numpy()[:, run.substeps :: run.substeps] += at_ends
+            self._launch(segment, rows, adj_inputs=[*given, by_p], adj_outputs=mine, adjoint=True)
+            _carry(mine, 0, later, 0)
         gradient = by_p.numpy().copy()
-        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in later.states)
+        by_q, by_u, by_x, by_v = (array.numpy()[:, 0] for array in later[:_STATES])
         # the start: q0 and v0, and the faces' nodes that the fingers hold there
         side, ends, half = owner._sides[owner._ends], owner._ends, 0.5 * self._pressed_at_start
         along = -half * (by_x[:, ends, 0] @ side)

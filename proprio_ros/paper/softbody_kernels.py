@@ -9,18 +9,8 @@ from proprio_ros.sim.energies import LEAST_J
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.runtime import FLOAT
 
-SOFT_PARAMETERS = (
-    "inertia",
-    "torque_constant",
-    "coulomb",
-    "viscous",
-    "q0",
-    "v0",
-    "gap",
-    "lame_mu",
-    "lame_lambda",
-    "viscosity",
-)
+_OF_GRIPPER = ("inertia", "torque_constant", "coulomb", "viscous", "q0", "v0", "gap")
+SOFT_PARAMETERS = (*_OF_GRIPPER, "lame_mu", "lame_lambda", "viscosity")
 """Rows of a parameter vector, SI: kg m^2, N m/A, N m, N m s/rad, rad, rad/s, m, Pa, Pa, Pa s (kg, N, m for a slide)."""
 INERTIA, TORQUE_CONSTANT, COULOMB, VISCOUS, Q0, V0, GAP, LAME_MU, LAME_LAMBDA, VISCOSITY = range(len(SOFT_PARAMETERS))
 MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
@@ -201,25 +191,3 @@ def frame_kernel(law: str, bonded: bool) -> Any:
                     x[w, n + 1, i] = moved
 
     return frame
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def carry(
-    row_in: wp.int32,
-    row_out: wp.int32,
-    q_in: wp.array2d(dtype=FLOAT),
-    u_in: wp.array2d(dtype=FLOAT),
-    x_in: wp.array3d(dtype=VEC3),
-    v_in: wp.array3d(dtype=VEC3),
-    q_out: wp.array2d(dtype=FLOAT),
-    u_out: wp.array2d(dtype=FLOAT),
-    x_out: wp.array3d(dtype=VEC3),
-    v_out: wp.array3d(dtype=VEC3),
-):
-    """Copy one row of the states to another."""
-    w, i = wp.tid()
-    x_out[w, row_out, i] = x_in[w, row_in, i]
-    v_out[w, row_out, i] = v_in[w, row_in, i]
-    if i == 0:
-        q_out[w, row_out] = q_in[w, row_in]
-        u_out[w, row_out] = u_in[w, row_in]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
-from support.chain_adjoint import bias, mass_matrix
+from support.chain_adjoint import bias, mass_matrix, pack, rollout
 
 from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint
 from proprio_ros.robot import ReducedModel, pseudo_inertia
@@ -84,7 +84,7 @@ def test_pendulum_with_large_swing(amplitude: float) -> None:
     period = 4.0 * ellipk(k**2) / omega
     times = np.array([0.13, 0.25, 0.5, 0.77, 1.0]) * period
     sim = free(hanging(1), times, step_s=1e-3)
-    q, v = sim.rollout(sim.pack(q0=amplitude))
+    q, v = rollout(sim, pack(sim, q0=amplitude))
     _, cn, dn, _ = ellipj(omega * times, k**2)
     np.testing.assert_allclose(q[0, :, 0], 2.0 * np.arcsin(k * cn / dn), atol=1e-8)
     np.testing.assert_allclose(q[0, [2, 4], 0], [-amplitude, amplitude], atol=1e-8)
@@ -97,7 +97,7 @@ def test_double_pendulum_against_its_lagrangian() -> None:
     times = np.linspace(0.05, 2.0, 40)
     start = [1.2, -0.7, 0.5, -2.0]
     sim = free(hanging(2), times, step_s=5e-4)
-    q, v = sim.rollout(sim.pack(q0=start[:2], v0=start[2:]))
+    q, v = rollout(sim, pack(sim, q0=start[:2], v0=start[2:]))
     exact = solve_ivp(lagrangian, (0.0, 2.0), start, t_eval=times, method="DOP853", rtol=1e-12, atol=1e-13).y
     np.testing.assert_allclose(q[0], exact[:2].T, atol=1e-8)
     np.testing.assert_allclose(v[0], exact[2:].T, atol=1e-7)
@@ -110,7 +110,7 @@ def test_energy_of_the_double_pendulum() -> None:
     drift = []
     for step in (1e-3, 2.5e-4):
         sim = free(hanging(2), times, step_s=step)
-        q, v = (values[0] for values in sim.rollout(sim.pack(q0=(2.0, 0.5))))
+        q, v = (values[0] for values in rollout(sim, pack(sim, q0=(2.0, 0.5))))
         kinetic = 0.5 * np.einsum("ti,tij,tj->t", v, mass_matrix(sim.model, q), v)
         elbow = -LENGTHS[0] * np.cos(q[:, 0])
         potential = G * (
@@ -137,7 +137,7 @@ def test_constant_force_on_a_slide_gives_a_parabola() -> None:
     reduced = model(("prismatic",), [(0.0, 0.0, 1.0)], [(0.3, 0.1, 0.0)], [body])
     times = np.array([0.005, 0.01, 0.013, 0.2, 0.31, 0.8])
     sim = ChainSimulator(reduced, times, [0.0], [[3.0]], friction_velocity=1.0, step_s=0.05)
-    q, v = sim.rollout(sim.pack(torque_constant=2.0, delay=0.01, q0=0.2, v0=0.4, armature=0.1))
+    q, v = rollout(sim, pack(sim, torque_constant=2.0, delay=0.01, q0=0.2, v0=0.4, armature=0.1))
     since = times - 0.01
     a = (6.0 - 0.5 * G) / 0.6
     np.testing.assert_allclose(q[0, :, 0], 0.2 + 0.4 * since + 0.5 * a * np.maximum(since, 0.0) ** 2, atol=1e-14)
@@ -154,7 +154,7 @@ def test_changes_of_the_input_are_met_exactly() -> None:
         f / 2.0 * np.clip(times - on, 0.0, off - on)
         for f, on, off in zip(force, switches, [*switches[1:], 9.0], strict=True)
     )
-    np.testing.assert_allclose(sim.rollout(sim.pack(torque_constant=1.0))[1][0, :, 0], v, atol=1e-14)
+    np.testing.assert_allclose(rollout(sim, pack(sim, torque_constant=1.0))[1][0, :, 0], v, atol=1e-14)
 
 
 def test_velocity_decays_under_viscous_friction() -> None:
@@ -162,7 +162,7 @@ def test_velocity_decays_under_viscous_friction() -> None:
     reduced = model(("prismatic",), [(1.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)], [pseudo_inertia(2.0, np.zeros(3), np.eye(3))])
     times = np.linspace(0.1, 1.0, 5)
     sim = free(reduced, times, step_s=0.005)
-    v = sim.rollout(sim.pack(viscous=3.0, v0=1.5))[1]
+    v = rollout(sim, pack(sim, viscous=3.0, v0=1.5))[1]
     np.testing.assert_allclose(v[0, :, 0], 1.5 * np.exp(-1.5 * times), rtol=1e-10)
 
 
@@ -179,7 +179,7 @@ def test_payload_on_a_spring_slide() -> None:
     )
     times = np.linspace(0.02, 1.0, 50)
     sim = free(hung, times, step_s=1e-3)
-    q, _ = sim.rollout(sim.pack(stiffness=(0.0, k), q0=(0.0, stretch)))
+    q, _ = rollout(sim, pack(sim, stiffness=(0.0, k), q0=(0.0, stretch)))
     y = stretch * np.cos(np.sqrt(k * (1.0 / cart + 1.0 / payload)) * times)
     np.testing.assert_allclose(q[0, :, 1], y, atol=1e-9)
     np.testing.assert_allclose(q[0, :, 0], payload * (stretch - y) / (cart + payload), atol=1e-9)
@@ -198,7 +198,7 @@ def test_payload_on_a_universal_joint_circles_as_a_conical_pendulum() -> None:
     times = np.linspace(0.02, 2.0, 50)
     sim = free(hung, times, step_s=5e-4)
     # hinges about x, then y: the point is at l (-sin b, sin a cos b, -cos a cos b); it starts at b = -c, moving along y
-    q, _ = sim.rollout(sim.pack(armature=(1e12, 0.0, 0.0), q0=(0.0, 0.0, -cone), v0=(0.0, rate * np.tan(cone), 0.0)))
+    q, _ = rollout(sim, pack(sim, armature=(1e12, 0.0, 0.0), q0=(0.0, 0.0, -cone), v0=(0.0, rate * np.tan(cone), 0.0)))
     a, b = q[0, :, 1], q[0, :, 2]
     place = length * np.stack([-np.sin(b), np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b)], axis=1)
     circle = np.stack([np.sin(cone) * np.cos(rate * times), np.sin(cone) * np.sin(rate * times)], axis=1)
@@ -211,7 +211,7 @@ def test_semi_implicit_euler_is_the_papers_equation() -> None:
     reduced, h = hanging(2), 1.0 / 60.0 / 4.0
     count = 40
     sim = free(reduced, h * np.arange(1, count + 1), integrator="semi_implicit", step_s=h)
-    q, v = sim.rollout(sim.pack(q0=(1.0, -0.5), v0=(0.3, 0.2)))
+    q, v = rollout(sim, pack(sim, q0=(1.0, -0.5), v0=(0.3, 0.2)))
     state, rate = np.array([1.0, -0.5]), np.array([0.3, 0.2])
     for step in range(count):
         rate = rate + h * lagrangian(0.0, np.concatenate([state, rate]))[2:]
@@ -229,6 +229,6 @@ def test_order_of_convergence(integrator: str, order: int) -> None:
     errors = []
     for step in (1 / 200, 1 / 400, 1 / 800):
         sim = free(hanging(2), times, integrator=integrator, step_s=step)
-        errors.append(np.abs(sim.rollout(sim.pack(q0=start[:2], v0=start[2:]))[0][0, 0] - exact).max())
+        errors.append(np.abs(rollout(sim, pack(sim, q0=start[:2], v0=start[2:]))[0][0, 0] - exact).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(observed, order, atol=0.15)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.chain_adjoint import tape_gradient
+from support.chain_adjoint import pack, rollout, tape_gradient
 
 from proprio_ros.paper.chain import ChainSimulator, inertial_parameters
 from proprio_ros.robot import ReducedModel, pseudo_inertia, rotation_from_rpy
@@ -90,7 +90,7 @@ def points(sim: ChainSimulator) -> np.ndarray:
     groups["v0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
     groups["delay"] = np.array([0.004, -0.003, 0.0005])
     groups["pi"] = inertial_parameters(sim.model.pseudo_inertia) * rng.uniform(0.9, 1.1, (POINTS, n, 1))
-    return sim.pack(**groups)
+    return pack(sim, **groups)
 
 
 def every(p: np.ndarray) -> np.ndarray:
@@ -112,16 +112,16 @@ def test_sensitivities_against_central_differences(tree: str, integrator: str) -
     """Five-point differences, steps move q by 3e-7: longer ones meet kinks of the supply limit and other step lengths."""
     sim = simulator(tree, integrator)
     p = points(sim)
-    q, exact = sim.jacobian(p, every(p))
+    q, _, exact = sim.jacobian(p, every(p))
     np.testing.assert_allclose(
-        q, sim.rollout(p)[0], rtol=1e-12, atol=1e-14
+        q, rollout(sim, p)[0], rtol=1e-12, atol=1e-14
     )  # two kernels: not every processor rounds them alike
     largest = np.abs(exact).max(axis=(1, 2))
     for column, name in enumerate(sim.parameter_names):
         step = 3e-7 / np.maximum(largest[:, column], 3e-5 / scale_of(name))
         moved = np.concatenate([p] * 4)
         moved[:, column] += np.outer([-2.0, -1.0, 1.0, 2.0], step).ravel()
-        far_below, below, above, far_above = np.split(sim.rollout(moved)[0], 4)
+        far_below, below, above, far_above = np.split(rollout(sim, moved)[0], 4)
         difference = (8.0 * (above - below) - (far_above - far_below)) / (12.0 * step[:, None, None])
         error = np.abs(difference - exact[..., column]).max(axis=(1, 2))
         assert np.all(error <= 1e-6 * largest[:, column] + 1e-15 / step), (name, error / largest[:, column])
@@ -131,7 +131,7 @@ def test_sensitivities_against_central_differences(tree: str, integrator: str) -
 def test_tape_against_sensitivities(tree: str, integrator: str) -> None:
     sim = simulator(tree, integrator)
     p = points(sim)
-    q, exact = sim.jacobian(p, every(p))
+    q, _, exact = sim.jacobian(p, every(p))
     weights = np.random.default_rng(1).normal(size=q.shape)
     terms = weights[..., None] * exact
     # the mass of a body whose joint's axis it cannot turn about or slide along adds nothing but rounding
@@ -148,7 +148,7 @@ def test_every_parameter_matters() -> None:
     """Zero equals zero proves nothing."""
     sim = simulator("3", "rk4")
     p = points(sim)
-    largest = np.abs(sim.jacobian(p, every(p))[1]).max(axis=(0, 1, 2))
+    largest = np.abs(sim.jacobian(p, every(p))[2]).max(axis=(0, 1, 2))
     silent = {name for name, size in zip(sim.parameter_names, largest, strict=True) if size < 1e-9}
     # the first body turns about an axis through its frame's origin, so its mass as such does nothing
     assert silent == {"pi[joint_0][0]"}
@@ -160,9 +160,9 @@ def test_directions_in_blocks_equal_one_at_a_time() -> None:
     p = points(sim)
     directions = np.random.default_rng(1).normal(size=(*p.shape, 19))
     directions[:, sim.columns["pi"], ::2] = 0.0  # the inertia of no body, which takes a shorter way
-    q, together = sim.jacobian(p, directions)
+    q, _, together = sim.jacobian(p, directions)
     for column in range(19):
-        alone_q, alone = sim.jacobian(p, directions[..., column : column + 1])
+        alone_q, _, alone = sim.jacobian(p, directions[..., column : column + 1])
         np.testing.assert_allclose(alone_q, q, rtol=1e-12, atol=1e-14)
         np.testing.assert_allclose(together[..., column], alone[..., 0], rtol=1e-12, atol=1e-12 * np.abs(alone).max())
 
@@ -170,11 +170,11 @@ def test_directions_in_blocks_equal_one_at_a_time() -> None:
 def test_worlds_do_not_touch_each_other() -> None:
     sim = simulator("2", "rk4")
     p = points(sim)
-    weights = np.random.default_rng(1).normal(size=sim.rollout(p)[0].shape)
+    weights = np.random.default_rng(1).normal(size=rollout(sim, p)[0].shape)
     gradient = tape_gradient(sim, p, weights)
     for world in range(POINTS):
         alone = slice(world, world + 1)
-        np.testing.assert_array_equal(sim.jacobian(p[alone], every(p)[alone])[1], sim.jacobian(p, every(p))[1][alone])
+        np.testing.assert_array_equal(sim.jacobian(p[alone], every(p)[alone])[2], sim.jacobian(p, every(p))[2][alone])
         np.testing.assert_array_equal(tape_gradient(sim, p[alone], weights[alone]), gradient[alone])
 
 
@@ -193,9 +193,9 @@ def test_payload_mass_is_a_direction_in_pi() -> None:
     sides = [(with_payload(0.05 + step, 0.08), with_payload(0.05 - step, 0.08))]
     sides += [(with_payload(0.05, 0.08 + step), with_payload(0.05, 0.08 - step))]
     directions = np.stack([(above - below) / (2.0 * step) for above, below in sides], axis=-1)
-    exact = sim.jacobian(with_payload(0.05, 0.08), directions)[1]
+    exact = sim.jacobian(with_payload(0.05, 0.08), directions)[2]
     for column, (above, below) in enumerate(sides):
-        difference = (sim.rollout(above)[0] - sim.rollout(below)[0]) / (2.0 * step)
+        difference = (rollout(sim, above)[0] - rollout(sim, below)[0]) / (2.0 * step)
         scale = np.abs(exact[..., column]).max()
         assert scale > 1e-3
         np.testing.assert_allclose(difference, exact[..., column], atol=1e-6 * scale)
@@ -220,11 +220,11 @@ def test_delay_of_a_sample_on_a_change_of_the_input() -> None:
     p[:, delay] = 0.0
     direction = np.zeros((1, p.shape[1], 1))
     direction[:, delay] = 1.0
-    q, exact = sim.jacobian(p, direction)
+    q, _, exact = sim.jacobian(p, direction)
     step = 1e-6
     moved = np.repeat(p, 2, axis=0)
     moved[:, delay] = np.array([[step], [2.0 * step]])
-    once, twice = sim.rollout(moved)[0]
+    once, twice = rollout(sim, moved)[0]
     difference = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
     np.testing.assert_allclose(difference, exact[0, ..., 0], atol=1e-6 * np.abs(exact).max())
     weights = np.random.default_rng(2).normal(size=q.shape)
