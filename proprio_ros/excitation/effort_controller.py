@@ -15,14 +15,11 @@ from proprio_ros.excitation.hold import LONGEST_WAIT_S, SLOWEST_HZ, Hold, HoldGa
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.robot import Robot
 
-UNITS = ("N.m", "A")
-"""What the drive takes an effort for: torque (N of a slide), or the motor's current."""
+UNITS = ("N.m", "A")  # what the drive takes an effort for: torque (N of a slide), or the motor's current
 
 
-DRIFT = 1e-4
-"""Two clocks may run apart by so much."""
-CLOCK_SET_S = 0.5
-"""A clock that is off by more has been set."""
+DRIFT = 1e-4  # two clocks may run apart by so much
+CLOCK_SET_S = 0.5  # a clock that is off by more has been set
 
 
 class StampClock:

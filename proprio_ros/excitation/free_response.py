@@ -11,10 +11,8 @@ import numpy as np
 from proprio_ros.errors import ExcitationError
 from proprio_ros.robot import Robot
 
-LEAST_MOMENT_N_M = 1e-3
-"""Gravity that pulls less moves no joint."""
-STEP_RAD = 0.02
-"""Between two places of the way that are looked at."""
+LEAST_MOMENT_N_M = 1e-3  # gravity that pulls less moves no joint
+STEP_RAD = 0.02  # between two places of the way that are looked at
 
 
 @dataclass(frozen=True)

@@ -22,17 +22,13 @@ from proprio_ros.robot.drives import PositionServo
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
 
-SUM_S = 0.4
-"""Time in which the slow sum gives as much as is missing."""
+SUM_S = 0.4  # time in which the slow sum gives as much as is missing
 SLACK_RAD = 0.02
 """Nothing is summed up so near to where a joint should be: friction would have it hunt, and it must be still before a push."""
 LARGEST_SUM_RAD = 0.5
-REST_S = 0.1
-"""Goals that have rested for so long are those of a joint that should stand."""
-STILL_RAD_S = 0.1
-"""Nothing is summed up beyond this speed: the joint is on its way."""
-GAP_S = 0.1
-"""After a longer pause nothing is summed up over it."""
+REST_S = 0.1  # goals that have rested for so long are those of a joint that should stand
+STILL_RAD_S = 0.1  # nothing is summed up beyond this speed: the joint is on its way
+GAP_S = 0.1  # after a longer pause nothing is summed up over it
 
 
 class GoalController(Controller):

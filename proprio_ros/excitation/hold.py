@@ -15,37 +15,28 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
 
-FILTER_S = 0.01
-"""Time constant of velocities, which are differences of coarse positions."""
+FILTER_S = 0.01  # time constant of velocities, which are differences of coarse positions
 PERIODS_PER_RAD = 0.1
 """Frequency x period of the joint states at most: more swings, with a sample of delay and another in the filter."""
-SLOWEST_HZ = 80.0
-"""Joint states that come less often cannot hold an arm."""
-FARTHEST_RAD = 0.15
-"""The spring pulls no more than from here: an arm that was moved by hand comes back slowly."""
+SLOWEST_HZ = 80.0  # joint states that come less often cannot hold an arm
+FARTHEST_RAD = 0.15  # the spring pulls no more than from here: an arm that was moved by hand comes back slowly
 CORRECTING_SHARE = 0.85
 """Of what may be commanded, spring and damper use no more: a pause in mid-braking leaves it on, and throws the joint
 back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push, with this for 0.28."""
 LOST_RAD = 0.5
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
-SLACK_RAD = 0.004
-"""The sum rests so near to the goal: friction would have it hunt."""
+SLACK_RAD = 0.004  # the sum rests so near to the goal: friction would have it hunt
 DEAD_RAD = 0.0015
 """Off by so little is not off: an encoder's noise would shake a joint that stands, and what shakes creeps in spite of friction."""
-DEAD_RAD_S = 0.12
-"""Likewise of speeds."""
+DEAD_RAD_S = 0.12  # likewise of speeds
 SETTLING_S = 0.6
 """The sum takes up loads for so long after its goals have come to rest, and then stands: a joint must be still before a push."""
-LEANING_S = 0.05
-"""What a spring gives in the mean over this time, where a joint stands, belongs to what holds it."""
-ASTRAY_RAD = 0.03
-"""Unless a joint is so far off: something else hangs at it."""
+LEANING_S = 0.05  # what a spring gives in the mean over this time, where a joint stands, belongs to what holds it
+ASTRAY_RAD = 0.03  # unless a joint is so far off: something else hangs at it
 STILL_RAD_S = 0.3
 """Nothing is summed up beyond this speed: what a joint does that is being braked says nothing of its load."""
-MOVED_RAD = 0.005
-"""Gravity and inertia are computed anew when a joint has moved by so much."""
-GAP_S = 0.1
-"""After a longer pause the last velocity says nothing, of a joint or of a goal."""
+MOVED_RAD = 0.005  # gravity and inertia are computed anew when a joint has moved by so much
+GAP_S = 0.1  # after a longer pause the last velocity says nothing, of a joint or of a goal
 REMEMBERED_S = 1.0
 """Pauses between joint states make the hold softer for so long: an effort stays until the next, and a stiff one would overshoot."""
 LONGEST_WAIT_S = 0.02

@@ -23,33 +23,23 @@ from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command, JointSample
 from proprio_ros.excitation.free_response import FreeResponse, free_swing
 from proprio_ros.excitation.guards import Guards, check_free_response, check_start, check_step, unfit
-from proprio_ros.excitation.plans import (
-    LEAST_CURRENT_A,
-    LEAST_SWING_RAD,
-    ExcitationRun,
-    ExcitationSequence,
-    check_sequence,
-    margin,
-)
+from proprio_ros.excitation.plans import LEAST_CURRENT_A, ExcitationRun, ExcitationSequence, check_sequence, margin
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot
 
 STANDSTILL_RAD_S = 0.02
 STANDSTILL_WINDOW_S = 0.2
-LONGEST_UNREST_S = 2.0
-"""A joint that still moves so long after its time to settle will not come to rest."""
-MOST_LOST_RUNS = 3
-"""So many runs of a sequence may be lost to pauses of driver or computer and are repeated; one more ends it."""
+LONGEST_UNREST_S = 2.0  # a joint that still moves so long after its time to settle will not come to rest
+MOST_LOST_RUNS = 3  # so many may be lost to pauses of driver or computer and are repeated; one more ends the sequence
 LONGEST_STEP_S = 0.05  # goals move on by no more than this from sample to sample
+LEAST_SWING_RAD = 0.1  # at the shaft: a recording tells which joint swung freely by that
 LET_GO_S = 0.05
 """A swing begins with a current that is hardly one, against gravity: a driver lets go of a joint only where one was driven."""
 CATCH_RISE_S = 0.04
 CATCH_TIME_S = 0.1  # in which the speed falls to 1/e
 CAUGHT_RAD_S = 0.1
-LONGEST_CATCH_S = 0.8
-"""A heavy hand is still lowered then, slowly, and held on the way."""
-CATCH_LOOKAHEAD_S = 0.03
-"""A joint that is being caught and would be at its limit within this time is held at once."""
+LONGEST_CATCH_S = 0.8  # a heavy hand is still lowered then, slowly, and held on the way
+CATCH_LOOKAHEAD_S = 0.03  # a joint that is being caught and would be at its limit within this time is held at once
 CATCH_OVERSPEED = 1.15  # of the largest velocity: a joint that gets so fast while it is caught is held at once
 _ROUNDING_S = 1e-6
 
@@ -75,8 +65,7 @@ class RunOutcome:
     """What became of one push.
 
     Attributes:
-        run_number: From 1.
-        attempt: From 1; further ones are repetitions with another current.
+        run_number, attempt: From 1; further attempts are repetitions with another current.
         joint: The joint pushed.
         current_A: Its current; of a square wave the mean.
         travel: Largest distance from where it was when the current came on, either way [rad or m].
@@ -115,8 +104,7 @@ class ExcitationMachine:
         attempt: How many times the present run was begun.
         fraction: How much of the sequence is behind us by expected time, 0 to 1; it never falls.
         message: One sentence on what is going on, or how it ended.
-        abort_reason: Why the last sequence was ended; empty when it was not.
-        aborted_by: What ended it, as in `RunOutcome.ended_by`; empty when nothing did.
+        abort_reason, aborted_by: Why the last sequence was ended, and what ended it, as in `RunOutcome.ended_by`; else empty.
     """
 
     def __init__(self, robot: Robot, guards: Guards | None = None) -> None:
@@ -140,9 +128,8 @@ class ExcitationMachine:
         self._run_pose: dict[str, float] = {}  # goals when the current came on
         self._way = Way()
         self._sample = JointSample(math.nan, {}, {})
-        self._now_s: float | None = None
+        self._now_s = self._phase_start_s = math.nan  # of a phase that begins with the next tick, too
         self._tick_s = 0.0
-        self._phase_start_s: float | None = None
         self._way_s = 0.0  # how far along the way the goals are
         self._seen_s = 0.0  # how much of the time since the last tick was seen
         self._recent: deque[tuple[float, float]] = deque()  # times and positions of the run's joint at rest
@@ -211,10 +198,10 @@ class ExcitationMachine:
         self.outcomes, self.abort_reason, self.aborted_by, self._caught_for = [], "", "", None
         self._run_index, self.attempt, self.fraction, self._lost_runs = 0, 1, 0.0, 0
         self._current_A = sequence.runs[0].current_A
-        self._sample, self._now_s, self._tick_s = sample, None, 0.0
+        self._sample, self._now_s, self._tick_s = sample, math.nan, 0.0
         self._expected_s = expected_s
         self._goals, self._way = dict(pose), ways[0]
-        self._enter(Phase.APPROACH, None)
+        self._enter(Phase.APPROACH)
         self.command = Command(dict(pose))
 
     def tick(self, now_s: float, sample: JointSample | None) -> Command:
@@ -226,35 +213,29 @@ class ExcitationMachine:
         """
         if not self.busy:
             return self.command
-        problem = self._observe(now_s, sample)
-        if problem is None:
-            problem = self._advance(now_s)
-        if problem is None and self.busy:
-            problem = self._watch(now_s)
-        if problem is not None:
-            problem = self._left_of(problem, now_s)
-        if problem is not None:
+        problem = self._observe(now_s, sample) or self._advance() or (self._watch() if self.busy else None)
+        if problem := problem and self._left_of(problem):
             self._stop(*problem)
         else:
             self.command = self._commanded()
-            self.fraction = max(self.fraction, self._progress(now_s))
+            self.fraction = max(self.fraction, self._progress())
         return self.command
 
-    def _left_of(self, problem: _Problem, now_s: float) -> _Problem | None:
+    def _left_of(self, problem: _Problem) -> _Problem | None:
         """The problem; None where it costs a run at most, or where a swinging joint is caught before it ends the sequence."""
         kind, reason = problem
         if kind == "stale" and self.phase is Phase.PROBE and self._lost_runs < MOST_LOST_RUNS:
             self._lost_runs += 1
-            self._brake(now_s, "stale")
+            self._brake("stale")
             self.message = f"run {self.run_number} of {self.runs} is lost: {reason}"
             return None
         if kind == "stale" and self.phase is Phase.CATCH and self._caught_for is None:
-            self._hold_driven(now_s)  # the swing was over
+            self._hold_driven()  # the swing was over
             return None
         if kind in ("velocity", "limit", "clearance") and self.phase is Phase.PROBE and self._run.free:
             if kind == "velocity" and self._speed(self._run.joint) <= self.guards.max_velocity_rad_s:
                 return problem  # it is another joint that is so fast
-            self._catch(now_s, kind)
+            self._catch(kind)
             self._caught_for = problem
             return None
         return problem
@@ -272,7 +253,7 @@ class ExcitationMachine:
         longest_s = self.guards.stale_after_s if driven else self.guards.patience_s
         if not math.isfinite(now_s):
             return "clock", f"the time is {now_s}: check the clock"
-        if self._now_s is not None:
+        if not math.isnan(self._now_s):
             self._tick_s = now_s - self._now_s
             if self._tick_s < 0.0:
                 return "clock", f"the clock ran back by {-self._tick_s:.3f} s: use a clock that is never set"
@@ -310,28 +291,25 @@ class ExcitationMachine:
 
     # -------------------------------------------------------------------------------------------------- what goes wrong
 
-    def _watch(self, now_s: float) -> _Problem | None:
+    def _watch(self) -> _Problem | None:
         """What the joints do that they should not, in the phase of this tick."""
         guards, caught = self.guards, self.phase is Phase.CATCH
         for name in self.joints:
             speed = self._speed(name)
             if speed > guards.max_velocity_rad_s * (CATCH_OVERSPEED if caught else 1.0):
                 return "velocity", f"{name} moves at {speed:.1f} rad/s, faster than {guards.max_velocity_rad_s:g} rad/s"
-        if self.phase is Phase.PROBE or caught:
-            return self._watch_held() or self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
+        driven = self._run.joint if self.phase is Phase.PROBE or caught else None
         for name in self.joints:
-            if self._off(name) <= guards.follow_error_rad:
+            off = self._off(name)
+            if driven is not None:
+                if name != driven and off > guards.held_joint_error_rad:
+                    words = f"{name} gave way by {off:.2f} rad during the run: is its torque on, or was it pushed?"
+                    return "held joint", words
+            elif off <= guards.follow_error_rad:
                 self._off_since_s.pop(name, None)
-            elif now_s - self._off_since_s.setdefault(name, now_s) >= guards.follow_time_s:
+            elif self._now_s - self._off_since_s.setdefault(name, self._now_s) >= guards.follow_time_s:
                 return "follow", f"{name} does not follow: is something in its way, its load too heavy, or torque off?"
-        return None
-
-    def _watch_held(self) -> _Problem | None:
-        for name in self.joints:
-            if name != self._run.joint and (off := self._off(name)) > self.guards.held_joint_error_rad:
-                words = f"{name} gave way by {off:.2f} rad during the run: is its torque on, or was it pushed?"
-                return "held joint", words
-        return None
+        return None if driven is None else self._watch_pushed(CATCH_LOOKAHEAD_S if caught else guards.lookahead_s)
 
     def _speed(self, name: str) -> float:
         """Of a joint, at the motor's shaft [rad/s]."""
@@ -355,12 +333,10 @@ class ExcitationMachine:
             return "limit", f"{name} was about to reach its limit {limit:.3g}: {self._remedy(velocity)}"
         pose = self.ways.pose(self._sample)
         least_m = self.sequence.min_clearance_m * (0.5 if self.phase is Phase.CATCH else 1.0)
-        for place in (position, ahead):
-            height = self.ways.height({**pose, name: place})
-            if height < least_m:
-                return "clearance", (
-                    f"{name} was about to bring the arm {100 * height:.1f} cm above the base's plane: {self._remedy(velocity)}"
-                )
+        lowest_m = min(self.ways.height({**pose, name: place}) for place in (position, ahead))
+        if lowest_m < least_m:
+            words = f"{name} was about to bring the arm {100 * lowest_m:.1f} cm above the base's plane"
+            return "clearance", f"{words}: {self._remedy(velocity)}"
         return None
 
     def _remedy(self, velocity: float) -> str:
@@ -389,9 +365,13 @@ class ExcitationMachine:
         assert self.sequence is not None
         return self.sequence.runs[self._run_index]
 
-    def _enter(self, phase: Phase, now_s: float | None) -> None:
-        """Begin a phase; None: with the next tick."""
-        self.phase, self._phase_start_s, self._way_s = phase, now_s, 0.0
+    @property
+    def _elapsed_s(self) -> float:
+        """Of the phase [s]."""
+        return self._now_s - self._phase_start_s
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase, self._phase_start_s, self._way_s = phase, self._now_s, 0.0
         self._off_since_s.clear()
         if phase is Phase.SETTLE:
             self._recent.clear()
@@ -410,25 +390,25 @@ class ExcitationMachine:
             Phase.DONE: self._summary(),
         }[phase]
 
-    def _advance(self, now_s: float) -> _Problem | None:
+    def _advance(self) -> _Problem | None:
         """Goals and phase of this tick."""
         assert self.sequence is not None
-        if self._phase_start_s is None:
-            self._phase_start_s = now_s
-        elapsed_s = now_s - self._phase_start_s + _ROUNDING_S
+        if math.isnan(self._phase_start_s):
+            self._phase_start_s = self._now_s
+        elapsed_s = self._elapsed_s + _ROUNDING_S
         if self.phase in (Phase.APPROACH, Phase.RETURN):
             self._way_s += self._seen_s
             self._goals = self._way.at(self._way_s)
             if self._way_s + _ROUNDING_S >= self._way.duration_s:
-                self._enter(Phase.SETTLE if self.phase is Phase.APPROACH else Phase.DONE, now_s)
+                self._enter(Phase.SETTLE if self.phase is Phase.APPROACH else Phase.DONE)
         elif self.phase is Phase.SETTLE:
-            if elapsed_s >= self.sequence.settle_s and self._still(now_s):
+            if elapsed_s >= self.sequence.settle_s and self._still():
                 self._run_pose = dict(self._goals)
                 self._onset_position, self._travel = self._sample.position[self._run.joint], 0.0
                 if self._run.free:
                     whole = self.ways.whole(self.ways.pose(self._sample))
                     self._swing = free_swing(self.robot, self._run.joint, whole)
-                self._enter(Phase.PROBE, now_s)
+                self._enter(Phase.PROBE)
             elif elapsed_s > self.sequence.settle_s + LONGEST_UNREST_S:
                 words = f"{self._run.joint} does not come to rest: hold the arm's table still, or check the servo"
                 return "unrest", words
@@ -436,24 +416,25 @@ class ExcitationMachine:
             self._travel = max(self._travel, abs(self._sample.position[self._run.joint] - self._onset_position))
             end = self._catch if self._run.free else self._brake
             if self._travel >= self._run.max_travel:
-                end(now_s, "travel")
+                end("travel")
             elif elapsed_s + 0.5 * self._tick_s >= self._run.duration_s:  # the nearest tick
-                end(now_s, "time")
+                end("time")
         elif self.phase is Phase.CATCH:
             caught = elapsed_s >= CATCH_RISE_S and self._speed(self._run.joint) <= CAUGHT_RAD_S
             if caught or elapsed_s >= LONGEST_CATCH_S:
                 if self._caught_for is not None:
                     return self._caught_for
-                self._hold_driven(now_s)
+                self._hold_driven()
         elif elapsed_s >= self.sequence.brake_s:
-            return self._after_run(now_s)
+            return self._after_run()
         return None
 
-    def _still(self, now_s: float) -> bool:
+    def _still(self) -> bool:
         """Whether the run's joint stands, by its positions: single velocities are too coarse."""
-        while self._recent and self._recent[0][0] < now_s - STANDSTILL_WINDOW_S - self.guards.stale_after_s:
+        since_s = self._now_s - STANDSTILL_WINDOW_S
+        while self._recent and self._recent[0][0] < since_s - self.guards.stale_after_s:
             self._recent.popleft()
-        recent = np.array([entry for entry in self._recent if entry[0] >= now_s - STANDSTILL_WINDOW_S - _ROUNDING_S])
+        recent = np.array([entry for entry in self._recent if entry[0] >= since_s - _ROUNDING_S])
         if len(recent) < 3 or recent[-1, 0] - recent[0, 0] < 0.5 * STANDSTILL_WINDOW_S:
             return False
         times_s, positions = (recent - recent.mean(axis=0)).T
@@ -462,64 +443,50 @@ class ExcitationMachine:
         # to and fro has no slope; noise of an encoder at rest spans half of this at most
         return abs(slope) < slowest and float(np.ptp(positions)) < 2.0 * slowest * STANDSTILL_WINDOW_S
 
-    def _brake(self, now_s: float, ended_by: str) -> None:
+    def _brake(self, ended_by: str) -> None:
         self._note_outcome(ended_by, used=ended_by != "stale" and self._travel >= self._run.min_travel)
-        self._hold_driven(now_s)
+        self._hold_driven()
 
-    def _hold_driven(self, now_s: float) -> None:
+    def _hold_driven(self) -> None:
         """The run's joint stays where it was last seen."""
         self._goals = {**self._goals, self._run.joint: self._sample.position[self._run.joint]}
-        self._enter(Phase.BRAKE, now_s)
+        self._enter(Phase.BRAKE)
 
-    def _catch(self, now_s: float, ended_by: str) -> None:
+    def _catch(self, ended_by: str) -> None:
         """A swing is over."""
         far = self._travel >= max(self._run.min_travel, margin(self.robot, self._run.joint, LEAST_SWING_RAD))
         self._note_outcome(ended_by, used=ended_by in ("time", "travel") and far)
-        self._enter(Phase.CATCH, now_s)
+        self._enter(Phase.CATCH)
 
     def _note_outcome(self, ended_by: str, used: bool) -> None:
-        assert self._now_s is not None and self._phase_start_s is not None
-        self.outcomes.append(
-            RunOutcome(
-                run_number=self.run_number,
-                attempt=self.attempt,
-                joint=self._run.joint,
-                current_A=self._current_A,
-                travel=self._travel,
-                duration_s=self._now_s - self._phase_start_s,
-                ended_by=ended_by,
-                used=used,
-            )
-        )
+        made = (self.run_number, self.attempt, self._run.joint, self._current_A, self._travel, self._elapsed_s)
+        self.outcomes.append(RunOutcome(*made, ended_by=ended_by, used=used))
 
-    def _after_run(self, now_s: float) -> _Problem | None:
+    def _after_run(self) -> _Problem | None:
         """Once more with another current, or the next run, or home, or the end."""
         assert self.sequence is not None
-        last = self.outcomes[-1]
+        last, phase = self.outcomes[-1], Phase.APPROACH
         again_A = None if last.used else self._run.other_current(self._current_A)
         if last.ended_by == "stale":
             again_A = self._current_A  # nothing was wrong with the push
-        phase = Phase.APPROACH
         if again_A is not None:
-            self.attempt += 1
-            self._current_A = again_A
+            self.attempt, self._current_A = self.attempt + 1, again_A
             target, where = self._run_pose, "the start of the run"
         elif self._run_index + 1 < self.runs:
             self._run_index += 1
-            self.attempt = 1
-            self._current_A = self._run.current_A
+            self.attempt, self._current_A = 1, self._run.current_A
             target, where = {**self._goals, **self._run.start}, "the start of the next run"
         elif self.sequence.home:
             phase = Phase.RETURN
             target, where = {**self._goals, **self.sequence.home}, "home"
         else:
-            self._enter(Phase.DONE, now_s)
+            self._enter(Phase.DONE)
             return None
         try:
             self._way = self.ways.find(self._goals, target, self.sequence, where)
         except ExcitationError as error:
             return "clearance", str(error)
-        self._enter(phase, now_s)
+        self._enter(phase)
         return None
 
     def _commanded(self) -> Command:
@@ -529,14 +496,11 @@ class ExcitationMachine:
         held = {name: goal for name, goal in self._goals.items() if name != joint}
         if self._run.goal_step:
             return Command(held, stepped={joint: self._goals[joint] + self._run.goal_step})
-        assert self._now_s is not None and self._phase_start_s is not None
-        elapsed_s = self._now_s - self._phase_start_s
-        # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it
-        nearest_s = elapsed_s + 0.5 * min(self._tick_s, elapsed_s)
-        current_A = self._run.current_at(nearest_s, self._current_A)
         if self._run.free:
-            current_A = self._current_of_swing(elapsed_s)
-        return Command(held, {joint: current_A})
+            return Command(held, {joint: self._current_of_swing(self._elapsed_s)})
+        # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it
+        nearest_s = self._elapsed_s + 0.5 * min(self._tick_s, self._elapsed_s)
+        return Command(held, {joint: self._run.current_at(nearest_s, self._current_A)})
 
     def _current_of_swing(self, elapsed_s: float) -> float:
         """Next to nothing, then nothing; and what carries the joint's weight and brakes it when it is caught [A]."""
@@ -569,13 +533,12 @@ class ExcitationMachine:
             f"allow {'a larger goal_step' if self._run.goal_step else 'more current'}, or start where gravity helps"
         )
 
-    def _progress(self, now_s: float) -> float:
+    def _progress(self) -> float:
         if self.phase is Phase.DONE:
             return 1.0
         order = [Phase.APPROACH, Phase.SETTLE, Phase.PROBE, Phase.CATCH if self.phase is Phase.CATCH else Phase.BRAKE]
         place = len(self._expected_s) - 1 if self.phase is Phase.RETURN else self._run_index
         parts = self._expected_s[place]
         step = 0 if self.phase is Phase.RETURN else order.index(self.phase)
-        elapsed_s = now_s - (now_s if self._phase_start_s is None else self._phase_start_s)
-        spent_s = sum(map(sum, self._expected_s[:place])) + sum(parts[:step]) + min(elapsed_s, parts[step])
+        spent_s = sum(map(sum, self._expected_s[:place])) + sum(parts[:step]) + min(self._elapsed_s, parts[step])
         return spent_s / sum(map(sum, self._expected_s))

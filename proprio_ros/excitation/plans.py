@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from proprio_ros.robot.kinematics import clearance, zero_pose
 
 HANDS = ("empty", "payload", "reference", "container", "block", "any")
 """What should be in the hand: nothing, the object, a weighed reference, a container, a soft block; or no matter what."""
-
 START_MARGIN_RAD = 0.08
 """A start pose stays this far from a joint's limits, so that noise at rest cannot look like running into one."""
 LARGEST_CURRENT_A = 10.0  # no servo of this kind takes more: such a number was meant in mA
@@ -35,7 +34,6 @@ UNTIL_UNITS = {"kg": ("payload", "reference", "empty", "any", "container"), "1":
 LARGEST_HALF = {"kg": (0.1, "it is in kg, not g"), "1": (1.0, "it is a share, not in percent")}
 LONGEST_UNTIL_S = 600.0
 LARGEST_STEP_RAD = 1.0  # of a goal, at the shaft: such a number was meant in degrees, or throws the arm
-LEAST_SWING_RAD = 0.1  # a recording tells which joint swung freely by that
 
 
 @dataclass(frozen=True)
@@ -78,12 +76,7 @@ class ExcitationRun:
         return self.current_A == 0.0 and self.shake_A == 0.0 and self.goal_step == 0.0
 
     def current_at(self, elapsed_s: float, mean_A: float) -> float:
-        """The current of an attempt [A].
-
-        Args:
-            elapsed_s: Since the current came on.
-            mean_A: What became of `current_A` in this attempt.
-        """
+        """The current so long after it came on [A]; ``mean_A`` is what became of `current_A` in this attempt."""
         second_half = elapsed_s % self.shake_period_s >= 0.5 * self.shake_period_s
         return mean_A - self.shake_A if second_half else mean_A + self.shake_A
 
@@ -122,7 +115,6 @@ class ExcitationSequence:
         hand: What should be in the hand, one of `HANDS`.
         runs: At least one; with `until` there may be none: then the first is chosen, too.
         until: Further pushes are chosen until this is reached; None: there are none.
-        description: One sentence for the user.
         approach_velocity: Peak speed on the way to a start pose, at the motor's shaft [rad/s].
         settle_s: Rest before each run; the identification uses up to 1 s of it.
         brake_s: The joint is held so long after its run before it goes anywhere.
@@ -145,11 +137,7 @@ class ExcitationSequence:
     min_clearance_m: float = 0.03
 
     def begun_at(self, pose: Mapping[str, float]) -> ExcitationSequence:
-        """The sequence with numbers for the joints of `from_here`.
-
-        Args:
-            pose: Where all joints are [rad or m].
-        """
+        """The sequence with numbers for the joints of `from_here`, begun at a pose of all joints [rad or m]."""
         here = {name: pose[name] for name in self.from_here}
         runs = tuple(replace(run, start={**here, **run.start}) for run in self.runs)
         return replace(self, runs=runs, home={**here, **self.home}) if here else self
@@ -162,11 +150,8 @@ def sequence_names() -> tuple[str, ...]:
 
 def as_text(sequence: ExcitationSequence) -> str:
     """A sequence as JSON, which `load_sequence` reads."""
-    section = {key: value for key, value in asdict(sequence).items() if key not in ("name", "until")}
-    if sequence.until is not None:
-        section["until"] = asdict(sequence.until)
+    section = {key: value for key, value in asdict(sequence).items() if key != "name" and value is not None}
     section["runs"] = [{key: v for key, v in run.items() if v is not None} for run in section["runs"]]
-    section["from_here"] = list(sequence.from_here)
     return json.dumps(section)
 
 
@@ -183,21 +168,26 @@ def load_sequence(name_or_path: str | Path, robot: Robot) -> ExcitationSequence:
     """
     text = str(name_or_path)
     if text.startswith("{"):  # from a program, which chose it
-        sequence = _sequence(_inline(text), "chosen", robot, "chosen")
-        check_sequence(sequence, robot)
-        return sequence
-    given = Path(text).expanduser()
-    is_path = isinstance(name_or_path, Path) or "/" in text or given.suffix in (".yaml", ".yml")
-    path = given if is_path else resource("probes", text)
-    content = _content(path)
-    if "excitation" not in content:
-        choices = ", ".join(sequence_names()) or "none"
-        raise ConfigurationError(
-            f"{path.name}: has no section 'excitation'; probe files with one: {choices}; or add it"
-        )
-    sequence = _sequence(_whole(content["excitation"], path), path.stem, robot, f"{path.name}: excitation")
+        section, name, where = _inline(text), "chosen", "chosen"
+    else:
+        given = Path(text).expanduser()
+        is_path = isinstance(name_or_path, Path) or "/" in text or given.suffix in (".yaml", ".yml")
+        path = given if is_path else resource("probes", text)
+        content = _content(path)
+        if "excitation" not in content:
+            words = (
+                f"has no section 'excitation'; probe files with one: {', '.join(sequence_names()) or 'none'}; or add it"
+            )
+            raise ConfigurationError(f"{path.name}: {words}")
+        section, name, where = _whole(content["excitation"], path), path.stem, f"{path.name}: excitation"
+    sequence = _sequence(section, name, robot, where)
     check_sequence(sequence, robot)
     return sequence
+
+
+def margin(robot: Robot, joint: str, margin_rad: float) -> float:
+    """A distance at the motor's shaft [rad] in the unit of the joint [rad or m]."""
+    return margin_rad * abs(robot.drive_trains[joint].transmission)
 
 
 def check_sequence(sequence: ExcitationSequence, robot: Robot) -> None:
@@ -207,164 +197,132 @@ def check_sequence(sequence: ExcitationSequence, robot: Robot) -> None:
         ConfigurationError: No run, an unknown joint, a current above the motor's limit, a pose outside the joints' limits
             or too low above the base's plane.
     """
+    if problem := next(_of_sequence(sequence, robot), ""):
+        raise ConfigurationError(f"{sequence.name}: {problem}")
+
+
+# ------------------------------------------------------------------------------------------- what is wrong, in this order
+
+
+def _of_sequence(sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
+    drives = f"{robot.name} drives {', '.join(robot.drive_trains)}"
     if not sequence.runs and sequence.until is None:
-        raise ConfigurationError(f"{sequence.name}: has no run; state at least one under 'runs'")
+        yield "has no run; state at least one under 'runs'"
     if sequence.until is not None:
-        _check_until(sequence.until, sequence)
+        yield from (f"until: {words}" for words in _of_until(sequence.until, sequence))
     if sequence.hand not in HANDS:
-        raise ConfigurationError(f"{sequence.name}: hand={sequence.hand!r} is unknown; choose from: {', '.join(HANDS)}")
+        yield f"hand={sequence.hand!r} is unknown; choose from: {', '.join(HANDS)}"
     for key in ("approach_velocity", "settle_s", "brake_s", "min_clearance_m"):
         value = getattr(sequence, key)
         if not math.isfinite(value) or value < 0.0 or (key == "approach_velocity" and value == 0.0):
-            raise ConfigurationError(f"{sequence.name}: {key}={value} must be a positive number")
+            yield f"{key}={value} must be a positive number"
     for name in sequence.from_here:
         if name not in robot.drive_trains:
-            raise ConfigurationError(
-                f"{sequence.name}: from_here: {name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
-            )
-    _check_pose(sequence.home, sequence, robot, f"{sequence.name}: home")
+            yield f"from_here: {name!r} is no driven joint; {drives}"
+    yield from (f"home: {words}" for words in _of_pose(sequence.home, {}, sequence, robot))
     pose: dict[str, float] = {}
     for number, run in enumerate(sequence.runs, 1):
-        where = f"{sequence.name}: run {number} ({run.joint})"
-        _check_run(run, robot, where)
+        where = f"run {number} ({run.joint})"
+        if run.joint not in robot.drive_trains:
+            yield f"{where}: no such driven joint; {drives}"
+        yield from (f"{where}: {words}" for words in _of_run(run, robot))
         pose |= run.start
-        _check_pose(run.start, sequence, robot, where, known=pose)
+        yield from (f"{where}: {words}" for words in _of_pose(run.start, pose, sequence, robot))
         if run.goal_step and run.joint in pose:
             stepped = {run.joint: pose[run.joint] + run.goal_step}
-            _check_pose(stepped, sequence, robot, f"{where}: with goal_step", known=pose)
+            yield from (f"{where}: with goal_step: {words}" for words in _of_pose(stepped, pose, sequence, robot))
     swings = [run.free for run in sequence.runs]
     if any(swings) and not all(swings):
-        raise ConfigurationError(
-            f"{sequence.name}: run {swings.index(True) + 1} swings freely (current_A is 0) and others are driven by a current: "
-            "what they tell is not computed together; make a sequence of each"
+        yield (
+            f"run {swings.index(True) + 1} swings freely (current_A is 0) and others are driven by a current: what they tell is "
+            "not computed together; make a sequence of each"
         )
 
 
-def _check_until(until: Until, sequence: ExcitationSequence) -> None:
-    where = f"{sequence.name}: until"
+def _of_until(until: Until, sequence: ExcitationSequence) -> Iterator[str]:
     units = [unit for unit, hands in UNTIL_UNITS.items() if sequence.hand in hands]
     if until.unit not in units:
         choices = " or ".join(repr(unit) for unit in units) or "none: leave `until` out"
-        raise ConfigurationError(
-            f"{where}: unit={until.unit!r} is unknown for hand={sequence.hand!r}; choose {choices}"
-        )
+        yield f"unit={until.unit!r} is unknown for hand={sequence.hand!r}; choose {choices}"
     largest, meant = LARGEST_HALF[until.unit]
     if not 0.0 < until.half_interval <= largest:
-        raise ConfigurationError(
-            f"{where}: half_interval={until.half_interval:g} must be above 0 and {largest:g} at most; {meant}"
-        )
+        yield f"half_interval={until.half_interval:g} must be above 0 and {largest:g} at most; {meant}"
     if not 0.0 < until.at_most_s <= LONGEST_UNTIL_S:
-        raise ConfigurationError(
-            f"{where}: at_most_s={until.at_most_s:g} must be above 0 s, and {LONGEST_UNTIL_S:g} s at most"
-        )
+        yield f"at_most_s={until.at_most_s:g} must be above 0 s, and {LONGEST_UNTIL_S:g} s at most"
     if sequence.hand == "empty" and not sequence.runs:
-        raise ConfigurationError(
-            f"{where}: what else to push with an empty hand follows from what the first runs say; state some under 'runs'"
-        )
+        yield "what else to push with an empty hand follows from what the first runs say; state some under 'runs'"
     if sequence.hand == "block" and not sequence.runs:
-        raise ConfigurationError(
-            f"{where}: with which current to squeeze a block follows from the first squeeze; state it under 'runs'"
-        )
+        yield "with which current to squeeze a block follows from the first squeeze; state it under 'runs'"
     if any(run.free for run in sequence.runs):
-        raise ConfigurationError(f"{where}: free swings are not chosen; leave `until` out")
+        yield "free swings are not chosen; leave `until` out"
 
 
-def margin(robot: Robot, joint: str, margin_rad: float) -> float:
-    """A distance at the motor's shaft [rad] in the unit of the joint [rad or m]."""
-    return margin_rad * abs(robot.drive_trains[joint].transmission)
-
-
-def _check_run(run: ExcitationRun, robot: Robot, where: str) -> None:
-    if run.joint not in robot.drive_trains:
-        raise ConfigurationError(f"{where}: no such driven joint; {robot.name} drives {', '.join(robot.drive_trains)}")
+def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
     if run.goal_step != 0.0:
         if run.current_A or run.shake_A or run.max_current_A:
-            raise ConfigurationError(f"{where}: has a goal_step and a current: a servo is pushed by one or the other")
+            yield "has a goal_step and a current: a servo is pushed by one or the other"
         largest_step = margin(robot, run.joint, LARGEST_STEP_RAD)
         if not abs(run.goal_step) <= largest_step:
-            raise ConfigurationError(
-                f"{where}: goal_step={run.goal_step:g} must be {largest_step:.3g} at most, either way; it is in rad (m for a slide)"
-            )
+            yield f"goal_step={run.goal_step:g} must be {largest_step:.3g} at most, either way; it is in rad (m for a slide)"
     largest = max(abs(run.current_A), run.max_current_A or 0.0) + abs(run.shake_A)
     if not math.isfinite(run.current_A + run.shake_A) or largest > LARGEST_CURRENT_A:
-        raise ConfigurationError(f"{where}: {largest:g} A is too much for a servo: currents are in A, not mA")
+        yield f"{largest:g} A is too much for a servo: currents are in A, not mA"
     limit = robot.motors[run.joint].current_limit_A
     if largest > limit:
-        raise ConfigurationError(
-            f"{where}: {largest:g} A{' with shake_A' * (run.shake_A != 0.0)} is above the motor's limit of {limit:g} A; "
-            "lower it, or current_limit_A in the robot file"
+        yield (
+            f"{largest:g} A{' with shake_A' * (run.shake_A != 0.0)} is above the motor's limit of {limit:g} A; lower it, or "
+            "current_limit_A in the robot file"
         )
     if run.max_current_A is not None and not abs(run.current_A) <= run.max_current_A:
-        raise ConfigurationError(
-            f"{where}: max_current_A={run.max_current_A:g} is a magnitude and must not be below that of {run.current_A:g} A"
-        )
+        yield f"max_current_A={run.max_current_A:g} is a magnitude and must not be below that of {run.current_A:g} A"
     if not 0.0 < run.duration_s <= 60.0:
-        raise ConfigurationError(f"{where}: duration_s={run.duration_s:g} must be above 0 s, and 60 s at most")
+        yield f"duration_s={run.duration_s:g} must be above 0 s, and 60 s at most"
     if not 0.0 <= run.min_travel < run.max_travel:
-        raise ConfigurationError(
-            f"{where}: min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
-        )
+        yield f"min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
     if run.free and (run.max_current_A or robot.model.joint(run.joint).kind == "prismatic"):
         why = "has no max_current_A" if run.max_current_A else f"needs a joint that turns, and {run.joint} slides"
-        raise ConfigurationError(f"{where}: current_A is 0, which lets the joint swing freely: that {why}")
+        yield f"current_A is 0, which lets the joint swing freely: that {why}"
     if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
-        raise ConfigurationError(
-            f"{where}: raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
-        )
-    if run.shake_A != 0.0:
-        _check_shake(run, where)
-
-
-def _check_shake(run: ExcitationRun, where: str) -> None:
-    """The wave's period, and its two currents in every attempt that raising or easing can lead to."""
+        yield f"raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"
+    if run.shake_A == 0.0:
+        return
     longest_s = run.duration_s / LEAST_SHAKES
     if not SHORTEST_SHAKE_S <= run.shake_period_s <= longest_s:
-        raise ConfigurationError(
-            f"{where}: shake_period_s={run.shake_period_s:g} must be from {SHORTEST_SHAKE_S:g} s to {longest_s:g} s, so that "
+        yield (
+            f"shake_period_s={run.shake_period_s:g} must be from {SHORTEST_SHAKE_S:g} s to {longest_s:g} s, so that "
             f"{LEAST_SHAKES} periods fit into duration_s={run.duration_s:g}; it is in s, not ms"
         )
     mean_A: float | None = run.current_A
-    while mean_A is not None:
+    while mean_A is not None:  # in every attempt that raising or easing can lead to
         least_A = min(abs(mean_A + run.shake_A), abs(mean_A - run.shake_A))
         if least_A < LEAST_CURRENT_A:
-            raise ConfigurationError(
-                f"{where}: with shake_A={run.shake_A:g} about {mean_A:g} A the current is {least_A:.3g} A for half of each period, "
+            yield (
+                f"with shake_A={run.shake_A:g} about {mean_A:g} A the current is {least_A:.3g} A for half of each period, "
                 f"and a recording would be cut there; keep both halves at {LEAST_CURRENT_A:g} A or more: change shake_A, "
                 "current_A, raise_by or max_current_A"
             )
         mean_A = run.other_current(mean_A)
 
 
-def _check_pose(
-    stated: Mapping[str, float],
-    sequence: ExcitationSequence,
-    robot: Robot,
-    where: str,
-    known: Mapping[str, float] | None = None,
-) -> None:
-    """Limits of the joints named; and the height of the pose, where the joints that nobody named yet are at zero."""
+def _of_pose(
+    stated: Mapping[str, float], known: Mapping[str, float], sequence: ExcitationSequence, robot: Robot
+) -> Iterator[str]:
+    """Limits of the joints stated; and the height of the pose, where the joints that are not known yet are at zero."""
     for name, position in stated.items():
         if name not in robot.drive_trains:
-            raise ConfigurationError(
-                f"{where}: {name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
-            )
-        joint = robot.model.joint(name)
-        slides = joint.kind == "prismatic"
-        spare = margin(robot, name, START_MARGIN_RAD)
+            yield f"{name!r} is no driven joint; {robot.name} drives {', '.join(robot.drive_trains)}"
+        joint, spare = robot.model.joint(name), margin(robot, name, START_MARGIN_RAD)
         low, high = joint.lower + spare, joint.upper - spare
         if not math.isfinite(position) or abs(position) > LARGEST_POSITION_RAD or not low <= position <= high:
-            unit, other = ("m", "mm") if slides else ("rad", "degrees")
-            raise ConfigurationError(
-                f"{where}: {name}={position:g} is outside {low:.4g} .. {high:.4g} {unit} (limits less a margin); "
-                f"positions are in {unit}, not {other}"
+            unit, other = ("m", "mm") if joint.kind == "prismatic" else ("rad", "degrees")
+            yield (
+                f"{name}={position:g} is outside {low:.4g} .. {high:.4g} {unit} (limits less a margin); positions are in {unit}, "
+                f"not {other}"
             )
-    if not stated:
-        return
-    rest = zero_pose(robot)
-    height = clearance(robot, {**rest, **(known or {}), **stated})
+    height = clearance(robot, {**zero_pose(robot), **known, **stated}) if stated else math.inf
     if height < sequence.min_clearance_m:
-        raise ConfigurationError(
-            f"{where}: the arm would be {100 * height:.1f} cm above the base's plane, less than "
+        yield (
+            f"the arm would be {100 * height:.1f} cm above the base's plane, less than "
             f"min_clearance_m={sequence.min_clearance_m:g}; choose a higher pose"
         )
 
@@ -376,9 +334,8 @@ def _inline(text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError as error:
-        raise ConfigurationError(
-            f"a sequence that begins with a brace must be JSON: {one_line(str(error), 80)}"
-        ) from error
+        words = f"a sequence that begins with a brace must be JSON: {one_line(str(error), 80)}"
+        raise ConfigurationError(words) from error
 
 
 def _content(path: Path) -> Mapping[str, Any]:
@@ -394,18 +351,15 @@ def _whole(section: Any, path: Path) -> Any:
         return section
     like = section["like"]
     if like not in sequence_names() or "like" in (base := _content(resource("probes", like))["excitation"]):
-        raise ConfigurationError(
-            f"{path.name}: excitation.like={one_line(repr(like), 60)}: name one of the package's sequences"
-        )
+        named = one_line(repr(like), 60)
+        raise ConfigurationError(f"{path.name}: excitation.like={named}: name one of the package's sequences")
     return {**base, **{key: value for key, value in section.items() if key != "like"}}
 
 
 def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSequence:
     chosen = isinstance(section, Mapping) and "until" in section  # then there need be no runs of one's own
     own = ("runs", "from_here", "until")
-    values = _values(
-        {"runs": [], **section} if chosen else section, ExcitationSequence, where, own, leave_out=("name",)
-    )
+    values = _values({"runs": [], **section} if chosen else section, ExcitationSequence, where, own)
     if "from_here" in values:
         names = values["from_here"]
         if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
@@ -423,9 +377,8 @@ def _sequence(section: Any, name: str, robot: Robot, where: str) -> ExcitationSe
 def _run(section: Any, robot: Robot, where: str) -> ExcitationRun:
     if isinstance(section, Mapping) and "goal_step" in section:
         section = {"current_A": 0.0, **section}
-    values = _values(section, ExcitationRun, where)
-    run = ExcitationRun(**values)
-    if "max_travel" not in values and run.joint in robot.drive_trains:
+    run = ExcitationRun(**_values(section, ExcitationRun, where))
+    if "max_travel" not in section and run.joint in robot.drive_trains:
         # the default counts at the shaft, too: a finger cannot move 1 m
         return replace(run, max_travel=margin(robot, run.joint, ExcitationRun.max_travel))
     return run
@@ -435,15 +388,13 @@ _TEXTS = {"hand": "a text", "description": "a text", "unit": "a text", "joint": 
 _POSES = ("start", "home")
 
 
-def _values(
-    section: Any, kind: type, where: str, own: Sequence[str] = (), leave_out: Sequence[str] = ()
-) -> dict[str, Any]:
-    """A section's entries for a data class: texts, poses, and numbers; those of its ``own`` as they are.
+def _values(section: Any, kind: type, where: str, own: Sequence[str] = ()) -> dict[str, Any]:
+    """A section's entries for a data class, less its name: texts, poses, and numbers; those of its ``own`` as they are.
 
     Raises:
         ConfigurationError: An entry is unknown, missing though it has no default, or none of these.
     """
-    entries = [entry for entry in fields(kind) if entry.name not in leave_out]
+    entries = [entry for entry in fields(kind) if entry.name != "name"]
     choices = ", ".join(entry.name for entry in entries)
     if not isinstance(section, Mapping):
         raise ConfigurationError(f"{where}: expected keys and values, got {section!r}; keys: {choices}")
@@ -473,7 +424,6 @@ def _number(value: Any, where: str) -> float:
 
 def _pose(value: Any, where: str) -> dict[str, float]:
     if not isinstance(value, Mapping):
-        raise ConfigurationError(
-            f"{where}: expected joints and their positions, such as {{joint3: 0.6}}, got {value!r}"
-        )
+        words = f"expected joints and their positions, such as {{joint3: 0.6}}, got {value!r}"
+        raise ConfigurationError(f"{where}: {words}")
     return {str(joint): _number(position, f"{where}.{joint}") for joint, position in value.items()}

@@ -17,8 +17,7 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance, zero_pose
 
 MIN_APPROACH_S = 0.3
-PEAK_OVER_MEAN = 1.875
-"""Of a minimum-jerk motion (Flash & Hogan 1985): peak speed over mean speed."""
+PEAK_OVER_MEAN = 1.875  # of a minimum-jerk motion (Flash & Hogan 1985): peak speed over mean speed
 PATH_STEP_RAD = 0.03  # of the joint that moves most, between two poses whose height is looked at
 PATH_SLACK_M = 1e-3  # a way up from a low pose may dip by so much: encoders are not exact
 

@@ -32,8 +32,7 @@ from proprio_ros.probes.base import Example, HasBaseline, Probe
 SILENCE_S = 600.0
 """Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang;
 one that has ended is noticed at once."""
-NOT_READY_S = 60.0
-"""Between nodes that are all up: a node that the others do not see yet."""
+NOT_READY_S = 60.0  # between nodes that are all up: a node that the others do not see yet
 REFERENCE_KG = 0.1
 _interrupted = threading.Event()
 

@@ -27,10 +27,8 @@ from proprio_ros.recordings.topics import TEMPERATURES
 
 _D = DriverSettings()
 ENDS = ("hold", "zero")
-LATE_S = 0.005
-"""A cycle that begins later than this is reported in the diagnostics."""
-CLOCK_JUMP_S = 0.05
-"""The system's clock has been set when it moved by more than this within a second."""
+LATE_S = 0.005  # a cycle that begins later than this is reported in the diagnostics
+CLOCK_JUMP_S = 0.05  # the system's clock has been set when it moved by more than this within a second
 
 
 class DriverNode(ManagedNode):

@@ -27,15 +27,7 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, effort_controller, goal_controller
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
-from proprio_ros.nodes.runtime import (
-    COMMANDS,
-    IDLE_PAUSE_S,
-    LATCHED,
-    STREAM,
-    LongService,
-    ManagedNode,
-    run_node,
-)
+from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, LongService, ManagedNode, run_node
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
 
@@ -45,8 +37,7 @@ LEASE_S = 1.5
 """Whoever says on ~/lease that it wants the sequence says so ten times a second; without a word for so long it is gone."""
 STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
 """Of several publishers on one topic none takes another's place, and 500 a second wait while the node rests."""
-UNPUSHED_S = 0.1
-"""From a current command to the driver's word that it flows: two cycles, and a late one."""
+UNPUSHED_S = 0.1  # from a current command to the driver's word that it flows: two cycles, and a late one
 
 DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""

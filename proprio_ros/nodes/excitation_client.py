@@ -19,8 +19,7 @@ from proprio_ros.nodes.runtime import COMMANDS, LATCHED, ManagedNode
 READY_S = 4.0
 SILENT_S = 3.0
 """The excitation node publishes its state ten times a second while it is busy; without a word for so long it is gone."""
-LEASE_PERIOD_S = 0.1
-"""The excitation node ends a sequence when whoever asked for it has been silent for 1.5 s."""
+LEASE_PERIOD_S = 0.1  # the excitation node ends a sequence when whoever asked for it has been silent for 1.5 s
 CALL_S = 5.0
 ABORT_S = 2.0
 

@@ -25,10 +25,8 @@ from proprio_ros.recordings.topics import BATTERY_STATE, JOINT_COMMAND, JOINT_ST
 from proprio_ros.robot import DriveTrain
 
 STALE_S = 0.5
-SILENT_S = 3.0
-"""Whoever says something ten times a second and has not for so long is gone."""
-TAIL_S = 0.3
-"""Joint states after the last run that belong to the recording."""
+SILENT_S = 3.0  # whoever says something ten times a second and has not for so long is gone
+TAIL_S = 0.3  # joint states after the last run that belong to the recording
 BEHIND_S = 0.2
 LATEST_S = 30.0
 """On a busy computer joint states may lie in the queue for so long, while a word of the excitation node comes past them."""

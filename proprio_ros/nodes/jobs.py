@@ -56,8 +56,7 @@ CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
 
 
-HEARD_S = 1.0
-"""A run has ended when the excitation node says so; what was measured of it may still be on its way."""
+HEARD_S = 1.0  # a run has ended when the excitation node says so; what was measured of it may still be on its way
 AT_AN_END, AT_AN_END_TRIES = ("limit", "clearance"), 2
 """Where the arm ends when the object is heavier than was thought: it sags, or the current does not hold it. So often another push
 is chosen then."""

@@ -38,8 +38,7 @@ NODE = "excitation_last_words"
 LAST_WORDS_S = 0.3
 START_S = 60.0
 SWITCHED = "switched"
-SWITCH_S = 5.0
-"""For so long whoever speaks for a node that is gone waits for controller_manager."""
+SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for controller_manager
 
 
 class LastWords:

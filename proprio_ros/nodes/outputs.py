@@ -26,12 +26,9 @@ from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.robot import Robot
 
-RECORD_PERIOD_S = 0.01
-"""What is commanded is recorded when it changes, and so often."""
-ON_THE_WAY_NS = 500_000
-"""A command that is sent later before an update than this is taken by the next."""
-LET_GO_S = 0.3
-"""For so long zeros are said when joints are lost; then whoever takes over is not disturbed."""
+RECORD_PERIOD_S = 0.01  # what is commanded is recorded when it changes, and so often
+ON_THE_WAY_NS = 500_000  # a command that is sent later before an update than this is taken by the next
+LET_GO_S = 0.3  # for so long zeros are said when joints are lost; then whoever takes over is not disturbed
 
 
 def effort_controller(node: ManagedNode, robot: Robot, topic: str) -> EffortController:

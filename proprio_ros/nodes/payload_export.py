@@ -14,8 +14,7 @@ from proprio_ros.live.payload_export import CONTROLLERS, check_tool, load_at, to
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import Answer, ManagedNode
 
-ANSWER_S = 5.0
-"""A controller that takes longer has not heard."""
+ANSWER_S = 5.0  # a controller that takes longer has not heard
 NOT_KNOWN = "it is not known whether it took it: look at the controller before the arm moves"
 
 

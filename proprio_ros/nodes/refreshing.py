@@ -21,8 +21,7 @@ from proprio_ros.pipeline.request import Request, robot_of
 from proprio_ros.quantity import shown
 from proprio_ros.report import write_calibration_report
 
-REFRESH_S = 30.0
-"""All pushes of a refresh take so long at most; what they leave open a whole calibration has to learn."""
+REFRESH_S = 30.0  # all pushes of a refresh take so long at most; what they leave open a whole calibration has to learn
 
 
 def refresh_robot(

@@ -35,8 +35,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, relia
 STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Joint states that are being recorded: none may be lost while a thread is busy."""
 
-COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-"""Only the newest command counts."""
+COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)  # only the newest command counts
 
 FROM_MANY = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """Commands, of whoever sends some: those of one publisher must not push out another's before they are seen."""
@@ -288,8 +287,7 @@ class ManagedNode(LifecycleNode):
             self._transition("deactivate", self.deactivate)
 
 
-Answer = Callable[[bool, str], None]
-"""What answers a service call, once, from any thread: success and a sentence."""
+Answer = Callable[[bool, str], None]  # what answers a service call, once, from any thread: success and a sentence
 
 
 class LongService:

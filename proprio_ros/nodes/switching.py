@@ -23,12 +23,9 @@ if TYPE_CHECKING:
     from proprio_ros.nodes.outputs import Output
 
 PACKAGE = "controller_manager_msgs"
-STRICT = 2
-"""All of it, or nothing."""
-SWITCH_S = 1
-"""Controller manager gives up after that."""
-ANSWER_S = 3.0
-"""Whoever asked for a sequence waits for five seconds."""
+STRICT = 2  # all of it, or nothing
+SWITCH_S = 1  # controller manager gives up after that
+ANSWER_S = 3.0  # whoever asked for a sequence waits for five seconds
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ from proprio_ros.probes import probe_at_work
 from proprio_ros.robot import Robot
 
 RUNNING_PERIOD_S = 0.1
-UNFED_S = 2.0
-"""Joint states that say nothing for so long are worth a word."""
+UNFED_S = 2.0  # joint states that say nothing for so long are worth a word
 
 Identify = Callable[[Job, Path, Options, Callable[[Estimate], None]], Estimate]
 """From a bag to its estimate; see `Jobs.identify`."""
