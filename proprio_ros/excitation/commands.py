@@ -1,9 +1,13 @@
-"""What goes in and out of the machine that pushes: samples of all driven joints, and commands for their servos."""
+"""What goes in and out of the machine that pushes: samples of all driven joints, put together from messages, and commands."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+
+SPAN_S = 0.02
+"""A velocity that is not stated is the mean over at least so long: encoders are coarse, and messages may come in pairs."""
 
 
 @dataclass(frozen=True)
@@ -34,3 +38,52 @@ class Command:
     position: dict[str, float] = field(default_factory=dict)
     current_A: dict[str, float] = field(default_factory=dict)
     stepped: dict[str, float] = field(default_factory=dict)
+
+
+class JointStates:
+    """Joint states of one arm, from as many publishers as it has, as samples.
+
+    Messages about other joints are passed over; a joint that a message lacks is where it was last seen. Velocities that are missing
+    or NaN (as joint_state_broadcaster sends them) follow from the positions. A position that is no number is passed on: the
+    state machine stops for it.
+
+    Args:
+        joints: Of the arm.
+        stale_after_s: A sample is given only while every joint that was ever seen was seen within this time.
+    """
+
+    def __init__(self, joints: Sequence[str], stale_after_s: float) -> None:
+        self._joints = frozenset(joints)
+        self._stale_after_s = stale_after_s
+        self._seen_s: dict[str, float] = {}
+        self._position: dict[str, float] = {}
+        self._velocity: dict[str, float] = {}
+        self._before: dict[str, tuple[float, float]] = {}  # time and position from which the mean velocity counts
+
+    def add(
+        self, now_s: float, names: Sequence[str], position: Sequence[float], velocity: Sequence[float] = ()
+    ) -> JointSample | None:
+        """One message, which came at a time [s], with the velocity of each joint, of some or of none [rad/s or m/s].
+
+        Returns:
+            All joints as last seen; None where the message says nothing about this arm, or one of its joints is not seen any more.
+        """
+        stated = dict(zip(names, velocity, strict=False))
+        mine = {name: q for name, q in zip(names, position, strict=False) if name in self._joints}
+        if not mine:
+            return None
+        for name, q in mine.items():
+            self._position[name], self._seen_s[name] = q, now_s
+            speed = stated.get(name, math.nan)
+            self._velocity[name] = speed if math.isfinite(speed) else self._mean(name, now_s, q)
+        if now_s - min(self._seen_s.values()) > self._stale_after_s:
+            return None
+        return JointSample(now_s, dict(self._position), dict(self._velocity))
+
+    def _mean(self, name: str, now_s: float, q: float) -> float:
+        before_s, before = self._before.setdefault(name, (now_s, q))
+        if now_s - before_s < SPAN_S:
+            return self._velocity.get(name, 0.0)
+        self._before[name] = (now_s, q)
+        speed = (q - before) / (now_s - before_s)
+        return speed if math.isfinite(speed) else 0.0

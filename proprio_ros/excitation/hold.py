@@ -26,9 +26,8 @@ back. With 0.6 a shoulder with 150 g in the hand ran on for 0.9 rad after a push
 LOST_RAD = 0.5
 """A joint that is so far from its goal is not held any more: sign or unit are wrong, or the load is too heavy."""
 SLACK_RAD = 0.004  # the sum rests so near to the goal: friction would have it hunt
-DEAD_RAD = 0.0015
+DEAD_RAD, DEAD_RAD_S = 0.0015, 0.12
 """Off by so little is not off: an encoder's noise would shake a joint that stands, and what shakes creeps in spite of friction."""
-DEAD_RAD_S = 0.12  # likewise of speeds
 SETTLING_S = 0.6
 """The sum takes up loads for so long after its goals have come to rest, and then stands: a joint must be still before a push."""
 LEANING_S = 0.05  # what a spring gives in the mean over this time, where a joint stands, belongs to what holds it
@@ -63,12 +62,11 @@ class HoldGains:
 
 
 class Hold:
-    """One arm's joints, their goals and the efforts towards them.
+    """One arm's joints, those of them that are held here, their goals and the efforts towards them.
 
-    Args:
-        robot: The arm.
-        joints: Those that are held here.
-        gains: How.
+    Attributes:
+        largest: By joint, what may be commanded [N m or N].
+        lost: Why the joints are not held any more; empty while they are.
     """
 
     def __init__(self, robot: Robot, joints: Sequence[str], gains: HoldGains | None = None) -> None:
@@ -78,7 +76,6 @@ class Hold:
             name: abs(robot.motors[name].current_limit_A * robot.drive_trains[name].nominal_effort_per_current)
             for name in self.joints
         }
-        """By joint, what may be commanded [N m or N]."""
         self._loads = Loads(robot)
         self._per_rad = {name: abs(robot.drive_trains[name].transmission) for name in self.joints}
         # a rotor that nobody stated is as heavy as it may well be: its inertia is most of a wrist's, and makes its spring
@@ -89,8 +86,7 @@ class Hold:
         self._friction = {name: drive.coulomb.value for name, drive in robot.drive_trains.items()}
         self._pose = zero_pose(robot)
         self._time_s: dict[str, float] = {}
-        self._period_s = 0.0
-        self._pauses_s = self._squares_s2 = 0.0
+        self._period_s = self._pauses_s = self._squares_s2 = 0.0
         self._heard_s: float | None = None
         self._position: dict[str, float] = {}
         self._velocity = dict.fromkeys(self.joints, 0.0)
@@ -105,7 +101,6 @@ class Hold:
         self._reactions: dict[str, dict[str, tuple[float, float]]] = {}
         self._moved_s = 0.0  # when a goal last changed
         self.lost = ""
-        """Why the joints are not held any more; empty while they are."""
 
     @property
     def rate_hz(self) -> float:
@@ -160,11 +155,7 @@ class Hold:
                 self._period_s += (step_s - self._period_s) * (0.01 if self._period_s > 0.0 else 1.0)
 
     def aim(self, goal: Mapping[str, float]) -> None:
-        """Hold joints there from now on; goals that move from call to call are followed with their velocity.
-
-        Args:
-            goal: By joint [rad or m].
-        """
+        """Hold joints there from now on [rad or m]; goals that move from call to call are followed with their velocity."""
         now_s = max(self._time_s.values(), default=0.0)
         step_s = 0.0 if self._goal_time_s is None else now_s - self._goal_time_s
         if self._goal_time_s is not None and step_s == 0.0 and all(self._goal.get(n) == q for n, q in goal.items()):
@@ -190,15 +181,13 @@ class Hold:
     def begin(self) -> None:
         """Hold all joints where they are, with nothing summed up from before."""
         self.lost = ""
-        self._sum = dict.fromkeys(self.joints, 0.0)
-        self._leaning = dict.fromkeys(self.joints, 0.0)
+        self._sum, self._leaning = dict.fromkeys(self.joints, 0.0), dict.fromkeys(self.joints, 0.0)
         self.here()
 
     def efforts(self, pushed: Mapping[str, float]) -> dict[str, float]:
-        """What to command now, within the motors' limits [N m or N]; zeros once a joint is lost.
+        """What to command now, within the motors' limits, beside the efforts of joints that are pushed, and not held [N m or N].
 
-        Args:
-            pushed: Efforts of joints that are pushed, and not held [N m or N].
+        Zeros once a joint is lost.
         """
         self._look_for_lost(pushed)
         if self.lost:
@@ -236,8 +225,8 @@ class Hold:
             free = efforts[name] == wanted and abs(correcting) < most and abs(slow) < STILL_RAD_S * per_rad
             far = abs(off) > (SLACK_RAD if settling else ASTRAY_RAD) * per_rad
             if free and not pushed and far:
-                self._sum[name] += spring * bounded_off * min(self._period_s, GAP_S) / self.gains.sum_s
-                self._sum[name] = self._bounded(name, self._sum[name])
+                added = spring * bounded_off * min(self._period_s, GAP_S) / self.gains.sum_s
+                self._sum[name] = self._bounded(name, self._sum[name] + added)
         return efforts
 
     def steady(self) -> dict[str, float]:

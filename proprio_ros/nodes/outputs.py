@@ -17,8 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from proprio_ros import clock
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
-from proprio_ros.excitation.effort_controller import EffortController, StampClock
-from proprio_ros.excitation.goal_controller import GoalController
+from proprio_ros.excitation.controllers import EffortController, GoalController, StampClock
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.nodes import last_words, messages

@@ -6,7 +6,7 @@ import pytest
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
-from proprio_ros.excitation.effort_controller import EffortController, StampClock
+from proprio_ros.excitation.controllers import EffortController, StampClock
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.robot import load_robot
 

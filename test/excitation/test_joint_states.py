@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from proprio_ros.excitation.joint_states import JointStates
+from proprio_ros.excitation.commands import JointStates
 
 ARM = ("joint1", "joint2", "gripper")
 
