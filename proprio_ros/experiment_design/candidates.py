@@ -19,12 +19,9 @@ from proprio_ros.sim.payload import PayloadFacts
 RATE_HZ = 40.0
 CLEARANCE_M = 0.03
 """Nothing may come closer to the base's plane than this; the grasped object hangs below the hand's frame."""
-LIMIT_MARGIN = 0.05
-"""Left before a joint's limit [rad]."""
-WIDEST = 1.5
-"""The range searched of a joint without limits [rad]."""
-PUSHES = (0.1, 0.2, 0.4)
-"""Torque beyond balance and friction, relative to the largest gravity load at that pose."""
+LIMIT_MARGIN = 0.05  # left before a joint's limit [rad]
+WIDEST = 1.5  # the range searched of a joint without limits [rad]
+PUSHES = (0.1, 0.2, 0.4)  # torque beyond balance and friction, relative to the largest gravity load at that pose
 
 
 TimeOf = Callable[[Sequence[Mapping[str, float]]], np.ndarray]

@@ -25,17 +25,12 @@ from proprio_ros.quantity import Sought, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-STANDS_RAD = 0.1
-"""What moves less at the motor's shaft stands still, and says nothing."""
-STILL_TRIES = 3
-"""So many pushes in a row that move nothing: then the joint sticks, or what it holds is too heavy."""
-NEAR_RAD = 0.4
-"""No further push begins so near where one has ended at a limit."""
+STANDS_RAD = 0.1  # what moves less at the motor's shaft stands still, and says nothing
+STILL_TRIES = 3  # so many pushes in a row that move nothing: then the joint sticks, or what it holds is too heavy
+NEAR_RAD = 0.4  # no further push begins so near where one has ended at a limit
 SHOWN_AT_MOST = 5
-MISFIT_RUNS = 3
-"""From so many runs on, a fit that does not explain them ends it."""
-TRIED_AT_MOST = 200
-"""Pushes that the excitation's guards are asked about."""
+MISFIT_RUNS = 3  # from so many runs on, a fit that does not explain them ends it
+TRIED_AT_MOST = 200  # pushes that the excitation's guards are asked about
 
 
 @dataclass(frozen=True)

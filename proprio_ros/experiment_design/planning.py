@@ -36,14 +36,10 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts
 
-STARTS = 6
-"""Start positions of the driven joint, over its range."""
-POSES = 4
-"""Positions of each locked joint that matters, over its range."""
-COARSE_STARTS, COARSE_POSES = 4, 2
-"""The same, where one good run will do."""
-TYPICAL_KG = 0.02
-"""For which a calibration says how well it weighs."""
+STARTS = 6  # start positions of the driven joint, over its range
+POSES = 4  # positions of each locked joint that matters, over its range
+COARSE_STARTS, COARSE_POSES = 4, 2  # the same, where one good run will do
+TYPICAL_KG = 0.02  # for which a calibration says how well it weighs
 ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
 SAME_KIND = 2  # plans shown of one joint and kind
 

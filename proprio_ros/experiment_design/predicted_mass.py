@@ -9,20 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.identification.gates import STEADY
-from proprio_ros.identification.regression.motion_equations import (
-    HOP_SHARE,
-    STRETCH_S,
-    WINDOW_S,
-    Arm,
-    equations,
-    sizes,
-)
-from proprio_ros.identification.regression.motion_prior import (
-    LINK_SHARE,
-    body_stds,
-    drive_stds,
-    relative_torque_std,
-)
+from proprio_ros.identification.regression.motion_equations import HOP_SHARE, STRETCH_S, WINDOW_S, Arm, equations, sizes
+from proprio_ros.identification.regression.motion_prior import LINK_SHARE, body_stds, drive_stds, relative_torque_std
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
@@ -33,10 +21,8 @@ from proprio_ros.robot.regressor import PARAMETERS
 
 DRIFT_SHARE = 0.05
 """Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
-WITHIN = 0.3
-"""An object lies within this share of the arm's reach."""
-SMALL_SHARE = 0.05
-"""First moments and inertia are those of an object of this part of the arm's mass."""
+WITHIN = 0.3  # an object lies within this share of the arm's reach
+SMALL_SHARE = 0.05  # first moments and inertia are those of an object of this part of the arm's mass
 
 
 def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:

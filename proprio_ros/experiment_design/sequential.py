@@ -50,23 +50,17 @@ STARTS, POSES = 6, 3
 """Start positions of a driven joint, and positions of each locked joint that matters, over their ranges."""
 DURATIONS_S = (0.3, 0.5, 0.7)
 SHAKE_PERIOD_S = 0.2
-SHAKE_OF_PUSH = 0.5
-"""Amplitude of a square wave, as a part of the current beyond balance and friction."""
-MAX_TRAVEL = 0.6
-"""rad, at which a push ends."""
-LOOKAHEAD_S = 0.08
-"""The excitation's guards look so far ahead; what would end a run there is no candidate."""
-FASTEST = 5.5
-"""rad/s, below the speed at which the excitation ends a sequence."""
+SHAKE_OF_PUSH = 0.5  # amplitude of a square wave, as a part of the current beyond balance and friction
+MAX_TRAVEL = 0.6  # rad, at which a push ends
+LOOKAHEAD_S = 0.08  # the excitation's guards look so far ahead; what would end a run there is no candidate
+FASTEST = 5.5  # rad/s, below the speed at which the excitation ends a sequence
 STEP_S = 1.0 / 120.0
-UNKNOWN_KG = (0.0, 0.12)
-"""What a hand may hold before anything is known."""
+UNKNOWN_KG = (0.0, 0.12)  # what a hand may hold before anything is known
 PATH_RAD = tuple(float(q) for q in np.linspace(-1.05, 1.05, 8))
 """From a start, where the height above the base's plane is looked at."""
 UNKNOWN_STD_KG = 0.1
 OWN = ("q0", "v0", "onset", "disturbance")
-WORTH = 0.1
-"""A push that promises less than this part of what is missing is not made."""
+WORTH = 0.1  # a push that promises less than this part of what is missing is not made
 
 
 @dataclass(frozen=True)
@@ -418,12 +412,7 @@ class Catalogue:
         return _Rows(shared, spread, places[0].prepared.run.times_s, alive.sum(axis=1), travel)
 
     def _scored(
-        self,
-        known: Known,
-        candidates: Sequence[_Candidate],
-        rows: _Rows,
-        time_of: TimeOf,
-        durations_s: Sequence[float],
+        self, known: Known, candidates: Sequence[_Candidate], rows: _Rows, time_of: TimeOf, durations_s: Sequence[float]
     ) -> list[Push]:
         """What each candidate would tell of the mass, with every duration that its travel does not end before."""
         shared, own, times = rows.shared, rows.own, rows.times_s
@@ -458,9 +447,7 @@ def _standing_at(still: PreparedRun, position: float) -> PreparedRun:
     """The same run with the driven joint elsewhere [rad]."""
     run = still.run
     moved = replace(
-        run,
-        position=np.full_like(run.position, position),
-        before_position=np.full_like(run.before_position, position),
+        run, position=np.full_like(run.position, position), before_position=np.full_like(run.before_position, position)
     )
     return replace(still, run=moved, rest=Quantity(position, still.rest.std))
 

@@ -28,11 +28,9 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose
 from proprio_ros.sim.payload import PayloadFacts
 
-MOVES = 0.12
-"""rad: a push that moves less is repeated with more current."""
+MOVES = 0.12  # rad: a push that moves less is repeated with more current
 RAISE_BY, EASE_BY = 1.2, 0.6
-HEAVIER = 2.5
-"""What may be in the hand is taken to be so many times more after a push that moved nothing."""
+HEAVIER = 2.5  # what may be in the hand is taken to be so many times more after a push that moved nothing
 WEIGHED_KG, LIGHT_KG, WEIGHED_PUSHES = 0.03, 0.01, 6
 """For the sake of which a reference is pushed, and an empty hand: an object, and the pushes with it. What is light is told by an
 empty hand better than by a reference: by 24 pushes of either, the half interval of 10 g falls from 0.91 to 0.55 and to 0.77 g."""

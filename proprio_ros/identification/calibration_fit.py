@@ -8,6 +8,7 @@ Bayes (MacKay 1992): how coarse the residuals are, and how much torque differs f
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 
@@ -33,29 +34,21 @@ EVIDENCE_ROUNDS = 15
 SWING_ITERATIONS = 60
 """Of the solver on free swings at most. Where a joint comes to a stop the cost has kinks, at which a step overshoots: the search
 must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
-PSEUDO_RUNS = 2.0
-"""Weight of the robot file's word on run-to-run torque, in runs."""
-PSEUDO_SAMPLES = 10.0
-"""Weight of the robot file's word on encoder noise and stamp jitter, in samples."""
+PSEUDO_RUNS = 2.0  # weight of the robot file's word on run-to-run torque, in runs
+PSEUDO_SAMPLES = 10.0  # weight of the robot file's word on encoder noise and stamp jitter, in samples
 RISE_STEPS = (0.1, 0.3, 1.0)
 """Of the standard deviation of a term of the rise of friction, one after the other: a joint that sticks has no gradient."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations that the evidence decides.
+    """Standard deviations that the evidence decides."""
 
-    Attributes:
-        residual_scale: Of readings, over the file's; stamp_jitter_s: of stamps.
-        torque_disturbance: Of torque from run to run [N m]; start_velocity: with which runs begin [rad/s].
-        friction_spread, swing_error: Of free swings, see `Robot`.
-    """
-
-    residual_scale: float
+    residual_scale: float  # of readings, over the file's
     stamp_jitter_s: float
-    torque_disturbance: float
-    start_velocity: float
-    friction_spread: float = 0.0
+    torque_disturbance: float  # of torque from run to run [N m]
+    start_velocity: float  # with which runs begin [rad/s]
+    friction_spread: float = 0.0  # of free swings, see `Robot`
     swing_error: float = 0.0
 
     def near(self, other: Noise) -> bool:
@@ -65,21 +58,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Where the fit of runs with known loads ended.
-
-    Attributes:
-        values: Of all unknowns, shape (N,).
-        covariance: Of the posterior, or counting also what was taken as known, shape (F, F).
-        cost: Of the end of each start, shape (S,).
-        noise: As the evidence has it.
-    """
+    """Where the fit of runs with known loads ended."""
 
     problem: Problem
-    values: np.ndarray
+    values: np.ndarray  # of all unknowns, shape (N,)
     posterior: Posterior
-    covariance: np.ndarray
-    cost: np.ndarray
-    noise: Noise
+    covariance: np.ndarray  # of the posterior, or counting also what was taken as known, shape (F, F)
+    cost: np.ndarray  # of the end of each start, shape (S,)
+    noise: Noise  # as the evidence has it
 
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
@@ -90,40 +76,29 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         noise = replace(noise, swing_error=FIRST_SWING_ERROR)
     problem = _problem(robot, runs, noise)
     most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
-    solution = solvers.levenberg_marquardt(
-        problem, _starts(problem), problem.simulator.windows, iterations=most, persistent=swings
-    )
+    search = functools.partial(solvers.levenberg_marquardt, persistent=swings)
+    solution = search(problem, _starts(problem), problem.simulator.windows, iterations=most)
     values = FitResult.of(problem, solution).values
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
-        better = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
-        settled = better.near(noise)
-        noise = better
+        before, noise = noise, (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
-        again = solvers.levenberg_marquardt(problem, start, None, iterations=again_most, persistent=swings)
-        values = FitResult.of(problem, again).values
-        if settled:
+        values = FitResult.of(problem, search(problem, start, None, iterations=again_most)).values
+        if noise.near(before):
             break
     posterior = Posterior(problem, values)
     return Fitted(problem, values, posterior, posterior.covariance, solution.cost, noise)
 
 
 def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem:
-    robot = replace(
-        robot,
-        torque_disturbance=noise.torque_disturbance,
-        start_velocity=noise.start_velocity,
-        friction_spread=noise.friction_spread,
-    )
-    unknowns = robot_unknowns(robot, runs, Role.FREE)
-    return Problem(robot, [_with_noise(run, noise) for run in runs], PayloadFacts(), unknowns)
-
-
-def _with_noise(run: PreparedRun, noise: Noise) -> PreparedRun:
-    reading, jitter = _noise_parts(run, noise)
-    sigma = np.hypot(reading, jitter)
-    return replace(run, sigma=np.hypot(sigma, noise.swing_error) if run.run.free else sigma)
+    expected = ("torque_disturbance", "start_velocity", "friction_spread")
+    robot = replace(robot, **{name: getattr(noise, name) for name in expected})
+    sigmas = [np.hypot(*_noise_parts(run, noise)) for run in runs]
+    if runs[0].run.free:
+        sigmas = [np.hypot(sigma, noise.swing_error) for sigma in sigmas]
+    noisy = [replace(run, sigma=sigma) for run, sigma in zip(runs, sigmas, strict=True)]
+    return Problem(robot, noisy, PayloadFacts(), robot_unknowns(robot, runs, Role.FREE))
 
 
 def _noise_parts(run: PreparedRun, noise: Noise) -> tuple[float, np.ndarray]:
@@ -169,16 +144,14 @@ def _follows(fitted: Fitted, column: int) -> np.ndarray:
     kept, first = problem.unknowns[row], fitted.values[problem.free]
     follows = np.zeros_like(first)
     follows[column] = kept.std
-    now = first
+    now = first.copy()
     for share in RISE_STEPS:
         unknowns = list(problem.unknowns)
         unknowns[row] = replace(kept, value=kept.value + share * kept.std)
         other = Problem(problem.robot, problem.runs, problem.facts, unknowns)
-        start = now.copy()
-        start[column] = unknowns[row].value
-        found = solvers.levenberg_marquardt(
-            other, other.coordinates.internal(start[None]), None, iterations=SWING_ITERATIONS, persistent=True
-        )
+        now[column] = unknowns[row].value
+        start = other.coordinates.internal(now[None])
+        found = solvers.levenberg_marquardt(other, start, None, iterations=SWING_ITERATIONS, persistent=True)
         now = other.coordinates.physical(found.internal)[0]
         if missed_share(Posterior(other, other.all_values(now[None])[0])) > MISSED_SHARE:
             break  # with so much of it the joint would not have swung like that
@@ -221,12 +194,8 @@ def _swing_evidence(robot: Robot, problem: Problem, posterior: Posterior, noise:
     """The same of free swings, whose residuals are not independent."""
     found, learnt = of_runs("friction_change", problem, posterior, noise.friction_spread)
     spread = spread_of_runs(robot.friction_spread, found, learnt)
-    return replace(
-        noise,
-        stamp_jitter_s=max(stamp_jitter(posterior), robot.stamp_jitter_s),
-        friction_spread=spread,
-        swing_error=swing_error(posterior),
-    )
+    jitter_s = max(stamp_jitter(posterior), robot.stamp_jitter_s)
+    return replace(noise, stamp_jitter_s=jitter_s, friction_spread=spread, swing_error=swing_error(posterior))
 
 
 def of_runs(kind: str, problem: Problem, posterior: Posterior, std: float) -> tuple[np.ndarray, np.ndarray]:

@@ -13,10 +13,8 @@ from proprio_ros.sim.payload import PayloadFacts, joint_coefficients, pseudo_ine
 
 LINK_TERMS = ("link_mass", "link_com_x", "link_com_y", "link_com_z", "link_inertia")
 """How a link may differ from the URDF: relative mass, shift of its centre of mass [m], relative inertia about it."""
-POSE_STEP = 1e-5
-"""Central difference over the pose of a locked joint [rad or m]; the error is about 1e-10."""
-NEGLIGIBLE = 1e-9
-"""A link term that changes less than this at its prior is not worth an unknown [kg m^2 or N m]."""
+POSE_STEP = 1e-5  # central difference over the pose of a locked joint [rad or m]; the error is about 1e-10
+NEGLIGIBLE = 1e-9  # a link term that changes less than this at its prior is not worth an unknown [kg m^2 or N m]
 
 
 @dataclass(frozen=True)

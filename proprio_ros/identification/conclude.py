@@ -25,7 +25,6 @@ from proprio_ros.identification.judge import (
     unsteady,
 )
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import joints_of
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95
@@ -34,52 +33,33 @@ from proprio_ros.robot import Robot
 
 @dataclass(eq=False)
 class Conclusion:
-    """The answer that a fit gives; a probe's own class says what only it knows.
+    """The answer that a fit gives; a probe's own class says what only it knows."""
 
-    Args:
-        nominal: The search from all starts, with the robot as its file or calibration states it.
-        opened: The fit in which all that is open moves; its covariance is given.
-        found: On the way here.
-        run_count: How many runs there were, the unusable ones included.
-        against: What speaks against the recording before one run is compared with another, the worst first.
-
-    Attributes:
-        probe: Its name; name: of the unknown that it is for.
-        searched_for: The same in a word.
-        check: What to look at where nothing could be simulated.
-        beside: What else than that unknown may be the cause of a misfit.
-        called: Unknowns that an answer shows under another kind.
-        robot, runs, known, assessed: Of the fit, see `Assessment`.
-        budget: What each source puts on the value, the largest first.
-        apart: Runs that say different values.
-        guesses: Facts that were not stated.
-    """
-
-    nominal: FitResult
-    opened: FitResult
-    found: Findings
-    run_count: int
-    against: Sequence[Refusal] = field(default=(), kw_only=True)
+    nominal: FitResult  # the search from all starts, with the robot as its file or calibration states it
+    opened: FitResult  # the fit in which all that is open moves; its covariance is given
+    found: Findings  # on the way here
+    run_count: int  # of all runs, the unusable ones included
+    against: Sequence[Refusal] = field(default=(), kw_only=True)  # before runs are compared, the worst first
 
     probe: ClassVar[str]
-    name: ClassVar[str]
-    searched_for: ClassVar[str] = "mass"
-    check: ClassVar[str] = "check the robot file's inertias"
-    beside: ClassVar[str] = "a robot or a start"
-    called: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    name: ClassVar[str]  # of the unknown that the probe is for
+    searched_for: ClassVar[str] = "mass"  # the same in a word
+    check: ClassVar[str] = "check the robot file's inertias"  # what to look at where nothing could be simulated
+    beside: ClassVar[str] = "a robot or a start"  # what else than that unknown may be the cause of a misfit
+    called: ClassVar[Mapping[str, str]] = MappingProxyType({})  # unknowns that an answer shows under another kind
 
     def __post_init__(self) -> None:
-        self.robot, self.runs = self.opened.problem.robot, self.opened.problem.runs
-        self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.assessed = Assessment(self.fit, self.name, self.opened)
+        self.robot, self.runs, self.known = self.assessed.robot, self.assessed.runs, self.assessed.known
+        # what each source puts on the value, the largest first
         self.budget = [(self.called.get(source, source), std) for source, std in self.assessed.budget()]
         self.apart: Contradiction | None = None
         self.guesses: list[Guess] = []
 
-    # --- what a probe must say ----------------------------------------------------------------------------------------------
+    # --- what a probe must say; `withheld` is in a few words why no value is stated, and empty where it is ---------------
 
     def values(self, withheld: str) -> tuple[Value, ...]:
-        """What is stated; ``withheld`` is in a few words why it is not, and empty where it is."""
+        """What is stated."""
         raise NotImplementedError
 
     def assumptions(self) -> tuple[str, ...]:
@@ -125,7 +105,7 @@ class Conclusion:
         yield from ()
 
     def detail(self, withheld: str) -> Detail | None:
-        """What only this probe's answers have; ``withheld`` as for `values`."""
+        """What only this probe's answers have."""
         return None
 
     # --- refusals that probes share -----------------------------------------------------------------------------------------
@@ -138,32 +118,24 @@ class Conclusion:
     def misfit_of(self, *suspects: str) -> Refusal:
         """Residuals larger than expected, or unknowns too far from their priors; and what may be the cause."""
         rms, expected = self.assessed.rms, self.assessed.expected
-        if rms <= expected:
-            said = (
-                f"only follows the recording with {self.beside} further from what is known about them than chance allows (reduced "
-                f"chi-square {self.fit.reduced_chi2:.1f})"
-            )
-        else:
-            said = (
-                f"misses the recording by {1e3 * rms:.2f} mrad rms where the encoder explains {1e3 * expected:.2f} mrad"
-                + (", so its mass is no weighing" if self.assessed.unit == "kg" else "")
-            )
-        which = "simulation" if rms <= expected else "best simulation"
         at, unit = self.assessed.value, self.assessed.unit
         value = f"{1e3 * at:.1f} g" if unit == "kg" else f"{at:.3g} {unit}"
-        return rejected(
-            "misfit", "the model does not explain the recording", f"misfit: the {which} ({value}) {said}", *suspects
-        )
+        if rms <= expected:
+            far = f"{self.beside} further from what is known about them than chance allows"
+            chi2 = f"reduced chi-square {self.fit.reduced_chi2:.1f}"
+            said = f"the simulation ({value}) only follows the recording with {far} ({chi2})"
+        else:
+            said = f"the best simulation ({value}) misses the recording by {1e3 * rms:.2f} mrad rms"
+            said += f" where the encoder explains {1e3 * expected:.2f} mrad"
+            said += ", so its mass is no weighing" if unit == "kg" else ""
+        return rejected("misfit", "the model does not explain the recording", f"misfit: {said}", *suspects)
 
     def lighter(self, thing: str, question: str, loaded: str = "") -> Iterator[Refusal]:
         """Where ``thing`` is lighter than it was empty, to the end of its interval; ``loaded``: how it is now."""
         mass = self.assessed.value
         if mass + Z95 * self.assessed.std < 0.0:
-            yield rejected(
-                "lighter_than_empty",
-                f"{thing} seems lighter than empty",
-                f"{thing}{loaded} seems {-1e3 * mass:.1f} g lighter than it was empty: {question}",
-            )
+            said = f"{thing}{loaded} seems {-1e3 * mass:.1f} g lighter than it was empty: {question}"
+            yield rejected("lighter_than_empty", f"{thing} seems lighter than empty", said)
 
     def several(self, share: float, cure: str = "") -> Iterator[Refusal]:
         """Where other starts explain the recording as well, at masses that differ by more than ``share``."""
@@ -207,15 +179,15 @@ class Conclusion:
             reasons += self.cautions(solver)
         rows = unknown_rows(self.opened, assessed.covariance)
         return Estimate(
-            probe=self.probe,
-            robot=self.robot.name,
-            verdict=refusal.verdict,
-            reasons=tuple(reasons),
-            values=self.values(refusal.withheld),
-            fit=Fit(assessed.rms, assessed.expected, self.fit.reduced_chi2, condition=assessed.posterior.condition),
-            solver=solver,
-            runs=self.run_count,
-            run_fits=assessed.run_fits,
+            self.probe,
+            self.robot.name,
+            refusal.verdict,
+            tuple(reasons),
+            self.values(refusal.withheld),
+            Fit(assessed.rms, assessed.expected, self.fit.reduced_chi2, condition=assessed.posterior.condition),
+            solver,
+            self.run_count,
+            assessed.run_fits,
             unknowns=tuple(replace(row, kind=self.called.get(row.kind, row.kind)) for row in rows),
             budget=tuple(self.budget),
             scan=assessed.profile(),
@@ -243,18 +215,14 @@ class Conclusion:
         if self.apart is not None and self.apart.sentence:
             yield self.apart.sentence
         if assessed.inflation > 1.0 and not self.fit.explains:
-            yield Reason(
-                "coarse_fit",
-                f"the fit is {np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} "
-                "mrad): the interval was widened by that factor",
+            coarser = (
+                f"{np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} mrad)"
             )
+            yield Reason("coarse_fit", f"the fit is {coarser}: the interval was widened by that factor")
         yield from self.remarks()
         if elsewhere := len(solver.paths) - solver.starts_agreeing:
-            yield Reason(
-                "starts_disagree",
-                f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)} or in a worse "
-                "fit; the best was taken",
-            )
+            ended = f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)}"
+            yield Reason("starts_disagree", f"{ended} or in a worse fit; the best was taken")
         sources = [] if assessed.unit != "kg" else self.budget
         sought = {guess.source for guess in self.guesses}
         yield from uncalibrated(self.robot, self.runs, [entry for entry in sources if entry[0] not in sought])

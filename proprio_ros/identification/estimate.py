@@ -59,13 +59,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class RunFit:
-    """One run as recorded and as simulated at the estimate.
-
-    Attributes:
-        times_s, measured, simulated, sigma: over the used window, shape (K,).
-        left_out_times_s, left_out: samples after the window, which did not count.
-        start_velocity: fitted [rad/s].
-    """
+    """One run as recorded and as simulated at the estimate; over the used window where nothing else is said, shape (K,)."""
 
     name: str
     joint: str
@@ -75,10 +69,10 @@ class RunFit:
     measured: np.ndarray
     simulated: np.ndarray
     sigma: np.ndarray
-    left_out_times_s: np.ndarray
+    left_out_times_s: np.ndarray  # samples after the window, which did not count
     left_out: np.ndarray
     travel: float
-    start_velocity: float
+    start_velocity: float  # fitted [rad/s]
     cut_reason: str
     notes: tuple[str, ...] = ()
 
@@ -88,27 +82,22 @@ class RecordedRun:
     """One run as it was recorded, whether a fit could use it or not.
 
     Attributes:
-        unit: of the positions, rad or m; a slide that a motor turns is seen from its shaft [rad], as in a fit.
-        times_s, position: before and while the current flowed, shape (K,); it came on at time 0.
-        input_times_s, input_current_A: each current holds from its time on, shape (C,); the last until ``duration_s``.
-        arm: the links from the side at the start and at the end, each a line from joint to joint, to the right and up [m], shape
+        arm: The links from the side at the start and at the end, each a line from joint to joint, to the right and up [m], shape
             (2, L, 2, 2); no line where the position of a joint is not known.
-        driven: place of the driven joint in both, shape (2, 2).
-        baseline: whether it was made without what is to be identified.
     """
 
     name: str
     joint: str
     source: str
-    unit: str
-    times_s: np.ndarray
+    unit: str  # of the positions, rad or m; a slide that a motor turns is seen from its shaft [rad], as in a fit
+    times_s: np.ndarray  # before and while the current flowed, shape (K,); it came on at time 0
     position: np.ndarray
-    input_times_s: np.ndarray
+    input_times_s: np.ndarray  # each current holds from its time on, shape (C,); the last until `duration_s`
     input_current_A: np.ndarray
     duration_s: float
     arm: np.ndarray
-    driven: np.ndarray
-    baseline: bool = False
+    driven: np.ndarray  # place of the driven joint at the start and at the end, shape (2, 2)
+    baseline: bool = False  # whether it was made without what is to be identified
 
 
 @dataclass(frozen=True)
@@ -126,20 +115,15 @@ class StartPath:
 
 @dataclass(frozen=True)
 class SolverSummary:
-    """Which solver ran, and whether its starts agree.
-
-    Attributes:
-        paths: of the search from every start.
-        refined: of the fit that was started from its ends and gave the answer; empty where the search itself gave it.
-    """
+    """Which solver ran, and whether its starts agree."""
 
     name: str
     profile: str
     iterations: int
-    paths: tuple[StartPath, ...]
+    paths: tuple[StartPath, ...]  # of the search from every start
     integrator: str
     step_s: float
-    refined: tuple[StartPath, ...] = ()
+    refined: tuple[StartPath, ...] = ()  # of the fit that began at their ends and gave the answer, where one did
 
     @property
     def starts_agreeing(self) -> int:
@@ -149,9 +133,8 @@ class SolverSummary:
         record = picked(self, "name", "profile", "starts_agreeing", "iterations", "integrator", "step_s")
         record["starts"] = len(self.paths)
         if any(path.scheduled is not None for path in self.paths):
-            record["start_results"] = [
-                {"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end} for p in self.paths
-            ]
+            results = [{"start_kg": p.start, "scheduled_kg": p.scheduled, "least_error_kg": p.end} for p in self.paths]
+            record["start_results"] = results
         return record
 
 
@@ -178,26 +161,18 @@ class UnknownRow(Tag):
 
 @dataclass(frozen=True)
 class Scan:
-    """Cost against what was searched for.
+    """Cost against what was searched for."""
 
-    Attributes:
-        values: of what was searched for [kg, or Pa]; cost: shape (M,).
-        measure: what the cost is, in words.
-        level: cost at the ends of the 95 % interval; None where the cost says nothing about it.
-    """
-
-    values: np.ndarray
+    values: np.ndarray  # of what was searched for [kg, or Pa], shape (M,)
     cost: np.ndarray
-    measure: str
-    level: float | None = None
+    measure: str  # what the cost is, in words
+    level: float | None = None  # cost at the ends of the 95 % interval; None where the cost says nothing about it
 
 
 class Detail(Protocol):
     """What only one probe's answers have."""
 
-    def as_json(self) -> dict[str, Any]:
-        """Keys of the contract's object that no other probe has."""
-        ...
+    def as_json(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -225,10 +200,10 @@ class Estimate:
 
     def value(self, name: str) -> Value:
         """The value called ``name``; KeyError lists what there is."""
-        for value in self.values:
-            if value.name == name:
-                return value
-        raise KeyError(f"no {name} among {[v.name for v in self.values]}")
+        named = {value.name: value for value in self.values}
+        if name not in named:
+            raise KeyError(f"no {name} among {list(named)}")
+        return named[name]
 
     @property
     def interval_first(self) -> bool:
@@ -237,32 +212,23 @@ class Estimate:
 
     def as_json(self) -> dict[str, Any]:
         """The contract's object; numbers are plain floats, what is not a number is null."""
-        return plain(
-            {
-                **header("estimate"),
-                "bags": [],
-                "baseline": [],
-                "calibration": None,
-                **self.origin,
-                **picked(self, "probe", "robot", "runs", "verdict", "reasons"),
-                "reason_codes": reason_codes(self.reasons),
-                "estimates": self.values,
-                **({} if self.detail is None else self.detail.as_json()),
-                **picked(self, "fit", "solver", "unknowns"),
-                "uncertainty_budget": [{"source": s, "std": v, "unit": self.values[0].unit} for s, v in self.budget],
-                **picked(self, "assumptions", "notes", "timing_s"),
-            }
-        )
+        record = {**header("estimate"), "bags": [], "baseline": [], "calibration": None, **self.origin}
+        record |= picked(self, "probe", "robot", "runs", "verdict", "reasons")
+        record |= {"reason_codes": reason_codes(self.reasons), "estimates": self.values}
+        if self.detail is not None:
+            record |= self.detail.as_json()
+        record |= picked(self, "fit", "solver", "unknowns")
+        budget = [{"source": source, "std": std, "unit": self.values[0].unit} for source, std in self.budget]
+        return plain({**record, "uncertainty_budget": budget, **picked(self, "assumptions", "notes", "timing_s")})
 
 
 def no_answer(
     probe: str, name: str, unit: str, robot: str, runs: int, reasons: Sequence[str], notes: Sequence[str]
 ) -> Estimate:
     """What is said where no run can be used: the value is not determined, and the reasons are the runs' own."""
-    undetermined = Value(name, unit, None, reason="no run of this recording determines it")
-    return Estimate(
-        probe, robot, Verdict.NOT_IDENTIFIABLE, tuple(reasons), (undetermined,), None, None, runs, notes=tuple(notes)
-    )
+    values = (Value(name, unit, None, reason="no run of this recording determines it"),)
+    verdict = Verdict.NOT_IDENTIFIABLE
+    return Estimate(probe, robot, verdict, tuple(reasons), values, None, None, runs, notes=tuple(notes))
 
 
 def picked(of: Any, *names: str) -> dict[str, Any]:

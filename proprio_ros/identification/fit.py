@@ -29,41 +29,27 @@ ENCODER, CALIBRATION = "encoder", "calibration"
 """Sources of uncertainty that are no unknown: noise of the readings, and what a calibration left correlated."""
 CALIBRATED = {
     "torque_constant": "torque constants",
-    "coulomb": "friction",
-    "viscous": "friction",
-    "load_friction": "friction",
-    "stribeck": "friction",
-    "stribeck_velocity": "friction",
     "armature": "armatures",
-    "zero": "zeros and encoder errors",
-    "ripple_cos": "zeros and encoder errors",
-    "ripple_sin": "zeros and encoder errors",
     "delay": "delay",
+    **dict.fromkeys(("coulomb", "viscous", "load_friction", "stribeck", "stribeck_velocity"), "friction"),
+    **dict.fromkeys(("zero", "ripple_cos", "ripple_sin"), "zeros and encoder errors"),
 }
 """What a calibration's unknowns are called together, by kind; all others are the arm's masses."""
-CHI2_95 = Z95**2
-"""Chi-square above its least at the ends of a 95 % interval of one unknown."""
+CHI2_95 = Z95**2  # chi-square above its least at the ends of a 95 % interval of one unknown
 PROFILE = "chi-square above the least"
 PROFILE_STEPS, PROFILE_STDS, PROFILE_ITERATIONS = 6, 3.0, 15
 """At how many values to each side a profile is fitted again, how far it reaches, and iterations of each fit at most."""
-PROFILE_HIGHEST = 100.0
-"""A profile ends where it rises above this: what comes then is no continuation of the fit."""
+PROFILE_HIGHEST = 100.0  # a profile ends where it rises above this: what comes then is no continuation of the fit
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How a rigid load is searched for.
+    """How a rigid load is searched for; integrator and step as in ``JointSimulator``."""
 
-    Attributes:
-        solver: one of ``solvers.SOLVERS``.
-        integrator, step_s: see ``JointSimulator``.
-        starts_kg: first guesses, two orders of magnitude apart.
-    """
-
-    solver: str = "lm"
+    solver: str = "lm"  # one of `solvers.SOLVERS`
     integrator: str = "rk4"
     step_s: float = 1.0 / 240.0
-    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)
+    starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)  # first guesses, two orders of magnitude apart
 
     def __post_init__(self) -> None:
         if self.solver not in solvers.SOLVERS:
@@ -72,32 +58,22 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class FitResult:
-    """Where a search ended.
-
-    Attributes:
-        values: all unknowns at the best start, shape (N,).
-        chi2: of the samples and the priors together; dof: samples less unknowns without a prior.
-    """
+    """Where a search ended."""
 
     problem: Problem
     solution: solvers.Solution
-    values: np.ndarray
-    chi2: float
-    dof: int
+    values: np.ndarray  # all unknowns at the best start, shape (N,)
+    chi2: float  # of the samples and the priors together
+    dof: int  # samples less unknowns without a prior
 
     @classmethod
     def of(cls, problem: Problem, solution: solvers.Solution) -> FitResult:
         """The best of a solution's starts."""
         best = solution.internal[solution.best]
         values = problem.all_values(problem.coordinates.physical(best[None]))[0]
-        without_prior = sum(1 for row in problem.free if not np.isfinite(problem.unknowns[row].std))
-        return cls(
-            problem,
-            solution,
-            values,
-            2.0 * float(solution.cost[solution.best]),
-            max(problem.samples - without_prior, 1),
-        )
+        without_prior = sum(not np.isfinite(problem.unknowns[row].std) for row in problem.free)
+        dof = max(problem.samples - without_prior, 1)
+        return cls(problem, solution, values, 2.0 * float(solution.cost[solution.best]), dof)
 
     @property
     def reduced_chi2(self) -> float:
@@ -174,9 +150,8 @@ def fit_both(
 ) -> tuple[FitResult, FitResult]:
     """A fit with the robot as it is stated, and from there the one in which all that is open moves under its prior.
 
-    Args:
-        solve: Of a role for what is open, and a fit to start from (``start``), default every start.
-        again: Whether, of both fits, the second is to be tried from every start, too; the better one counts.
+    ``solve`` takes a role for what is open, and a fit to start from (``start``), default every start; ``again`` says of both fits
+    whether the second is to be tried from every start, too: then the better one counts.
     """
     nominal = solve(Role.FROZEN)
     opened = solve(Role.FREE, start=nominal)
@@ -240,15 +215,11 @@ def error_budget(fit: FitResult, covariance: np.ndarray, name: str = "payload_ma
 
 
 def _split(row: np.ndarray, precision: np.ndarray, groups: Mapping[str, Sequence[int]]) -> dict[str, float]:
-    """A variance that correlated unknowns cause together, split among groups of them.
+    """A variance that correlated unknowns cause together, split among groups of them, which are places of unknowns by name.
 
     A group's share is what knowing it would take from the variance, on average over all orders in which the groups become known
-    (Shapley effects, Owen 2014, SIAM/ASA J. Uncertainty Quantification 2(1)): no share is negative, and they add up.
-
-    Args:
-        row: covariance of the result with each free unknown, shape (F,).
-        precision: of their prior, shape (F, F).
-        groups: places of the unknowns, by name.
+    (Shapley effects, Owen 2014, SIAM/ASA J. Uncertainty Quantification 2(1)): no share is negative, and they add up. ``row`` (F,)
+    is the covariance of the result with each free unknown, ``precision`` (F, F) that of their prior.
     """
     names, every = list(groups), [place for places in groups.values() for place in places]
     prior = scaled_inverse(precision[np.ix_(every, every)])
@@ -282,14 +253,9 @@ def source_label(source: str) -> str:
 
 
 def rivals(fit: FitResult, name: str, value: float, std: float, share: float) -> list[float]:
-    """Masses of other starts that explain the recording as well but lie elsewhere.
+    """Masses of other starts that explain the recording as well but lie elsewhere than the estimate [kg].
 
-    Args:
-        fit: the best start, with the others.
-        name: of the unknown [kg].
-        value: of the estimate [kg].
-        std: of the estimate [kg].
-        share: masses that differ by less than this share of them are one.
+    Masses that differ by less than a ``share`` of them are one.
     """
     ends, cost = fit.physical(name), fit.solution.cost
     near = cost < cost[fit.solution.best] + 2.0
@@ -314,14 +280,14 @@ def summary(
     """What every start did.
 
     Args:
-        fit: of the search from all starts.
-        name: of the unknown that is searched for.
-        starts: first guesses of it; where there are more starts they are taken in turn.
-        tolerance: ends agree that are no farther from the best, in the unknown's unit, ..
-        iterations: of all searches together.
-        options: what was asked for.
+        fit: Of the search from all starts.
+        name: Of the unknown that is searched for.
+        starts: First guesses of it; where there are more starts they are taken in turn.
+        tolerance: Ends agree that are no farther from the best, in the unknown's unit, ..
+        iterations: Of all searches together.
+        options: What was asked for.
         margin: .. and whose cost is above the best by less.
-        final: the fit that gave the answer, where that is another one, started from the ends of this.
+        final: The fit that gave the answer, where that is another one, started from the ends of this.
     """
     refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
     paths = _paths(fit, name, tolerance, margin, starts)
@@ -336,48 +302,32 @@ def _paths(
     ends, history = fit.physical(name), fit.physical(name, solution.path)
     near = np.abs(ends - ends[solution.best]) <= tolerance
     near &= solution.cost < solution.cost[solution.best] + margin
-    return tuple(
-        StartPath(
-            float(history[0, s]) if starts is None else starts[s % len(starts)], float(end), float(solution.cost[s]),
-            bool(near[s]), history[:, s], solution.path_cost[:, s],
-        )
-        for s, end in enumerate(ends)
-    )  # fmt: skip
+    firsts = history[0].tolist() if starts is None else list(itertools.islice(itertools.cycle(starts), len(ends)))
+    rows = zip(
+        firsts, ends.tolist(), solution.cost.tolist(), near.tolist(), history.T, solution.path_cost.T, strict=True
+    )
+    return tuple(StartPath(*row) for row in rows)
 
 
 def other_suspects(robot: Robot) -> list[str]:
     """What else than the object may be the cause of a misfit."""
     if robot.is_calibrated():
         return []
-    return [
-        "the robot has not been calibrated: friction, torque constant or armature outside what its file allows would do this"
-    ]
+    may_be = "friction, torque constant or armature outside what its file allows would do this"
+    return [f"the robot has not been calibrated: {may_be}"]
 
 
 def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
     """All unknowns with prior and posterior, as a report shows them."""
-    return tuple(
-        UnknownRow(
-            u.kind,
-            u.role.value,
-            u.value,
-            u.std,
-            float(fit.values[row]),
-            float(np.sqrt(covariance[row, row])),
-            scope=u.scope,
-        )
-        for row, u in enumerate(fit.problem.unknowns)
-    )
+    rows = zip(fit.problem.unknowns, fit.values.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
+    return tuple(UnknownRow(u.kind, u.role.value, u.value, u.std, value, std, scope=u.scope) for u, value, std in rows)
 
 
 class _Held:
-    """A problem whose unknown in one column stays where each guess has it.
+    """A problem whose free unknown in one column stays where each guess has it.
 
-    Args:
-        problem: whose other unknowns move.
-        column: place of the unknown among the free ones.
-        inflation: factor on the variance of the samples; the priors stay as narrow as they are.
-        best: free values of the fit, shape (F,), which stay the best ones whatever the inflation.
+    ``inflation`` is a factor on the variance of the samples, while the priors stay as narrow as they are; whatever it is, ``best``
+    (F,) stay the best values.
     """
 
     def __init__(self, problem: Problem, column: int, inflation: float, best: np.ndarray) -> None:
@@ -409,12 +359,12 @@ def misfit_profile(fit: FitResult, name: str, posterior: Posterior, inflation: f
     own, so that a few iterations reach it (Raue et al. 2009, Bioinformatics 25(15), call it the profile likelihood).
 
     Args:
-        fit: with all that is open.
-        name: of the unknown.
-        posterior: of the fit.
-        inflation: of the posterior.
-        value: that was stated, in the unknown's unit; the profile reaches as far about it as about that of the fit.
-        std: of the statement.
+        fit: With all that is open.
+        name: Of the unknown.
+        posterior: Of the fit, with ``inflation``.
+        inflation: Of the variance of the samples.
+        value: That was stated, in the unknown's unit; the profile reaches as far about it as about that of the fit.
+        std: Of the statement.
     """
     problem, row, column = fit.problem, fit.problem.index[name], fit.column(name)
     unknown, best, own = problem.unknowns[row], float(fit.values[row]), float(posterior.covariance[column, column])
@@ -422,14 +372,11 @@ def misfit_profile(fit: FitResult, name: str, posterior: Posterior, inflation: f
         return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
     # what spans orders of magnitude is less than nothing only where an empty hand reads so
     lowest = 0.0 if unknown.asinh_scale > 0.0 and best > 0.0 else unknown.lower
-    ends = [
-        max(min(best, value) - PROFILE_STDS * std, lowest),
-        min(max(best, value) + PROFILE_STDS * std, unknown.upper),
-    ]
+    low, high = min(best, value) - PROFILE_STDS * std, max(best, value) + PROFILE_STDS * std
     at = fit.values[problem.free]
     coordinates, held = problem.coordinates, _Held(problem, column, inflation, at)
     at_best = coordinates.internal(at)
-    step = (np.array(ends) - best) / PROFILE_STEPS
+    step = (np.array([max(low, lowest), min(high, unknown.upper)]) - best) / PROFILE_STEPS
     ahead = np.outer(step, posterior.covariance[:, column] / own)
     ahead[:, column] = step
     least = float(held.linearise(at_best[None])[0][0])

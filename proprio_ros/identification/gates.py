@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,14 +15,11 @@ from proprio_ros.quantity import shown
 from proprio_ros.robot import DriveTrain, Robot
 
 MIN_USED = 5
-STUCK_TRAVEL = 0.1
-"""Below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is."""
-UNMOVED_RAD = 0.02
-"""A gripper that moves less shows nothing but its friction."""
+STUCK_TRAVEL = 0.1  # below this travel (rad or m/10) breakaway and presliding, not weight, decide where the joint is
+UNMOVED_RAD = 0.02  # a gripper that moves less shows nothing but its friction
 LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
-MOVING_START = 0.1
-"""rad/s: a probe that starts faster has not started from rest."""
+MOVING_START = 0.1  # rad/s: a probe that starts faster has not started from rest
 LOCKED_SPAN = 0.03
 """rad: what a locked joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
 MISFIT_SIGMAS = 3.0902
@@ -32,10 +29,8 @@ MISFIT_LIMIT = 9.0
 CONTRADICTION = 2.5
 """Reduced chi-square with which the other runs may predict a run: beyond it, and beyond chance, the run contradicts them."""
 
-STEADY = 0.1
-"""Part of itself by which the current of a push may change."""
-STILL_SIGMAS = 3.0
-"""So many standard deviations more than is known may hold a joint that stands still."""
+STEADY = 0.1  # part of itself by which the current of a push may change
+STILL_SIGMAS = 3.0  # so many standard deviations more than is known may hold a joint that stands still
 
 
 @dataclass
@@ -48,30 +43,19 @@ class Findings:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A run that the others predict badly.
+    """A run that the others predict badly."""
 
-    Attributes:
-        sentence: what it says, and what they say; empty where that is the same.
-        half: half of the difference between two values that are nearly alike; None where they are not.
-    """
-
-    sentence: str
-    half: float | None = None
+    sentence: str  # what it says, and what they say; empty where that is the same
+    half: float | None = None  # of the difference between two values that are nearly alike; None where they are not
 
 
 def contradiction(
     name: str, unit: str, one: float, others: float, alike: float, same: float, question: str
 ) -> Contradiction:
-    """What to make of a run that says another value than the others.
+    """What to make of the run called ``name`` that says ``one`` value where the others say another.
 
-    Args:
-        name: of the run.
-        unit: of the values.
-        one: what it says.
-        others: what they say.
-        alike: values that differ by less do not contradict each other; half of the difference then counts as uncertainty.
-        same: values that differ by less are not worth a sentence.
-        question: to the user where they contradict each other.
+    Values that differ by less than ``alike`` do not contradict each other; half of the difference then counts as uncertainty. What
+    is less than ``same`` is not worth a sentence. The ``question`` is put to the user where they contradict each other.
     """
     said = f"it says {shown(unit, one, spec='.1f')}, they say {shown(unit, others, spec='.1f')}"
     apart = abs(one - others)
@@ -83,17 +67,12 @@ def contradiction(
     return Contradiction(Reason("runs_contradict", f"{name} contradicts the other runs: {said}; {question}"))
 
 
-def chi2_limit(dof: int) -> float:
-    """Chi-square that chance exceeds once in a thousand times.
+def chi2_limit(dof: float, sigmas: float = MISFIT_SIGMAS) -> float:
+    """Chi-square that chance exceeds as rarely as a normal exceeds ``sigmas`` standard deviations on one side.
 
     Wilson & Hilferty 1931: the cube root of chi-square over its degrees of freedom is nearly normal; good to 1.5 % from four
     degrees of freedom on, and it saves the half second that importing ``scipy.stats`` takes.
     """
-    return chance_limit(dof, MISFIT_SIGMAS)
-
-
-def chance_limit(dof: float, sigmas: float) -> float:
-    """Chi-square that chance exceeds as rarely as a normal exceeds ``sigmas`` standard deviations on one side."""
     spread = 2.0 / (9.0 * dof)
     return float(dof * (1.0 - spread + sigmas * np.sqrt(spread)) ** 3)
 
@@ -104,11 +83,11 @@ def unusable(run: PreparedRun) -> str:
         why = run.cut_reason or "the probe was too short"
         return Reason("few_samples", f"only {run.used} usable samples, because {why}")
     if abs(run.travel) < STUCK_TRAVEL:
-        return Reason(
-            "stuck",
-            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is: "
-            f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel",
+        moved = (
+            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is"
         )
+        cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
+        return Reason("stuck", f"{moved}: {cure}")
     return ""
 
 
@@ -122,50 +101,36 @@ def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:
 
 def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     """Warn of what is unusual about a run by itself."""
-    name, joint = run.run.name, run.run.joint
-    found.notes.extend(f"{name}: {note}" for note in run.run.notes)
-    if run.used < MIN_USED:
-        return
+    found.notes.extend(f"{run.run.name}: {note}" for note in run.run.notes)
+    if run.used >= MIN_USED:
+        found.reasons += [Reason(code, f"{run.run.name}: {said}") for code, said in _unusual(robot, run)]
+
+
+def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:
+    """Codes and sentences."""
+    joint, model = run.run.joint, robot.model.joint(run.run.joint)
     if run.cut_reason:
         later = len(run.run.times_s) - run.used
-        found.reasons.append(
-            Reason("left_out_samples", f"{name}: {run.cut_reason}; {later} later samples were left out")
-        )
+        yield "left_out_samples", f"{run.cut_reason}; {later} later samples were left out"
     # fingers on a stiff block do not get that far
-    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and robot.model.joint(joint).kind != "prismatic":
-        found.reasons.append(
-            Reason(
-                "short_travel",
-                f"{name}: {joint} moved only {abs(run.travel):.2f} rad in the samples used: a probe with at least "
-                f"{LITTLE_TRAVEL} rad gives a much narrower interval",
-            )
-        )
-    limits = robot.model.joint(joint)
-    per_rad = run.drive.transmission
+    if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and model.kind != "prismatic":
+        cure = f"a probe with at least {LITTLE_TRAVEL} rad gives a much narrower interval"
+        yield "short_travel", f"{joint} moved only {abs(run.travel):.2f} rad in the samples used: {cure}"
     margin = 2.0 * run.drive.encoder_resolution
-    for limit, side in ((limits.lower / per_rad, -1.0), (limits.upper / per_rad, 1.0)):
-        if side * (run.rest.value - limit) > -margin:
-            found.reasons.append(
-                Reason(
-                    "starts_at_limit",
-                    f"{name}: {joint} starts at its limit ({run.rest.value:.3f} rad), where the stop may carry part of the weight: "
-                    "start away from it",
-                )
+    for limit, side in ((model.lower, -1.0), (model.upper, 1.0)):
+        if side * (run.rest.value - limit / run.drive.transmission) > -margin:
+            starts = (
+                f"{joint} starts at its limit ({run.rest.value:.3f} rad), where the stop may carry part of the weight"
             )
-    current = float(np.abs(run.run.input_current_A).max())
-    allowed = robot.motors[joint].current_limit_A
+            yield "starts_at_limit", f"{starts}: start away from it"
+    current, allowed = float(np.abs(run.run.input_current_A).max()), robot.motors[joint].current_limit_A
     if current > allowed:
-        found.reasons.append(
-            Reason(
-                "current_above_limit",
-                f"{name}: {shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}, so less flowed "
-                "than the input says: probe below the limit, or correct current_limit_A in the robot file",
-            )
-        )
+        given = f"{shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}"
+        cure = "probe below the limit, or correct current_limit_A in the robot file"
+        yield "current_above_limit", f"{given}, so less flowed than the input says: {cure}"
     for held, span in run.run.held_span.items():
         if held in run.coefficients.pose and span > LOCKED_SPAN:
-            moved = f"{name}: {held} should be held but moved by {span:.3f} rad"
-            found.reasons.append(Reason("held_joint_moved", moved))
+            yield "held_joint_moved", f"{held} should be held but moved by {span:.3f} rad"
 
 
 def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
@@ -175,13 +140,10 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
         signs = {float(np.sign(run.travel)) for run in runs if run.run.joint == joint}
         if len(signs) == 1:
             towards, back = ("positive", "negative") if signs == {1.0} else ("negative", "positive")
-            sentences.append(
-                Reason(
-                    "never_reversed",
-                    f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed and cannot be "
-                    f"separated from torque and weight: add a run in which it moves in the {back} direction",
-                )
-            )
+            moved = f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed"
+            cure = f"add a run in which it moves in the {back} direction"
+            said = f"{moved} and cannot be separated from torque and weight: {cure}"
+            sentences.append(Reason("never_reversed", said))
     return sentences
 
 
@@ -192,11 +154,11 @@ def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Seque
     friction, and a current that leaves more than that over would have moved it.
 
     Args:
-        robot: of the runs.
-        problem: of the fit.
-        values: of its unknowns, shape (N,).
-        still: runs that are of no use because the joint hardly moved.
-        mass: what the hand holds by the fit [kg].
+        robot: Of the runs.
+        problem: Of the fit.
+        values: Of its unknowns, shape (N,).
+        still: Runs that are of no use because the joint hardly moved.
+        mass: What the hand holds by the fit [kg].
     """
     for run in still:
         joint, drive = run.run.joint, run.drive
@@ -222,11 +184,11 @@ def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Seque
         inertia = run.coefficients.arm[0] + held * per_kg[0] + drive.armature.value + 2.0 * drive.armature.std
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
         if 0.5 * over / float(inertia) * lasted_s**2 >= LITTLE_TRAVEL:
-            return Reason(
-                "stood_still",
-                f"{run.run.name}: {joint} stood still with {shown('A', current)}, where {shown('kg', held)} would leave "
-                f"{shown('N m', abs(net))} to move it, more than its friction can hold: it sticks, or leans on something",
+            stood = f"{run.run.name}: {joint} stood still with {shown('A', current)}"
+            left = (
+                f"{shown('kg', held)} would leave {shown('N m', abs(net))} to move it, more than its friction can hold"
             )
+            return Reason("stood_still", f"{stood}, where {left}: it sticks, or leans on something")
     return ""
 
 

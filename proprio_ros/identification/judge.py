@@ -20,7 +20,7 @@ from proprio_ros.identification.fit import (
     source_label,
     unknown_rows,
 )
-from proprio_ros.identification.gates import MOVING_START, chance_limit
+from proprio_ros.identification.gates import MOVING_START, chi2_limit
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
 from proprio_ros.identification.reasons import Reason
@@ -43,21 +43,14 @@ Budget = Sequence[tuple[str, float]]
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why an answer is not simply accepted.
+    """Why an answer is not simply accepted."""
 
-    Attributes:
-        verdict: what that makes of the answer.
-        withheld: in a few words, where the value would stand; empty where the value is given nevertheless.
-        reasons: in sentences, before whatever else was found.
-    """
-
-    verdict: Verdict
-    withheld: str
-    reasons: tuple[str, ...]
+    verdict: Verdict  # what that makes of the answer
+    withheld: str  # in a few words, where the value would stand; empty where the value is given nevertheless
+    reasons: tuple[str, ...]  # in sentences, before whatever else was found
 
 
-ACCEPTED = Refusal(Verdict.ACCEPTED, "", ())
-"""Nothing speaks against the answer."""
+ACCEPTED = Refusal(Verdict.ACCEPTED, "", ())  # nothing speaks against the answer
 
 
 def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
@@ -75,42 +68,34 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
 
     Then joint states pause, or come with stamps that are not when the positions were read, which shows in their steps.
     """
-    longest_s, pauses_in = 0.0, ""
-    widest_s, every_s, uneven_in = 0.0, 0.0, ""
-    for prepared in runs:
-        run = prepared.run
+    pauses, scatters = [], []
+    for run in (prepared.run for prepared in runs):
         steps_s = np.diff(np.concatenate([run.before_times_s, run.times_s]))
-        if len(steps_s) and max(longest_s, PAUSE_S, PAUSE_STEPS * float(np.median(steps_s))) < steps_s.max():
-            longest_s, pauses_in = float(steps_s.max()), run.name
+        if len(steps_s) and steps_s.max() > max(PAUSE_S, PAUSE_STEPS * float(np.median(steps_s))):
+            pauses.append((float(steps_s.max()), run.name))
         steps_s = np.diff(run.times_s)
         usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
-        if len(steps_s) and steps_s.std() > max(widest_s, UNEVEN_S, UNEVEN_SHARE * usual_s):
-            widest_s, every_s, uneven_in = float(steps_s.std()), usual_s, run.name
-    again = "keep it free and record again"
-    if pauses_in:
-        paused = f"{pauses_in}: the joint states pause for {1e3 * longest_s:.0f} ms"
-        busy = "a computer that is busy elsewhere pushes and holds an arm too late"
-        return [Reason("paused", f"{paused}: {busy}; {again}")]
-    if uneven_in:
-        uneven = (
-            f"{uneven_in}: the joint states come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
-        )
-        busy = "a computer that is busy elsewhere stamps positions when it did not read them"
-        return [Reason("uneven", f"{uneven}: {busy}; {again}")]
-    return []
+        if len(steps_s) and steps_s.std() > max(UNEVEN_S, UNEVEN_SHARE * usual_s):
+            scatters.append((float(steps_s.std()), usual_s, run.name))
+    code, said, elsewhere = "", "", "a computer that is busy elsewhere"
+    if pauses:
+        longest_s, name = max(pauses, key=lambda entry: entry[0])
+        code, said = "paused", f"{name}: the joint states pause for {1e3 * longest_s:.0f} ms"
+        elsewhere += " pushes and holds an arm too late"
+    elif scatters:
+        widest_s, every_s, name = max(scatters, key=lambda entry: entry[0])
+        every = f"every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
+        code, said = "uneven", f"{name}: the joint states come {every}"
+        elsewhere += " stamps positions when it did not read them"
+    return [Reason(code, f"{said}: {elsewhere}; keep it free and record again")] if said else []
 
 
 @dataclass(frozen=True)
 class Useful:
-    """From when on an interval is too wide for an accepted answer: both must be exceeded by its half width, cut off at nothing.
+    """From when on an interval is too wide for an accepted answer: both must be exceeded by its half width, cut off at nothing."""
 
-    Attributes:
-        share: of the value.
-        floor: in its unit; what is nearly nothing has no share to speak of.
-    """
-
-    share: float
-    floor: float = 0.0
+    share: float  # of the value
+    floor: float = 0.0  # in its unit; what is nearly nothing has no share to speak of
 
     def exceeded_by(self, value: float, std: float) -> bool:
         """Whether the 95 % interval of a quantity that is not negative is too wide."""
@@ -120,19 +105,12 @@ class Useful:
 
 @dataclass(frozen=True)
 class Guess:
-    """A fact that the user did not state and that decides the answer.
+    """A fact that the user did not state and that decides the answer."""
 
-    Attributes:
-        key: that states it, such as ``block.size``.
-        taken: the value it was taken to have, in words.
-        spread: how far off that may be, in words.
-        std: what that puts on the answer, in its unit.
-    """
-
-    key: str
-    taken: str
-    spread: str
-    std: float
+    key: str  # that states it, such as `block.size`
+    taken: str  # the value it was taken to have, in words
+    spread: str  # how far off that may be, in words
+    std: float  # what that puts on the answer, in its unit
 
     @property
     def source(self) -> str:
@@ -144,17 +122,17 @@ class Assessment:
     """A fit with what it is worth.
 
     Args:
-        fit: whose values are given.
-        name: of the unknown that the probe is for.
-        opened: whose covariance is given; default that of ``fit``.
+        fit: Whose values are given.
+        name: Of the unknown that the probe is for.
+        opened: Whose covariance is given; default that of ``fit``.
 
     Attributes:
-        known: whether the robot's calibration knows the joints that were driven: then the residuals are known, too, and only more
+        known: Whether the robot's calibration knows the joints that were driven: then the residuals are known, too, and only more
             than chance makes the interval wider.
-        run_fits, rms, expected: see ``run_fits``.
-        inflation: factor on the encoder's variance.
-        posterior: of ``opened``.
-        covariance: of all unknowns, shape (N, N); ``widen`` adds to it.
+        run_fits, rms, expected: See ``run_fits``.
+        inflation: Factor on the encoder's variance.
+        posterior: Of ``opened``.
+        covariance: Of all unknowns, shape (N, N); ``widen`` adds to it.
     """
 
     def __init__(self, fit: FitResult, name: str, opened: FitResult | None = None) -> None:
@@ -189,18 +167,13 @@ class Assessment:
         moved. What a calibration left correlated is looked at together, too.
         """
         far: dict[str, tuple[float, str]] = {}
-        for fit in (self.opened, self.fit):
-            for row in unknown_rows(fit, self.covariance):
-                pull = row.pull
-                guessed = row.kind == "v0" and self.robot.calibration is None and abs(row.value) < MOVING_START
-                if pull is None or abs(pull) <= FAR or guessed:
-                    continue
-                known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
-                far[row.name] = (
-                    abs(pull),
-                    f"{row.name} came out as {shown(row.unit, row.value)}, {abs(pull):.1f} standard deviations from what was known "
-                    f"({known})",
-                )
+        for row in (row for fit in (self.opened, self.fit) for row in unknown_rows(fit, self.covariance)):
+            guessed = row.kind == "v0" and self.robot.calibration is None and abs(row.value) < MOVING_START
+            if guessed or row.pull is None or abs(row.pull) <= FAR:
+                continue
+            off = f"{abs(row.pull):.1f} standard deviations from what was known"
+            known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
+            far[row.name] = abs(row.pull), f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known})"
         sentences = [sentence for _, sentence in sorted(far.values(), reverse=True)[:NAMED_AT_MOST]]
         return sentences or self._far_together()
 
@@ -216,12 +189,11 @@ class Assessment:
         # with a right model, the distance squared is on average the number of directions that the recording has determined
         learnt = max(len(own) - float(np.sum(precision * self.posterior.covariance[block])), 1.0)
         distance2 = float(off @ precision @ off)
-        if distance2 <= chance_limit(learnt, FAR):
+        if distance2 <= chi2_limit(learnt, FAR):
             return []
-        return [
-            f"what the calibration knows ended {np.sqrt(distance2):.1f} standard deviations from it in {learnt:.0f} "
-            f"direction{'s' * (round(learnt) != 1)} together"
-        ]
+        away = f"{np.sqrt(distance2):.1f} standard deviations from it"
+        directions = f"{learnt:.0f} direction{'s' * (round(learnt) != 1)}"
+        return [f"what the calibration knows ended {away} in {directions} together"]
 
     def budget(self) -> list[tuple[str, float]]:
         """Which source puts how much standard deviation on the unknown, as it stands now."""
@@ -260,13 +232,7 @@ def judge(refusals: Iterable[Refusal], assessed: Assessment | None = None) -> Re
 
 
 def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[Refusal]:
-    """Where the interval of a fit is wider than is useful, whatever explains the recording.
-
-    Args:
-        assessed: The fit.
-        useful: How wide an accepted answer's interval may be.
-        budget: Which source puts how much standard deviation on the value, the largest first.
-    """
+    """Where the interval of a fit is wider than is useful, whatever explains the recording."""
     unit, value, std = assessed.unit, assessed.value, assessed.std
     if not useful.exceeded_by(value, std):
         return
@@ -275,11 +241,9 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     if useful.floor:
         limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
     mostly = f", mostly because of {source_label(budget[0][0])}" if budget else ""
-    more = (
-        "record more runs, with more travel"
-        if assessed.known
-        else "calibrate the robot on empty-hand runs, or record more runs"
-    )
+    more = "calibrate the robot on empty-hand runs, or record more runs"
+    if assessed.known:
+        more = "record more runs, with more travel"
     sentence = f"anything from {interval} explains the recording, wider than {limit}{mostly}: {more}"
     yield Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
 
@@ -288,13 +252,9 @@ def guessed(guesses: Sequence[Guess], value: float) -> Reason:
     """What an answer that is ``value`` owes to facts that nobody stated."""
     off = float(np.sqrt(sum(guess.std**2 for guess in guesses)))
     listed = ", ".join(f"{guess.key} ({guess.taken}, counted as +- {guess.spread})" for guess in guesses)
-    first = guesses[0].key
     share = f" ({100.0 * off / value:.0f} % standard deviation)" if value > 0.0 else ""
-    return Reason(
-        "guessed_facts",
-        f"guessed, since not stated: {listed}; the interval carries that{share}: state what is true of your object with "
-        f"--set {first}=..",
-    )
+    cure = f"state what is true of your object with --set {guesses[0].key}=.."
+    return Reason("guessed_facts", f"guessed, since not stated: {listed}; the interval carries that{share}: {cure}")
 
 
 def positive(
@@ -303,13 +263,13 @@ def positive(
     """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
 
     Args:
-        name: of the quantity.
-        unit: of value, std and highest.
-        value: estimated; what is below 0 reads 0.
-        std: of the estimate.
-        withheld: why no number is given; empty where it is.
-        highest: that it can have.
-        quantile: half width of a 95 % interval in standard deviations.
+        name: Of the quantity.
+        unit: Of value, std and highest.
+        value: Estimated; what is below 0 reads 0.
+        std: Of the estimate.
+        withheld: Why no number is given; empty where it is.
+        highest: That it can have.
+        quantile: Half width of a 95 % interval in standard deviations.
     """
     if withheld:
         return Value(name, unit, None, reason=withheld)

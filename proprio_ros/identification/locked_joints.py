@@ -16,10 +16,8 @@ from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.sim.payload import PayloadFacts, pseudo_inertia_basis
 
-KNOT_S = 0.025
-"""Spacing of the accelerations that describe a motion; the joint states come no faster."""
-SEGMENT_S = 0.0125
-"""The torque is constant over so long, at its value in the middle; its bends are ten times slower."""
+KNOT_S = 0.025  # spacing of the accelerations that describe a motion; the joint states come no faster
+SEGMENT_S = 0.0125  # the torque is constant over so long, at its value in the middle; its bends are ten times slower
 MOVED_EVIDENCE = 5.0
 """Natural logarithm of how much more probable the readings must be with a motion than without: else the joint stood still."""
 LOCKED_SCALES = np.geomspace(0.02, 10.0, 10)

@@ -20,30 +20,18 @@ from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
 from proprio_ros.sim.payload import PayloadFacts, payload_parameters
 
-REST_S = 0.2
-"""Where a joint rests is determined from so much of what was recorded before the onset [s]."""
-AWAY_READINGS = 4.0
-"""Farther from there than this, in counts with their noise, it was still on its way."""
-START_STD = 0.1
-"""How far off a free swing's first reading may be: next to nothing is assumed [rad]."""
-SLOPE_S = 0.08
-"""Over which the velocity is taken with which a free swing begins [s]."""
-FIRST_SWING_ERROR = 0.02
-"""What is taken for the error of a simulated swing until the swing shows it [rad]."""
-SLOW = 0.1
-"""Below this speed the direction of a swing is not read off its samples for certain [rad/s]."""
-MIN_SLOW = 3
-"""Slow samples needed to relate reported effort to the command."""
+REST_S = 0.2  # where a joint rests is determined from so much of what was recorded before the onset [s]
+AWAY_READINGS = 4.0  # farther from there than this, in counts with their noise, it was still on its way
+START_STD = 0.1  # how far off a free swing's first reading may be: next to nothing is assumed [rad]
+SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begins [s]
+FIRST_SWING_ERROR = 0.02  # what is taken for the error of a simulated swing until the swing shows it [rad]
+SLOW = 0.1  # below this speed the direction of a swing is not read off its samples for certain [rad/s]
+MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
 
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """What the hand held in a run whose mass is stated; the default is nothing.
-
-    Attributes:
-        mass: [kg].
-        facts: Its place and shape.
-    """
+    """What the hand held in a run whose mass [kg] is stated, with its place and shape; the default is nothing."""
 
     mass: float = 0.0
     facts: PayloadFacts = field(default_factory=PayloadFacts)
@@ -59,35 +47,24 @@ class PreparedRun:
     """A run as the fit uses it.
 
     Attributes:
-        run: As recorded.
-        used: Number of leading samples inside the usable window.
-        cut_reason: Why later samples are left out, or an empty string.
-        hit_limit: Whether that is because the joint reached its limit.
-        drive: Drive train of the driven joint.
-        coefficients: See ``Coefficients``.
-        sigma: Standard deviation of each used sample [rad or m], shape (used,).
-        rest: Start position from the samples before onset.
-        limited: Whether the supply may limit the current inside the window, as far as the recording says.
-        load: What the hand is known to hold; None means the payload to be weighed.
-        yielding: Names of locked joints that gave way; yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing
-            it is the load that each kilogram's weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``.
-        arm_as_payload: Payload that would load the gears as the arm does [kg]; only known of free swings.
+        yielding_times_s, yielding_load: See ``loads_of_yielding``. In a free swing it is the load that each kilogram's weight puts
+            on the gears, with the sign of the velocity, see ``_weight_on_gears``.
     """
 
     run: Run
-    used: int
-    cut_reason: str
-    hit_limit: bool
-    drive: DriveTrain
+    used: int  # leading samples inside the usable window
+    cut_reason: str  # why later samples are left out, or an empty string
+    hit_limit: bool  # whether that is because the joint reached its limit
+    drive: DriveTrain  # of the driven joint
     coefficients: Coefficients
-    sigma: np.ndarray
-    rest: Quantity
-    limited: bool
-    load: KnownLoad | None = None
-    yielding: tuple[str, ...] = ()
+    sigma: np.ndarray  # standard deviation of each used sample [rad or m], shape (used,)
+    rest: Quantity  # start position, from the samples before onset
+    limited: bool  # whether the supply may limit the current inside the window, as far as the recording says
+    load: KnownLoad | None = None  # what the hand is known to hold; None: the payload to be weighed
+    yielding: tuple[str, ...] = ()  # locked joints that gave way
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
-    arm_as_payload: float = 0.0
+    arm_as_payload: float = 0.0  # payload that would load the gears as the arm does [kg]; only known of free swings
 
     @property
     def times_s(self) -> np.ndarray:
@@ -117,8 +94,7 @@ class PreparedRun:
     @property
     def torque_stds(self) -> np.ndarray:
         """What the robot file leaves open of the torque that moves the joint: Coulomb, motor, load friction [N m]."""
-        drive = self.drive
-        current = float(np.abs(self.run.input_current_A).max())
+        drive, current = self.drive, float(np.abs(self.run.input_current_A).max())
         motor = drive.torque_constant.value * current
         return np.array([drive.coulomb.std, drive.torque_constant.std * current, drive.load_friction.std * motor])
 
@@ -133,12 +109,8 @@ def at_the_shaft(robot: Robot, run: Run) -> Run:
     drive = robot.drive_trains.get(run.joint)
     if drive is None or drive.transmission == 1.0:
         return run
-    return replace(
-        run,
-        position=run.position / drive.transmission,
-        before_position=run.before_position / drive.transmission,
-        after_position=run.after_position / drive.transmission,
-    )
+    positions = ("position", "before_position", "after_position")
+    return replace(run, **{name: getattr(run, name) / drive.transmission for name in positions})
 
 
 def prepare_run(
@@ -149,7 +121,7 @@ def prepare_run(
     Args:
         robot: Of the recording.
         run: As recorded.
-        load: What the hand is known to hold; None means the payload to be weighed.
+        load: What the hand is known to hold; None: the payload to be weighed.
         facts: Where the payload sits, for what yielding joints do with it; default at the payload frame.
         past_fast: Whether samples count from where the joint runs so fast that the supply may limit the current. That is then
             simulated with the supply's nominal numbers: for motions that are fast for a moment and informative mostly after it.
@@ -198,22 +170,14 @@ def prepare_run(
 
 
 def _reduced(robot: Robot, run: Run) -> tuple[Run, Coefficients, dict[str, Motion]]:
-    """What the driven joint moves, how locked joints gave way meanwhile, and the run with them where they were at its start.
-
-    Raises:
-        RecordingError: See ``prepare_run``.
-    """
+    """What the driven joint moves, how locked joints gave way meanwhile, and the run with them where they were at its start."""
     if run.joint not in robot.drive_trains:
-        known = ", ".join(robot.drive_trains)
-        raise RecordingError(
-            f"{run.name}: {run.joint} was driven, but {robot.name} has no drive train for it (it has: {known})"
-        )
+        known = f"{robot.name} has no drive train for it (it has: {', '.join(robot.drive_trains)})"
+        raise RecordingError(f"{run.name}: {run.joint} was driven, but {known}")
     others = [name for name in robot.model.independent_joints if name != run.joint]
-    missing = [name for name in others if name not in run.held]
-    if missing:
-        raise RecordingError(
-            f"{run.name}: no position of {', '.join(missing)} in the recording; state it with --set held.{missing[0]}=VALUE"
-        )
+    if missing := [name for name in others if name not in run.held]:
+        cure = f"state it with --set held.{missing[0]}=VALUE"
+        raise RecordingError(f"{run.name}: no position of {', '.join(missing)} in the recording; {cure}")
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
@@ -297,9 +261,8 @@ def _at_rest(run: Run, drive: DriveTrain) -> np.ndarray:
     last = position[run.before_times_s >= -REST_S]
     if len(last) == 0:
         return position
-    off = np.abs(position - np.median(last)) > AWAY_READINGS * float(
-        np.hypot(drive.encoder_resolution, drive.encoder_noise)
-    )
+    reading = float(np.hypot(drive.encoder_resolution, drive.encoder_noise))
+    off = np.abs(position - np.median(last)) > AWAY_READINGS * reading
     if off[-len(last) :].any() or not off.any():
         return position
     return position[np.flatnonzero(off)[-1] + 1 :]
@@ -330,13 +293,9 @@ def _usable_window(
     if limit < count and limit <= speed:
         return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start", True
     if speed < count:
-        why = (
-            "the supply may no longer drive the commanded current"
-            if run.reported_effort is None
-            else "the motor did not report the commanded current"
-        )
-        reason = (
-            f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start and {why}"
-        )
-        return speed, reason, False
+        why = "the motor did not report the commanded current"
+        if run.reported_effort is None:
+            why = "the supply may no longer drive the commanded current"
+        passed = f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start"
+        return speed, f"{passed} and {why}", False
     return count, "", False

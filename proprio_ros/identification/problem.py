@@ -45,12 +45,12 @@ class Problem:
     """The whitened residuals of all runs as a function of the unknowns, for many guesses at once.
 
     Args:
-        robot: its supply, friction smoothing and jitter.
-        runs: prepared runs, sharing the payload and the drive trains.
-        facts: what is stated about the payload.
-        unknowns: from ``load_unknowns``, or ``robot_unknowns`` where every run's load is known.
+        robot: Its supply and friction smoothing count; its drive trains come with the runs.
+        runs: Sharing the payload and the drive trains.
+        facts: What is stated about the payload.
+        unknowns: From ``load_unknowns``, or ``robot_unknowns`` where every run's load is known.
         integrator: ``"rk4"`` or ``"semi_implicit"``.
-        step_s: longest integration step; default 1/240 s.
+        step_s: Longest integration step.
     """
 
     def __init__(
@@ -90,16 +90,15 @@ class Problem:
             (-1, -1) if run.run.free else tuple(self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
             for run in self.runs
         ]
-        self._ripples = not kinds.isdisjoint(RIPPLE_TERMS) or any(
-            self.base[row] != 0.0 for pair in self._ripple for row in pair if row >= 0
-        )
+        seen = [row for pair in self._ripple for row in pair if row >= 0]
+        self._ripples = not kinds.isdisjoint(RIPPLE_TERMS) or bool(self.base[seen].any())
         self._affine_maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._world_runs: dict[int, np.ndarray] = {}
         self._identities: dict[int, np.ndarray] = {}
 
     @functools.cached_property
     def _touching(self) -> list[np.ndarray]:
-        """Which free unknowns can change anything in each run; a problem that is only looked ahead with does without."""
+        """Which free unknowns can change anything in each run; of use to a fit only."""
         free = [self.unknowns[row] for row in self.free]
         return [np.flatnonzero([self._touches(u, row) for u in free]) for row in range(len(self.runs))]
 
@@ -161,14 +160,11 @@ class Problem:
         return unknown.value + (2.0 * unknown.std if unknown.role is Role.FREE else 0.0)
 
     def parameters(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Simulator parameters of every guess and run, and their derivative by chosen unknowns.
+        """Simulator parameters of every guess and run, shape (S, R, P), and their derivative, shape (S, R, P, F).
 
         Args:
-            values: all unknowns of each guess, shape (S, N).
-            columns: which unknowns to differentiate by, shape (F,).
-
-        Returns:
-            p (S, R, P) and dp (S, R, P, F).
+            values: All unknowns of each guess, shape (S, N).
+            columns: Which unknowns to differentiate by, shape (F,).
         """
         p, dp = self._all_parameters(values)
         return p, dp[..., columns]
@@ -290,8 +286,7 @@ class Problem:
 
     def _payload(self, values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Inertial parameters of the payload, shape (S, 10), and their derivative by each of its unknowns."""
-        at = self.index
-        guesses = len(values)
+        at, guesses = self.index, len(values)
         mass = values[:, at["payload_mass"]]
         com = values[:, [at[f"payload_com_{axis}"] for axis in "xyz"]]
         scale = values[:, at["shape_scale"]]
@@ -348,8 +343,7 @@ class Problem:
     def _kernel_parameters(self, free_values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (W, P) of every world, a guess's runs side by side, and their tangents (W, P, F).
 
-        Where the parameters are affine in what is free, the tangents never change: they are handed out as one read-only array,
-        which the simulator copies once.
+        Where the parameters are affine in what is free, the tangents are one read-only array, which the simulator copies once.
         """
         guesses = len(free_values)
         if not self._affine:
@@ -396,12 +390,12 @@ class Problem:
         """Cost, gradient and Gauss-Newton matrix in solver coordinates, priors included.
 
         Args:
-            internal: guesses in solver coordinates, shape (S, F).
-            counts: leading samples to use per run, shape (R,); default all.
+            internal: Guesses in solver coordinates, shape (S, F).
+            counts: Leading samples to use per run, shape (R,); default all.
 
         Returns:
-            cost (S,) = half the squared norm of the whitened residuals, gradient (S, F), matrix (S, F, F). A guess whose
-            rollout diverged, or whose moving part would have no inertia, has an infinite cost and zero gradient.
+            Half the squared norm of the whitened residuals, shape (S,), gradient (S, F), matrix (S, F, F). A guess whose rollout
+            diverged, or whose moving part would have no inertia, has an infinite cost and zero gradient.
         """
         coordinates = self.coordinates
         physical = coordinates.physical(internal)
@@ -452,14 +446,9 @@ class Problem:
         return np.zeros((len(self.free), len(self.free)))
 
     def simulate(self, values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the encoder shows, velocities, and sensitivities by chosen unknowns at given values of all of them.
+        """What the encoder shows and velocities, shapes (S, R, T), and sensitivities, shape (S, R, T, F); all copies.
 
-        Args:
-            values: of all unknowns, shape (S, N).
-            columns: of the chosen ones, shape (F,).
-
-        Returns:
-            q (S, R, T), v (S, R, T), dq (S, R, T, F), copies.
+        ``values`` and ``columns`` are those of ``parameters``.
         """
         p, dp = self.parameters(values, columns)
         p, dp = p.reshape(-1, p.shape[-1]), dp.reshape(-1, *dp.shape[2:])

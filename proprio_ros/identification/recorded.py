@@ -13,8 +13,7 @@ from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import side_view
 
-BEFORE_SHARE = 0.3
-"""So much of a run's duration is shown of what came before it."""
+BEFORE_SHARE = 0.3  # so much of a run's duration is shown of what came before it
 
 
 def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:

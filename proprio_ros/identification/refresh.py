@@ -48,12 +48,7 @@ ITERATIONS = 40
 def refresh(
     robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
 ) -> CalibrationEstimate:
-    """Bring a calibration up to date.
-
-    Args:
-        robot: With its calibration, aged to when the runs were made.
-        runs: Mostly with an empty hand.
-        progress: Called with what is going on.
+    """Bring a robot's calibration, aged to when the runs were made, up to date; most of the runs are with an empty hand.
 
     Raises:
         ConfigurationError: The robot has no calibration of driven runs, or a run is one of those that it was made of.
@@ -89,22 +84,15 @@ def refresh(
     # as in a weighing: runs that are not quite explained count for less
     posterior = Posterior(problem, values, 1.0 if ended.explains else max(1.0, chi2))
     rows = shared_rows(problem, values, posterior.covariance)
-    moved = [
-        f"{row.label} ({abs(row.value - row.prior) / row.prior_std:.1f})"
-        for row in rows
-        if abs(row.value - row.prior) > TOO_FAR * row.prior_std
-    ]
+    pulls = [(row.label, abs(row.value - row.prior), row.prior_std) for row in rows]
+    moved = [f"{label} ({off / std:.1f})" for label, off, std in pulls if off > TOO_FAR * std]
     hand = empty_hand(problem, values, posterior)
     reasons = not_empty(hand, NOT_EMPTY)
     if chi2 > MISFIT_LIMIT or moved:
         what = f"{', '.join(moved[:3])} standard deviations off" if moved else f"reduced chi-square {chi2:.1f}"
-        reasons.append(
-            Reason(
-                "drift",
-                f"the calibration no longer fits, not even with the drift that the robot file states ({what}): was the hand empty, "
-                "and did anything touch the arm? If not, calibrate anew",
-            )
-        )
+        said = f"the calibration no longer fits, not even with the drift that the robot file states ({what})"
+        cure = "was the hand empty, and did anything touch the arm? If not, calibrate anew"
+        reasons.append(Reason("drift", f"{said}: {cure}"))
     fits, rms, expected = run_fits(problem, values, usable)
     return CalibrationEstimate(
         robot.name,
@@ -131,10 +119,9 @@ def _updated(old: Calibration, problem: Problem, values: np.ndarray, posterior: 
     follows = old.covariance[:, own] @ scaled_inverse(prior)
     after = posterior.covariance[np.ix_(of_fit, of_fit)]
     new = old.values + follows @ (values[rows] - old.values[own])
+    # a rise of friction that was zero may not fall below that
     forms = [RANGES[key if isinstance(key, str) else key[0]] for key in old.keys]
-    new = np.clip(
-        new, [form.lowest for form in forms], [form.highest for form in forms]
-    )  # a rise of friction that was zero
+    new = np.clip(new, [form.lowest for form in forms], [form.highest for form in forms])
     covariance = old.covariance - LEARNT * (follows @ (prior - after) @ follows.T)
     runs = (*old.runs, *map(entry_of, problem.runs))
     return replace(old, values=new, covariance=0.5 * (covariance + covariance.T), runs=runs)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,44 +30,31 @@ from proprio_ros.quantity import shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
-LEFT_OUT_AT_MOST = 0.25
-"""Part of the runs that may contradict the others before the whole calibration is refused."""
+LEFT_OUT_AT_MOST = 0.25  # part of the runs that may contradict the others before the whole calibration is refused
 STRANGE_TORQUE = 4.0
 """Torque of one run over the standard deviation that the other runs show, beyond which it contradicts them."""
-COARSE = 3.0
-"""Residuals so many times coarser than encoder and stamps explain: the model does not describe this robot."""
+COARSE = 3.0  # residuals so many times coarser than encoder and stamps explain: the model does not describe this robot
 UNSTEADY = 6.0
 """Torque from run to run over what the robot file expects, beyond which the model does not describe this robot either."""
-FAR_FROM_FILE = 4.0
-"""Standard deviations of its prior by which an unknown may differ from the robot file unremarked."""
-UNLEARNT = 0.7
-"""Posterior over prior standard deviation above which the runs have not determined an unknown."""
-INSEPARABLE = 0.95
-"""Correlation above which two unknowns are determined only together."""
-MAYBE_NOT_EMPTY = 3.0
-"""Standard deviations of a mass in the empty hand beyond which that is said."""
+FAR_FROM_FILE = 4.0  # standard deviations of its prior by which an unknown may differ from the robot file unremarked
+UNLEARNT = 0.7  # posterior over prior standard deviation above which the runs have not determined an unknown
+INSEPARABLE = 0.95  # correlation above which two unknowns are determined only together
+MAYBE_NOT_EMPTY = 3.0  # standard deviations of a mass in the empty hand beyond which that is said
 SAID_AT_MOST = 6
-HIDDEN_STEP_KG = 1e-4
-"""With which the sensitivity to a mass in the empty hand is taken by difference."""
+HIDDEN_STEP_KG = 1e-4  # with which the sensitivity to a mass in the empty hand is taken by difference
 
 
-@dataclass(frozen=True)
-class LoadedRun:
+class LoadedRun(NamedTuple):
     """A recorded run and what the hand held in it."""
 
     run: Run
-    load: KnownLoad = field(default_factory=KnownLoad)
+    load: KnownLoad = KnownLoad()
 
 
 def calibrate(
     robot: Robot, runs: Sequence[LoadedRun], progress: Callable[[str], None] = lambda _: None
 ) -> CalibrationEstimate:
-    """Learn the robot from runs whose load is known.
-
-    Args:
-        robot: As its file states it; its standard deviations are the priors.
-        runs: Empty-hand runs, and runs with a weighed reference.
-        progress: Called with what is going on.
+    """Learn the robot from empty-hand runs, and runs with a weighed reference; what its file states is the prior.
 
     Raises:
         ConfigurationError: The robot is calibrated already, or nothing of it is open, or there is no run.
@@ -139,11 +127,7 @@ def usable_runs(
 ) -> list[PreparedRun]:
     """The runs that a calibration can use; what is wrong with the others, and unusual about these, goes to the notes of ``found``.
 
-    Args:
-        robot: Of the runs.
-        runs: All that were given.
-        found: Gets the notes.
-        refused: Why a run is not used beyond what is wrong with it by itself; an empty string where it is.
+    ``refused`` says why a run is not used beyond what is wrong with it by itself; an empty string where it is.
 
     Raises:
         RecordingError: A run cannot be related to the robot at all.
@@ -188,13 +172,9 @@ def _misfits(robot: Robot, fitted: Fitted, left_out: Sequence[str], count: int) 
     if (share := missed_share(fitted.posterior)) > MISSED_SHARE:
         return [said_missed(share)]
     if noise.friction_spread > CHANGING:
-        return [
-            Reason(
-                "misfit",
-                f"misfit: the swings only agree if friction differs by {100 * noise.friction_spread:.0f} % from one to the "
-                "next: are the loads as stated, and is their inertia?",
-            )
-        ]
+        differs = f"friction differs by {100 * noise.friction_spread:.0f} % from one to the next"
+        said = f"misfit: the swings only agree if {differs}: are the loads as stated, and is their inertia?"
+        return [Reason("misfit", said)]
     return []
 
 
@@ -219,15 +199,13 @@ def _separated(
 def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool]:
     """Joints whose torque and friction are open and whose friction was never seen reversed, and whether they were driven upwards.
 
-    A gripper's friction need not be: squeezes go the same way as its empty closings.
+    A gripper's friction need not be: squeezes go the same way as its empty closings. A free swing goes both ways by itself.
     """
     ways: dict[str, set[bool]] = {}
     for run in runs:
-        drive = run.drive
-        is_open = drive.torque_constant.std > 0.0 and drive.coulomb.std > 0.0
-        if run.run.free:  # goes both ways by itself
-            continue
-        if is_open and robot.model.joint(run.run.joint).kind != "prismatic":
+        is_open = run.drive.torque_constant.std > 0.0 and run.drive.coulomb.std > 0.0
+        both_ways = run.run.free or robot.model.joint(run.run.joint).kind == "prismatic"
+        if is_open and not both_ways:
             ways.setdefault(run.run.joint, set()).add(run.travel > 0.0)
     return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}
 
@@ -237,15 +215,14 @@ def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior) -> EmptyH
 
     A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
     """
-    empty = [
-        (run.load is None or run.load.mass == 0.0) and bool(run.coefficients.payload.any()) for run in problem.runs
-    ]
-    if not any(empty):
+
+    def hiding(run: PreparedRun) -> PreparedRun:
+        is_empty = run.load is None or run.load.mass == 0.0
+        return replace(run, load=KnownLoad(HIDDEN_STEP_KG)) if is_empty and run.coefficients.payload.any() else run
+
+    runs = [hiding(run) for run in problem.runs]
+    if all(run is was for run, was in zip(runs, problem.runs, strict=True)):
         return None
-    runs = [
-        replace(run, load=KnownLoad(HIDDEN_STEP_KG)) if unloaded else run
-        for run, unloaded in zip(problem.runs, empty, strict=True)
-    ]
     loaded = Problem(problem.robot, runs, problem.facts, problem.unknowns)
     some = problem.free[:1]
     change = loaded.simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
@@ -271,8 +248,7 @@ def _fit_what_agrees(
     kept = list(runs)
     fitted = fit(robot, kept)
     while len(left_out) <= LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
-        outlier = _outlier(robot, fitted)
-        if outlier is None:
+        if (outlier := _outlier(robot, fitted)) is None:
             break
         left_out.append(kept.pop(outlier).run.name)
         progress(f"{left_out[-1]} contradicts the others; fitting without it")
@@ -295,11 +271,9 @@ def _outlier(robot: Robot, fitted: Fitted) -> int | None:
 
 
 def _said_contradiction(names: Sequence[str], count: int) -> str:
-    listed = ", ".join(names)
-    return (
-        f"{listed} contradict{'s' if len(names) == 1 else ''} the other runs and {'was' if len(names) == 1 else 'were'} left out "
-        f"({len(names)} of {count}): was the hand as stated, and nothing in the way?"
-    )
+    contradict, were = ("contradicts", "was") if len(names) == 1 else ("contradict", "were")
+    left_out = f"{', '.join(names)} {contradict} the other runs and {were} left out ({len(names)} of {count})"
+    return f"{left_out}: was the hand as stated, and nothing in the way?"
 
 
 def shared_rows(problem: Problem, values: np.ndarray, covariance: np.ndarray) -> tuple[UnknownRow, ...]:
@@ -323,28 +297,23 @@ def _far_from_file(rows: Sequence[UnknownRow]) -> list[str]:
 
 
 def _delay_on_bound(fitted: Fitted) -> list[str]:
-    """A sentence where commands were stamped further from what they did than a delay can be; empty where they were not.
-
-    Such a delay is not the true one, and what is left of it goes into torque and friction.
-    """
+    """A sentence where commands were stamped further from what they did than a delay can be: the rest bends torque and friction."""
     row = fitted.problem.index["delay"]
     unknown, delay = fitted.problem.unknowns[row], float(fitted.values[row])
     spare = 0.01 * (unknown.upper - unknown.lower)
     if unknown.std == 0.0 or unknown.lower + spare < delay < unknown.upper - spare:
         return []
-    said = (
-        f"the delay from a command's stamp to what the joint does ended on its bound, {shown('s', delay, spec='+.0f')}"
-    )
-    return [Reason("on_bound", f"{said}: have commands and joint states stamped by one clock")]
+    said = "the delay from a command's stamp to what the joint does ended on its bound"
+    cure = "have commands and joint states stamped by one clock"
+    return [Reason("on_bound", f"{said}, {shown('s', delay, spec='+.0f')}: {cure}")]
 
 
 def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
     entries = []
     for row, run in enumerate(fitted.problem.runs):
         off, chi2 = fitted.posterior.held_out(row)
-        entries.append(
-            HeldOutRun(run.run.name, run.run.joint, float(np.sqrt(np.mean(off**2))), chi2 / len(off), len(off))
-        )
+        rms = float(np.sqrt(np.mean(off**2)))
+        entries.append(HeldOutRun(run.run.name, run.run.joint, rms, chi2 / len(off), len(off)))
     return tuple(entries)
 
 
@@ -378,20 +347,17 @@ def _not_separated(
 
 
 def _as_calibration(fitted: Fitted) -> Calibration:
-    problem = fitted.problem
+    problem, noise = fitted.problem, fitted.noise
     shared = [f for f, row in enumerate(problem.free) if problem.unknowns[row].shared]
     rows = problem.free[shared]
+    if noise.swing_error == 0.0:
+        noise = replace(noise, friction_spread=0.0)
     return Calibration(
         tuple(problem.unknowns[row].key for row in rows),
         fitted.values[rows],
         fitted.covariance[np.ix_(shared, shared)],
-        fitted.noise.residual_scale,
-        fitted.noise.stamp_jitter_s,
-        fitted.noise.torque_disturbance,
-        fitted.noise.start_velocity,
-        tuple(map(entry_of, problem.runs)),
-        friction_spread=fitted.noise.friction_spread if fitted.noise.swing_error > 0.0 else 0.0,
-        swing_error=fitted.noise.swing_error,
+        runs=tuple(map(entry_of, problem.runs)),
+        **asdict(noise),
     )
 
 

@@ -18,16 +18,13 @@ from proprio_ros.sim.payload import PayloadFacts
 PAYLOAD_TERMS = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z", "shape_scale")
 DRIVE_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
 """Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
-SLOWEST_STRIBECK = 0.02
-"""A bump of friction narrower than this is over within a sample of any push [rad/s]."""
+SLOWEST_STRIBECK = 0.02  # a bump of friction narrower than this is over within a sample of any push [rad/s]
 RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
 """The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
 START_VELOCITY_STD = 2.0
 """How far off the slope of a free swing's first samples may be: next to nothing is assumed [rad/s]."""
-NOT_IN_A_SWING = ("torque_constant", "delay")
-"""Without a current, nothing depends on these."""
-RISE = ("stribeck", "stribeck_velocity")
-"""How dry friction rises towards standstill."""
+NOT_IN_A_SWING = ("torque_constant", "delay")  # without a current, nothing depends on these
+RISE = ("stribeck", "stribeck_velocity")  # how dry friction rises towards standstill
 KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, *RISE)
 """Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
 learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows. What another rise would

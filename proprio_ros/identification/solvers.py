@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -15,8 +15,6 @@ SOLVERS = ("lm", "adam", "cma")
 WINDOWS = (0.25, 0.5, 0.75, 1.0)
 """Growing windows: the early part of a trajectory is nearly linear in the unknowns, so it leads every start into the right
 valley before the late, sensitive part is believed."""
-
-
 IDLE_GAIN = 1e-6
 """A decrease of half chi-square below this moves nothing by more than a thousandth of its standard deviation."""
 
@@ -35,21 +33,13 @@ class LeastSquares(Protocol):
 
 @dataclass(frozen=True)
 class Solution:
-    """Where every start ended.
+    """Where every start ended."""
 
-    Attributes:
-        internal: solver coordinates, shape (S, F).
-        cost: at the end, shape (S,).
-        path: solver coordinates after each iteration, shape (I, S, F).
-        path_cost: shape (I, S), each over the window in use then.
-        iterations: how many were taken.
-    """
-
-    internal: np.ndarray
-    cost: np.ndarray
-    path: np.ndarray
-    path_cost: np.ndarray
-    iterations: int
+    internal: np.ndarray  # solver coordinates, shape (S, F)
+    cost: np.ndarray  # at the end, shape (S,)
+    path: np.ndarray  # solver coordinates after each iteration, shape (I, S, F)
+    path_cost: np.ndarray  # each over the window in use then, shape (I, S)
+    iterations: int  # that were taken
 
     @property
     def best(self) -> int:
@@ -100,13 +90,13 @@ def levenberg_marquardt(
     deviation, or three in a row gain nothing that matters.
 
     Args:
-        problem: what is to be minimised.
-        starts: solver coordinates, shape (S, F).
-        windows: how many samples of each run lie in a fraction of its time; None fits everything at once, from a good start.
-        window_iterations: iterations on each window but the last.
-        iterations: at most so many on the last.
-        tolerance: of a start's step over its standard deviation.
-        persistent: whether a start that overshot three times goes on with shorter steps, until the damping ends it.
+        problem: What is to be minimised.
+        starts: Solver coordinates, shape (S, F).
+        windows: How many samples of each run lie in a fraction of its time; None fits everything at once, from a good start.
+        window_iterations: On each window but the last.
+        iterations: At most so many on the last.
+        tolerance: Of a start's step over its standard deviation.
+        persistent: Whether a start that overshot three times goes on with shorter steps, until the damping ends it.
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)
@@ -166,12 +156,12 @@ def adam_descent(
     """Adam (Kingma & Ba 2015, algorithm 1, their constants) under cosine annealing, all starts at once.
 
     Args:
-        gradient_of: coordinates (S, F) -> cost (S,), gradient (S, F).
-        starts: shape (S, F).
-        rate: first learning rate, in coordinate units per iteration.
-        iterations: all of them are made.
-        lower: bound of the coordinates, shape (F,) or one for all.
-        upper: likewise.
+        gradient_of: Takes coordinates (S, F), gives cost (S,) and gradient (S, F).
+        starts: Shape (S, F).
+        rate: First learning rate, in coordinate units per iteration.
+        iterations: All of them are made.
+        lower: Bound of the coordinates, shape (F,) or one for all.
+        upper: Likewise.
     """
     u = starts.astype(np.float64).copy()
     first, second = np.zeros_like(u), np.zeros_like(u)
@@ -198,17 +188,16 @@ def adam(problem: LeastSquares, starts: np.ndarray, iterations: int = 400, rate:
         cost, gradient, _ = problem.linearise(scaled * natural)
         return cost, gradient * natural
 
-    found = adam_descent(
-        gradient_of, starts / natural, rate, iterations, coordinates.lower / natural, coordinates.upper / natural
-    )
-    return Solution(found.internal * natural, found.cost, found.path * natural, found.path_cost, found.iterations)
+    lower, upper = coordinates.lower / natural, coordinates.upper / natural
+    found = adam_descent(gradient_of, starts / natural, rate, iterations, lower, upper)
+    return replace(found, internal=found.internal * natural, path=found.path * natural)
 
 
 def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed: int = 1) -> Solution:
     """CMA-ES (Hansen's ``cma``), one search per start, each generation in one launch.
 
     Raises:
-        ConfigurationError: the library is not installed.
+        ConfigurationError: The library is not installed.
     """
     try:
         import cma as library
@@ -216,15 +205,9 @@ def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed:
         raise ConfigurationError("--solver cma needs the package 'cma': pip install cma, or use --solver lm") from error
     coordinates = problem.coordinates
     natural = coordinates.natural
-    options = {
-        "bounds": [list(coordinates.lower / natural), list(coordinates.upper / natural)],
-        "seed": seed,
-        "verbose": -9,
-        "maxiter": generations,
-        "tolfun": 1e-9,
-        "tolx": 1e-9,
-    }
-    ends, costs, paths, path_costs = [], [], [], []
+    bounds = [list(coordinates.lower / natural), list(coordinates.upper / natural)]
+    options = {"bounds": bounds, "seed": seed, "verbose": -9, "maxiter": generations, "tolfun": 1e-9, "tolx": 1e-9}
+    paths, path_costs = [], []
     for start in starts:
         search = library.CMAEvolutionStrategy(start / natural, 0.5, options)
         path, path_cost = [start], [float(problem.linearise(start[None])[0][0])]
@@ -234,11 +217,10 @@ def cma(problem: LeastSquares, starts: np.ndarray, generations: int = 150, seed:
             search.tell(list(asked), list(np.where(np.isfinite(cost), cost, 1e30)))
             path.append(np.asarray(search.result.xbest) * natural)
             path_cost.append(float(search.result.fbest))
-        ends.append(path[-1])
-        costs.append(path_cost[-1])
         paths.append(path)
         path_costs.append(path_cost)
+    # a search that ends early stays where it ended
     length = max(len(path) for path in paths)
     padded = np.array([path + [path[-1]] * (length - len(path)) for path in paths]).transpose(1, 0, 2)
     padded_cost = np.array([c + [c[-1]] * (length - len(c)) for c in path_costs]).T
-    return Solution(np.array(ends), np.array(costs), padded, padded_cost, length - 1)
+    return Solution(padded[-1], padded_cost[-1], padded, padded_cost, length - 1)

@@ -7,8 +7,6 @@ not what drove the samples beside it, and no fit of them means anything: frictio
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from proprio_ros.identification.fit import FitResult
@@ -22,23 +20,17 @@ STDS = 3.0
 """So many standard deviations the delay may be from what is known of it, but at least half a period of the joint states."""
 SURE = 16.0
 """How much worse (chi-square, four standard deviations) the latest onset that the stamps allow must explain the beginning."""
-BEGINS_RAD = 0.1
-"""The beginning of a push ends here .."""
+BEGINS_RAD = 0.1  # the beginning of a push ends here ..
 BEGINS_S = 0.2
 """.. or after so long: so far, its acceleration changes little and steadily. A load that a push hardly moves takes 0.4 s for that
 way, and by then gravity, friction and joints that yield have changed its acceleration otherwise than any cubic."""
-RESTED_S = 0.5
-"""Of the rest before it, so much is looked at."""
-GRID_S = 0.004
-"""Onsets are looked for at instants so far apart."""
-FORETELL_S = 0.25
-"""So much of the motion before the end of a push foretells how it would go on."""
-MOVING_RAD_S = 0.5
-"""A slower joint may stop and stick where its push ends, which looks as if nothing had changed."""
+RESTED_S = 0.5  # of the rest before it, so much is looked at
+GRID_S = 0.004  # onsets are looked for at instants so far apart
+FORETELL_S = 0.25  # so much of the motion before the end of a push foretells how it would go on
+MOVING_RAD_S = 0.5  # a slower joint may stop and stick where its push ends, which looks as if nothing had changed
 SHARE = 0.75
 """A change of acceleration that is below this part of what the end of the current makes, by three standard deviations, is none."""
-MIN_BEYOND = 2
-"""Samples beyond the end that it takes to see that."""
+MIN_BEYOND = 2  # samples beyond the end that it takes to see that
 
 
 def stamps_off(fit: FitResult) -> list[Reason]:
@@ -47,6 +39,7 @@ def stamps_off(fit: FitResult) -> list[Reason]:
     robot = problem.robot
     parameters = problem.parameters(fit.values[None], np.zeros(0, dtype=int))[0][0]
     found: list[Reason] = []
+    cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
     for run, row in zip(problem.runs, parameters, strict=True):
         if run.run.free or run.run.source == MEASURED_EFFORT:  # which comes in one message with the positions
             continue
@@ -57,40 +50,25 @@ def stamps_off(fit: FitResult) -> list[Reason]:
         period = float(np.median(np.diff(run.run.times_s)))
         spread = max(STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))), 0.5 * period)
         change = -row[INDEX["torque_constant"]] * float(run.run.input_current_A[-1]) / row[INDEX["inertia"]]
-        found += _sentences(run, robot.delay.value - spread, robot.delay.value + spread, change, robot.stamp_jitter_s)
+        # what begins before it is said to, ends before it is said to
+        if (begun_s := moves_before(run, robot.delay.value - spread, robot.stamp_jitter_s)) is not None:
+            said = f"moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it"
+            off = ("late", "early")
+        elif (driven_s := driven_beyond(run, robot.delay.value + spread, change, robot.stamp_jitter_s)) is not None:
+            said = f"is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended"
+            off = ("early", "late")
+        else:
+            continue
+        question = f"are the stamps of {run.run.source} {off[0]}, or those of the joint states {off[1]}?"
+        found.append(Reason("stamps_off", f"{run.run.name}: {run.run.joint} {said}: {question} {cure}"))
     return found
-
-
-def _sentences(run: PreparedRun, least_s: float, most_s: float, change: float, jitter_s: float) -> Iterator[Reason]:
-    name, joint, source = run.run.name, run.run.joint, run.run.source
-    cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
-    begun_s = moves_before(run, least_s, jitter_s)
-    if begun_s is not None:
-        yield Reason(
-            "stamps_off",
-            f"{name}: {joint} moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it: are the stamps of "
-            f"{source} late, or those of the joint states early? {cure}",
-        )
-        return  # then it ended before it is said to have, too
-    driven_s = driven_beyond(run, most_s, change, jitter_s)
-    if driven_s is not None:
-        yield Reason(
-            "stamps_off",
-            f"{name}: {joint} is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended: are the stamps of "
-            f"{source} early, or those of the joint states late? {cure}",
-        )
 
 
 def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | None:
     """The latest onset that explains how a push begins, where that is earlier than it may be; else None.
 
     The joint rests, and from its onset on goes as ``a u^2 + b u^3``. Friction that falls with speed lets an onset seem later than
-    it was, never earlier.
-
-    Args:
-        run: a push.
-        least_s: the earliest onset that the stamps allow [s], counted from that of the input.
-        jitter_s: of the stamps.
+    it was, never earlier. ``least_s`` is the earliest that the stamps allow, counted from the onset of the input.
     """
     since = run.run.before_times_s >= least_s - RESTED_S
     times_s = np.concatenate([run.run.before_times_s[since], run.times_s])
@@ -123,18 +101,18 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
     a load says nothing: a brake works the other way than the end of its current.
 
     Args:
-        run: a push.
-        most_s: the latest that the stamps allow [s], counted from the end of the input.
-        change: of the acceleration by the end of the current, at least [rad/s^2]; 0: nothing can be said.
-        jitter_s: of the stamps.
+        run: A push.
+        most_s: The latest that the stamps allow [s], counted from the end of the input.
+        change: Of the acceleration by the end of the current, at least [rad/s^2]; 0: nothing can be said.
+        jitter_s: Of the stamps.
     """
-    end_s = run.run.duration_s + most_s
-    begin_s = end_s - FORETELL_S
     if run.cut_reason:  # a stop, a motor without voltage
         return None
+    end_s = run.run.duration_s + most_s
     times_s = np.concatenate([run.run.times_s, run.run.after_times_s])
-    position = np.concatenate([run.run.position, run.run.after_position])[times_s > begin_s]
-    times_s = times_s[times_s > begin_s]
+    late = times_s > end_s - FORETELL_S
+    position = np.concatenate([run.run.position, run.run.after_position])[late]
+    times_s = times_s[late]
     ahead = int(np.searchsorted(times_s, end_s, side="right"))
     if ahead < 7:
         return None
@@ -157,15 +135,14 @@ def driven_beyond(run: PreparedRun, most_s: float, change: float, jitter_s: floa
 
 
 def _sigma(run: PreparedRun, times_s: np.ndarray, position: np.ndarray, jitter_s: float) -> np.ndarray:
-    reading = run.drive.reading_std
-    return np.hypot(max(reading, 1e-9), np.gradient(position, times_s) * jitter_s)
+    return np.hypot(max(run.drive.reading_std, 1e-9), np.gradient(position, times_s) * jitter_s)
 
 
 def _fitted(columns: np.ndarray, position: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Chi-square of a linear least-squares fit, its values, and their standard deviations."""
-    scaled = columns * weight[:, None]
-    length = np.linalg.norm(scaled, axis=0)
-    values, _, _, _ = np.linalg.lstsq(scaled / length, position * weight, rcond=None)
-    residual = scaled / length @ values - position * weight
-    stds = np.sqrt(np.diag(np.linalg.pinv((scaled / length).T @ (scaled / length), hermitian=True)))
+    length = np.linalg.norm(columns * weight[:, None], axis=0)
+    scaled = columns * weight[:, None] / length
+    values, _, _, _ = np.linalg.lstsq(scaled, position * weight, rcond=None)
+    residual = scaled @ values - position * weight
+    stds = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled, hermitian=True)))
     return float(residual @ residual), values / length, stds / length

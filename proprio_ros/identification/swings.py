@@ -20,12 +20,9 @@ from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
 
-MISSED_SHARE = 0.03
-"""A simulation that misses a swing by more than this share of its span (rms) does not explain it."""
-MUCH_WORSE = 6.0
-"""A swing may be followed so many times worse than those of the calibration before it contradicts them."""
-CHANGING = 0.5
-"""Friction that differs by more than this share from swing to swing is no friction."""
+MISSED_SHARE = 0.03  # a simulation that misses a swing by more than this share of its span (rms) does not explain it
+MUCH_WORSE = 6.0  # a swing may be followed so many times worse than those of the calibration before it contradicts them
+CHANGING = 0.5  # friction that differs by more than this share from swing to swing is no friction
 MOST_CORRELATED = 0.95
 FRICTION_LAW, FRICTION_LAW_SHARE = "friction_law", 0.015
 """Source of uncertainty, and its standard deviation as a share of the mass: gears follow no law of friction better. Masses of real

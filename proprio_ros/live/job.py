@@ -11,12 +11,9 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import Until
 from proprio_ros.experiment_design.choosing import Decision
 
-ROBOT = "robot"
-"""The job that calibrates the robot."""
-REFRESH = "refresh"
-"""The job that brings its calibration up to date."""
-WEIGH = "weigh"
-"""The job that needs no excitation: whoever moves the arm, moves it."""
+ROBOT = "robot"  # the job that calibrates the robot
+REFRESH = "refresh"  # the job that brings its calibration up to date
+WEIGH = "weigh"  # the job that needs no excitation: whoever moves the arm, moves it
 
 
 class JobError(ProprioError):

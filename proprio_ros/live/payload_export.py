@@ -22,8 +22,7 @@ from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.base import Carried
 from proprio_ros.robot import Robot
 
-RIGID = 1e-9
-"""By how much a transform between two links that are one body may differ between two poses [m, 1]."""
+RIGID = 1e-9  # by how much a transform between two links that are one body may differ between two poses [m, 1]
 
 
 @dataclass(frozen=True)

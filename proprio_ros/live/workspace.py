@@ -20,8 +20,7 @@ from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes.base import Probe
 from proprio_ros.robot import Robot
 
-OLD_S = 86400.0
-"""Age of a baseline that is worth a warning: nobody remembers what was changed since."""
+OLD_S = 86400.0  # age of a baseline that is worth a warning: nobody remembers what was changed since
 
 
 @dataclass
