@@ -22,33 +22,23 @@ CLEARANCE_M = 0.03
 LIMIT_MARGIN = 0.05  # left before a joint's limit [rad]
 WIDEST = 1.5  # the range searched of a joint without limits [rad]
 PUSHES = (0.1, 0.2, 0.4)  # torque beyond balance and friction, relative to the largest gravity load at that pose
-
-
 TimeOf = Callable[[Sequence[Mapping[str, float]]], np.ndarray]
 """Seconds that S pushes take beside their durations, shape (S,), by the positions of all joints at their starts."""
 
 
 @dataclass(frozen=True)
 class Push:
-    """A push that could be made.
-
-    Attributes:
-        joint, start, current_A, shake_A, duration_s: As in a probe sequence; start of all joints that matter [rad].
-        time_s: With the way to its start, rest and brake.
-        std: Of the mass after it, as predicted [kg].
-        gain: Information about the mass per second [nat/s].
-        travel: Where it goes: signed, as predicted [rad].
-    """
+    """A push that could be made, as in a sequence."""
 
     joint: str
-    start: Mapping[str, float]
+    start: Mapping[str, float]  # of all joints that matter [rad]
     current_A: float
     shake_A: float
     duration_s: float
-    time_s: float
-    std: float
-    gain: float
-    travel: float
+    time_s: float  # with the way to its start, rest and brake
+    std: float  # of the mass after it, as predicted [kg]
+    gain: float  # information about the mass per second [nat/s]
+    travel: float  # where it goes: signed, as predicted [rad]
 
     @property
     def words(self) -> str:
@@ -60,24 +50,21 @@ class Push:
 
 def best_first(pushes: Sequence[Push], target_std: float) -> list[Push]:
     """Pushes that reach the target, the quickest first, then the others by what they gain per second."""
-    return sorted(
-        pushes, key=lambda push: (push.std > target_std, push.time_s if push.std <= target_std else -push.gain)
-    )
+    return sorted(pushes, key=lambda push: (0, push.time_s) if push.std <= target_std else (1, -push.gain))
 
 
 def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_s: float) -> Run:
     """A run as it would be recorded, standing still."""
-    times_s = np.arange(1, round(duration_s * RATE_HZ) + 1) / RATE_HZ
-    before_s = -np.arange(10, 0, -1) / RATE_HZ
+    count = round(duration_s * RATE_HZ)
     held = {name: position for name, position in pose.items() if name != joint}
     return Run(
         name=f"{joint} {shown('A', current_A, spec='+.0f')}",
         joint=joint,
         onset_ns=0,
-        times_s=times_s,
-        position=np.full(len(times_s), pose[joint]),
-        before_times_s=before_s,
-        before_position=np.full(len(before_s), pose[joint]),
+        times_s=np.arange(1, count + 1) / RATE_HZ,
+        position=np.full(count, pose[joint]),
+        before_times_s=-np.arange(10, 0, -1) / RATE_HZ,
+        before_position=np.full(10, pose[joint]),
         held=held,
         held_span=dict.fromkeys(held, 0.0),
         input_times_s=np.zeros(1),
@@ -133,19 +120,13 @@ def expected_coulomb(problem: Problem, joint: str) -> float:
 def currents_beyond(
     run: PreparedRun, facts: PayloadFacts, masses_kg: Sequence[float]
 ) -> Iterator[tuple[float, float, float]]:
-    """Currents that move the joint one way or the other, by a little and by more, whatever of the masses it carries.
-
-    Args:
-        run: That stands where they begin.
-        facts: Of the object.
-        masses_kg: That the hand may hold.
+    """Currents that move the joint of a standing run one way or the other, by a little and by more, with any mass in the hand.
 
     Yields:
         One of ``PUSHES``, the current that it takes [A], and the largest gravity load [N m].
     """
-    drive, c, q = run.drive, run.coefficients, run.rest.value
-    per_kg = c.per_kg(facts)
-    loads = [c.arm + mass * per_kg for mass in masses_kg]
+    drive, per_kg, q = run.drive, run.coefficients.per_kg(facts), run.rest.value
+    loads = [run.coefficients.arm + mass * per_kg for mass in masses_kg]
     balance = [g[1] * np.cos(q) + g[2] * np.sin(q) + g[3] for g in loads]
     # a robot that was not calibrated may rub by as much as its file leaves open
     dry = drive.coulomb.value + 0.5 * drive.coulomb.std

@@ -33,55 +33,41 @@ MISFIT_RUNS = 3  # from so many runs on, a fit that does not explain them ends i
 TRIED_AT_MOST = 200  # pushes that the excitation's guards are asked about
 
 
+Whole = Callable[[Sequence[Run]], float | None]
+"""Half of the 95 % interval, as it is sought, that the answer from these runs will have, with all that widens it; None where there
+is no answer."""
+
+
 @dataclass(frozen=True)
 class Found:
-    """What the runs so far say.
+    """What the runs so far say."""
 
-    Attributes:
-        value, std: Of what is sought, in its unit.
-        runs: That could be used; 0: nothing is known yet.
-        reduced_chi2: Of their fit.
-    """
-
-    value: float
+    value: float  # of what is sought, in its unit
     std: float
-    runs: int = 0
-    reduced_chi2: float = 0.0
+    runs: int = 0  # that could be used; 0: nothing is known yet
+    reduced_chi2: float = 0.0  # of their fit
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do after the runs so far.
+    """What to do after the runs so far."""
 
-    Attributes:
-        run: The next push; None: there is none, and `reason` says why.
-        reason: Why this push, or why no further.
-        ended_by: "target", "worth", "time", "stuck", "misfit" or "nothing"; empty while there is a push.
-        value, half: Of what is sought, as it is known, and of its 95 % interval; before any run what may be.
-        promised: Half interval that the push promises.
-        push: The chosen one; others: those after it, best first, one of each joint and direction.
-        decided_s: What deciding took.
-        sought: What is identified; is_known: whether any run has said anything of it.
-    """
-
-    run: ExcitationRun | None
-    reason: str
-    ended_by: str
-    value: float
-    half: float
-    promised: float
+    run: ExcitationRun | None  # the next push; None: there is none, and `reason` says why
+    reason: str  # why this push, or why no further
+    ended_by: str  # "target", "worth", "time", "stuck", "misfit" or "nothing"; empty while there is a push
+    value: float  # of what is sought, as it is known; before any run what may be
+    half: float  # of its 95 % interval
+    promised: float  # half interval that the push promises
     push: Push | None
-    others: tuple[Push, ...]
-    decided_s: float
+    others: tuple[Push, ...]  # those after it, best first, one of each joint and direction
+    decided_s: float  # what deciding took
     sought: Sought
-    is_known: bool = True
+    is_known: bool = True  # whether any run has said anything of what is sought
 
     def as_entries(self) -> dict[str, object]:
         """Keys and values, flat."""
-        entries: dict[str, object] = {
-            self.sought.name: self.value, "half_interval": self.half, "promised": self.promised,
-            "decided_s": round(self.decided_s, 3),
-        }  # fmt: skip
+        entries: dict[str, object] = {self.sought.name: self.value, "half_interval": self.half}
+        entries |= {"promised": self.promised, "decided_s": round(self.decided_s, 3)}
         if self.ended_by:
             entries["ended_by"] = self.ended_by
         for name, push in (("push", self.push), *((f"other.{n}", each) for n, each in enumerate(self.others, 1))):
@@ -113,26 +99,15 @@ class Chooser(ABC):
         robot: With its calibration where there is one.
         sequence: With `until`; its settings of ways, rest and brake count for every push.
         sought: What is identified.
-        whole: Half of the 95 % interval, as it is sought, that the answer from these runs will have, with all that widens it; None
-            where there is no answer. It is asked before the target counts as met.
-
-    Attributes:
-        robot, sought: See there.
-        no_push: What is said where `ranked` has none.
+        whole: Asked before the target counts as met.
 
     Raises:
         ConfigurationError: The sequence has no `until`.
     """
 
-    no_push = "no push of any joint stays inside the limits with what the hand may hold"
+    no_push = "no push of any joint stays inside the limits with what the hand may hold"  # where `ranked` has none
 
-    def __init__(
-        self,
-        robot: Robot,
-        sequence: ExcitationSequence,
-        sought: Sought,
-        whole: Callable[[Sequence[Run]], float | None] | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, sequence: ExcitationSequence, sought: Sought, whole: Whole | None = None) -> None:
         if sequence.until is None:
             raise ConfigurationError(f"{sequence.name}: has no `until`; all its runs are made as they stand")
         self.robot, self.sought = robot, sought
@@ -153,11 +128,9 @@ class Chooser(ABC):
 
     @abstractmethod
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
-        """Pushes inside all limits, best first.
+        """Pushes inside all limits, best first, from where the arm stands [rad or m].
 
-        Args:
-            pose: Where the arm stands [rad or m].
-            target_std: That is asked for, before all that widens an answer, in the unit of what is sought.
+        ``target_std`` is asked for, before all that widens an answer, in the unit of what is sought.
         """
 
     @abstractmethod
@@ -196,8 +169,7 @@ class Chooser(ABC):
         began = time.perf_counter()
         self._take_in(runs)
         target, said, count = self._until.half_interval, self.sought.said, _count(len(runs))
-        known = self._found.runs > 0
-        half = self.half
+        known, half = self._found.runs > 0, self.half
 
         def end(by: str, reason: str, others: tuple[Push, ...] = ()) -> Decision:
             took = time.perf_counter() - began
@@ -214,39 +186,29 @@ class Chooser(ABC):
         if known and half <= target:
             return end("target", f"sure: {said(half)} after {count} and {elapsed_s:.0f} s")
         if self._found.runs >= MISFIT_RUNS and self._found.reduced_chi2 > MISFIT_LIMIT:
-            return end(
-                "misfit",
-                f"misfit: no {self.sought.label} explains {_count(self._found.runs)} together (reduced chi-square "
-                f"{self._found.reduced_chi2:.1f}), further ones would not help: did anything touch the arm, and is this its "
-                "calibration?",
-            )
+            chi2 = f"together (reduced chi-square {self._found.reduced_chi2:.1f}), further ones would not help"
+            question = "did anything touch the arm, and is this its calibration?"
+            together = f"no {self.sought.label} explains {_count(self._found.runs)} {chi2}"
+            return end("misfit", f"misfit: {together}: {question}")
         if self._still >= STILL_TRIES:
-            joints = " and ".join(self._stuck)
-            return end(
-                "stuck",
-                f"{STILL_TRIES} pushes of {joints} moved nothing: the joint sticks, or what the hand holds is too heavy for "
-                "the currents that its limits allow",
-            )
+            nothing = f"{STILL_TRIES} pushes of {' and '.join(self._stuck)} moved nothing"
+            heavy = "what the hand holds is too heavy for the currents that its limits allow"
+            return end("stuck", f"{nothing}: the joint sticks, or {heavy}")
         inner = max(target**2 - self._widening**2, 0.0) ** 0.5
         ranked = self.ranked(pose, self.sought.std_of(inner, self._found.value))
         ranked = [push for push in ranked if self._stuck.get(push.joint, 0) < 2 and not self._left_out(push)]
         if not ranked:
             return end("nothing", self.no_push)
         in_time = [push for push in ranked if elapsed_s + push.time_s <= self._until.at_most_s]
+        asked = f"{said(target)} was asked for"
         if not in_time:
-            return end(
-                "time",
-                f"the {self._until.at_most_s:g} s are over: {said(half)} after {count}, {said(target)} was asked for",
-                _varied(ranked),
-            )
-        best = min(in_time, key=lambda push: push.std)
-        if known and half - self._half(best.std) < WORTH * (half - target):
-            return end(
-                "worth",
-                f"no push promises more than a tenth of what is missing: {said(half)} after {count} and {elapsed_s:.0f} s, "
-                f"{said(self._half(best.std))} after the best, {said(target)} was asked for",
-                _varied(ranked),
-            )
+            over = f"the {self._until.at_most_s:g} s are over: {said(half)} after {count}, {asked}"
+            return end("time", over, _varied(ranked))
+        best = self._half(min(push.std for push in in_time))
+        if known and half - best < WORTH * (half - target):
+            little = "no push promises more than a tenth of what is missing"
+            so_far = f"{said(half)} after {count} and {elapsed_s:.0f} s"
+            return end("worth", f"{little}: {so_far}, {said(best)} after the best, {asked}", _varied(ranked))
         for number, push in enumerate(in_time[:TRIED_AT_MOST]):
             run = self.run_of(push)
             if not passes(self._machine, self.sequence_of(run), pose):
@@ -324,11 +286,7 @@ def _count(runs: int) -> str:
 
 def _varied(pushes: Sequence[Push], chosen: Push | None = None) -> tuple[Push, ...]:
     """The best of each joint and direction."""
-    seen = set() if chosen is None else {(chosen.joint, chosen.current_A > 0.0)}
-    found = []
-    for push in pushes:
-        kind = (push.joint, push.current_A > 0.0)
-        if kind not in seen:
-            seen.add(kind)
-            found.append(push)
-    return tuple(found[:SHOWN_AT_MOST])
+    best: dict[tuple[str, bool], Push] = {}
+    for push in pushes if chosen is None else (chosen, *pushes):
+        best.setdefault((push.joint, push.current_A > 0.0), push)
+    return tuple([push for push in best.values() if push is not chosen][:SHOWN_AT_MOST])

@@ -8,6 +8,7 @@ promises what a weighing with it will give.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -46,19 +47,14 @@ SAME_KIND = 2  # plans shown of one joint and kind
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Runs of one joint from one pose, simulated with S masses (or with a known load, S = 1).
+    """Runs of one joint from one pose, simulated with S masses (or with a known load, S = 1)."""
 
-    Attributes:
-        problem: of the R runs; dq: sensitivities, shape (S, R, T, F); alive: samples that would count, shape (S, R, T).
-        travel: signed [rad], shape (S, R); clearance_m: shape (R,); fits: whether a run is inside all limits, shape (S, R).
-    """
-
-    problem: Problem
-    dq: np.ndarray
-    alive: np.ndarray
-    travel: np.ndarray
-    clearance_m: np.ndarray
-    fits: np.ndarray
+    problem: Problem  # of the R runs
+    dq: np.ndarray  # sensitivities, shape (S, R, T, F)
+    alive: np.ndarray  # samples that would count, shape (S, R, T)
+    travel: np.ndarray  # signed [rad], shape (S, R)
+    clearance_m: np.ndarray  # shape (R,)
+    fits: np.ndarray  # whether a run is inside all limits, shape (S, R)
 
     def posterior(self, s: int, r: int) -> tuple[list[Key], np.ndarray]:
         """Keys of the unknowns that one run touches, and their covariance after it, everything else under its prior."""
@@ -93,16 +89,16 @@ def plan(
     """Rank weighings by the widest interval they would give over the masses.
 
     Args:
-        robot: with its calibration where there is one.
-        masses_kg: what the hand may hold; a run must suit all of them.
-        facts: place and shape of the object.
-        count: at most so many plans.
-        duration_s: of every run.
-        joints: to drive; default all that carry the hand against gravity.
-        progress: called with what is being looked at.
+        robot: With its calibration where there is one.
+        masses_kg: What the hand may hold; a run must suit all of them.
+        facts: Place and shape of the object.
+        count: At most so many plans.
+        duration_s: Of every run.
+        joints: To drive; default all that carry the hand against gravity.
+        progress: Called with what is being looked at.
 
     Raises:
-        ConfigurationError: a mass is not positive, or no candidate suits all of them.
+        ConfigurationError: A mass is not positive, or no candidate suits all of them.
     """
     if not masses_kg or min(masses_kg) <= 0.0:
         raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
@@ -113,13 +109,14 @@ def plan(
         progress(f"simulating candidate runs of {joint}")
         for candidates, r in _suitable(asked, [joint], STARTS, POSES):
             stds = [_std_of_mass(*candidates.posterior(s, r)) for s in range(len(masses))]
-            found.append(_as_plan(candidates, r, stds, _words_for_masses(masses, stds)))
+            widest = int(np.argmax(stds))
+            interval = f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
+            found.append(_as_plan(candidates, r, stds, f"widest 95 % interval {interval}"))
     if not found:
         ends = shown("kg", masses[0], masses[-1], spec=".0f", between=" to ")
-        raise ConfigurationError(
-            f"no run of {duration_s} s suits all masses from {ends} inside the robot's "
-            "limits: narrow the range, plan for light and heavy objects apart, or allow more time"
-        )
+        cure = "narrow the range, plan for light and heavy objects apart, or allow more time"
+        none = f"no run of {duration_s} s suits all masses from {ends} inside the robot's limits"
+        raise ConfigurationError(f"{none}: {cure}")
     found.sort(key=lambda p: max(p.std_kg))
     return _varied(found, count)
 
@@ -129,11 +126,7 @@ def with_advice(
 ) -> CalibrationEstimate:
     """A calibration of pushes with what comes after it: what can be weighed with it, and the runs that would help most.
 
-    Args:
-        robot: as it was calibrated.
-        estimate: of it; one that is rejected, or of free swings, gets no advice.
-        count: how many further runs to suggest, none for a calibration that was only brought up to date.
-        progress: called with what is being looked at.
+    One that is rejected, or of free swings, gets no advice, and no further runs one that was only brought up to date.
     """
     calibration, whole = estimate.calibration, estimate.whole
     if calibration is None:
@@ -192,14 +185,7 @@ def weighable(
 ) -> Weighable | None:
     """What the best runs of two of these joints, each driven both ways, would together determine of an object's mass.
 
-    Args:
-        robot: with its calibration.
-        joints: that may be driven.
-        mass_kg: of the object.
-        duration_s: of every run.
-
-    Returns:
-        None where no run of these joints suits such an object.
+    None where no run of these joints suits such an object.
     """
     asked = _Asked(robot, np.array([mass_kg]), facts := PayloadFacts(), None, duration_s)
     best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
@@ -229,20 +215,13 @@ def _std_of_mass(keys: Sequence[Key], covariance: np.ndarray) -> float:
     return float(np.sqrt(max(covariance[row, row], 0.0)))
 
 
-def _words_for_masses(masses: np.ndarray, stds: Sequence[float]) -> str:
-    widest = int(np.argmax(stds))
-    interval = shown("kg", Z95 * stds[widest], spec=".1f")
-    return f"widest 95 % interval +-{interval}, at {shown('kg', masses[widest], spec='.0f')}"
-
-
 def _varied(plans: Sequence[ExcitationPlan], count: int) -> list[ExcitationPlan]:
     """The best, but not ten times the same: a weighing gains from both directions and from other joints."""
-    shown: dict[tuple[str, str], int] = {}
+    seen: Counter[tuple[str, str]] = Counter()
     kept = []
     for entry in plans:
-        key = (entry.joint, entry.kind)
-        shown[key] = shown.get(key, 0) + 1
-        if shown[key] <= SAME_KIND:
+        seen[entry.joint, entry.kind] += 1
+        if seen[entry.joint, entry.kind] <= SAME_KIND:
             kept.append(entry)
     return kept[:count]
 
@@ -303,25 +282,15 @@ def _candidates(asked: _Asked, joint: str, pose: Mapping[str, float]) -> _Candid
 
 
 def _as_plan(candidates: _Candidates, r: int, stds: Sequence[float], words: str) -> ExcitationPlan:
-    prepared = candidates.problem.runs[r]
-    run, travel = prepared.run, candidates.travel[:, r]
+    prepared, travel = candidates.problem.runs[r], candidates.travel[:, r]
+    run, ends, far = prepared.run, (float(travel.min()), float(travel.max())), np.abs(travel)
     pose = {**run.held, run.joint: float(run.position[0])}
-    current = float(run.input_current_A[0])
+    start = {name: pose[name] for name in candidates.problem.robot.model.independent_joints}
+    current, clearance_m = float(run.input_current_A[0]), float(candidates.clearance_m[r])
     kind = _kind(prepared, current, float(travel[0]))
-    moves = f"moves {np.abs(travel).min():.2f} rad"
-    if len(travel) > 1:
-        moves = f"moves {np.abs(travel).min():.2f} to {np.abs(travel).max():.2f} rad"
-    return ExcitationPlan(
-        run.joint,
-        {name: pose[name] for name in candidates.problem.robot.model.independent_joints},
-        current,
-        run.duration_s,
-        kind,
-        (float(travel.min()), float(travel.max())),
-        float(candidates.clearance_m[r]),
-        tuple(float(s) for s in stds),
-        f"{moves}; {words}",
-    )
+    moves = f"moves {far.min():.2f} to {far.max():.2f} rad" if len(far) > 1 else f"moves {far.min():.2f} rad"
+    reason = f"{moves}; {words}"
+    return ExcitationPlan(run.joint, start, current, run.duration_s, kind, ends, clearance_m, tuple(stds), reason)
 
 
 def _kind(prepared: PreparedRun, current: float, travel: float) -> str:

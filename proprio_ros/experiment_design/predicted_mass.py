@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from proprio_ros.identification.coefficients import axis_and_gravity
 from proprio_ros.identification.gates import STEADY
 from proprio_ros.identification.regression.motion_equations import HOP_SHARE, STRETCH_S, WINDOW_S, Arm, equations, sizes
 from proprio_ros.identification.regression.motion_prior import LINK_SHARE, body_stds, drive_stds, relative_torque_std
@@ -31,7 +32,7 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
     As if the same motion had been made once more with an empty hand.
 
     Raises:
-        RecordingError: the motion is of no use.
+        RecordingError: The motion is of no use.
     """
     rows = equations(robot, motion, motion.joints)
     arm = Arm.of(robot, motion.joints, dict(motion.held))
@@ -40,10 +41,8 @@ def mass_from_motion(robot: Robot, motion: Motion) -> tuple[float, float]:
     payload = sizes(arm.kg, WITHIN * arm.reach_m)
     spread = np.array([*payload, *body_stds(arm, LINK_SHARE), *drive_stds(robot, arm), *open_friction])
     shared, own = rows.design[:, : (PARAMETERS + 2) * count], rows.design[:, -3 * count :]
-    none = np.zeros_like(own)
-    matrix = np.vstack(
-        [np.hstack([rows.payload, shared, own, none]), np.hstack([np.zeros_like(rows.payload), shared, none, own])]
-    )
+    none, empty = np.zeros_like(own), np.zeros_like(rows.payload)
+    matrix = np.block([[rows.payload, shared, own, none], [empty, shared, none, own]])
     torque = shared[:, : PARAMETERS * count] @ np.concatenate(arm.bodies)
     weight = np.zeros(len(torque))
     for joint in range(count):
@@ -81,44 +80,33 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     body, body_from_hand = model.frames[robot.payload_frame]
     if body < 0:
         return None
-    gravity = (model.placement[0][:3, :3]).T @ model.gravity  # in the joint's frame at position zero
-    axis = model.axes[0]
-    middle = float(run.position[len(run.position) // 2])
-    turned = rotation_about(axis, -middle) @ gravity
+    axis, gravity = axis_and_gravity(model)
+    turned = rotation_about(axis, -float(run.position[len(run.position) // 2])) @ gravity
     hand = body_from_hand[:3, 3]
-    first = model.pseudo_inertia[0][:3, 3]
-    second = model.pseudo_inertia[0][:3, :3]
-    duration = float(run.times_s[-1] - run.times_s[0])
-    acceleration = 2.0 * float(run.position[-1] - run.position[0]) / max(duration, 1e-3) ** 2
-    speed = abs(float(run.position[-1] - run.position[0])) / max(duration, 1e-3)
+    first, second = model.pseudo_inertia[0][:3, 3], model.pseudo_inertia[0][:3, :3]
+    duration, way = max(float(run.times_s[-1] - run.times_s[0]), 1e-3), float(run.position[-1] - run.position[0])
+    acceleration, speed, direction = 2.0 * way / duration**2, abs(way) / duration, np.sign(way)
     across = hand - (hand @ axis) * axis
     per_kg = -float(axis @ np.cross(hand, turned)) + float(across @ across) * acceleration
     arm = -float(axis @ np.cross(first, turned)) + float(np.trace(second) - axis @ second @ axis) * acceleration
     if abs(per_kg) < 1e-6:
         return None
-    current = float(driving.mean())
-    way = np.sign(run.position[-1] - run.position[0])
-    torque = drive.torque_constant.value * current
-    name = run.joint
+    current, name = float(driving.mean()), run.joint
     slope: dict[Key, float] = {
         ("torque_constant", name): current,
-        ("coulomb", name): -way,
-        ("viscous", name): -way * speed,
-        ("load_friction", name): -way * abs(torque),
+        ("coulomb", name): -direction,
+        ("viscous", name): -direction * speed,
+        ("load_friction", name): -direction * abs(drive.torque_constant.value * current),
         ("armature", name): -acceleration,
         "arm_scale": -arm,
     }
-    spreads = {key: getattr(drive, key[0]).std if isinstance(key, tuple) else robot.arm_scale.std for key in slope}
-    covariance = np.diag([spreads[key] ** 2 for key in slope])
-    if robot.calibration is not None:
+    stds = [getattr(drive, key[0]).std if isinstance(key, tuple) else robot.arm_scale.std for key in slope]
+    covariance = np.diag(np.square(stds))
+    if (known := robot.calibration) is not None:
         # what is known together is known better
-        keys = list(slope)
-        there = [
-            (row, robot.calibration.keys.index(key)) for row, key in enumerate(keys) if key in robot.calibration.keys
-        ]
-        for row, at in there:
-            for column, other in there:
-                covariance[row, column] = robot.calibration.covariance[at, other]
+        there = [row for row, key in enumerate(slope) if key in known.keys]
+        place = [known.keys.index(key) for key in slope if key in known.keys]
+        covariance[np.ix_(there, there)] = known.covariance[np.ix_(place, place)]
     gradient = np.array(list(slope.values()))
     variance = float(gradient @ covariance @ gradient) + robot.torque_disturbance**2
     return Z95 * float(np.sqrt(variance)) / abs(per_kg)

@@ -17,14 +17,9 @@ from proprio_ros.kinds import Key
 
 
 class SharedUnknowns:
-    """The unknowns that all runs of a problem share, and what was known of them before any run.
+    """The F unknowns that all runs of a problem share, and what was known of them before any run.
 
-    Args:
-        problem: With runs of every joint that may be driven.
-
-    Attributes:
-        keys: Of the F shared unknowns; at: their places.
-        prior: Precision, shape (F, F).
+    The problem has runs of every joint that may be driven.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -32,6 +27,7 @@ class SharedUnknowns:
         shared = [f for f, unknown in enumerate(free) if unknown.shared]
         self.keys: list[Key] = [free[f].key for f in shared]
         self.at = {key: place for place, key in enumerate(self.keys)}
+        # precision, shape (F, F)
         self.prior = problem.coordinates.prior_precision[np.ix_(shared, shared)].copy()
 
     def columns_of(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, RIPPLE_TERMS, load_unknowns
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.quantity import Z95, Quantity
+from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose, clearance
@@ -68,42 +68,31 @@ class Known:
     """What the runs so far say.
 
     Attributes:
-        mass, std: Of the object [kg]; before any run std is `UNKNOWN_STD_KG`.
-        covariance: Of all shared unknowns of a catalogue and the mass, shape (F, F).
-        runs: That could be used.
-        fit: Of them; None where there was none.
-        prepared: All of them, as the fit takes them.
         towards: Where a part of the mass is sought, the covariance of that part with all unknowns, shape (F,), and its variance
             [kg^2]; None: all of the mass is sought.
     """
 
-    mass: float
-    std: float
-    covariance: np.ndarray
-    runs: int
-    fit: FitResult | None = None
-    prepared: tuple[PreparedRun, ...] = ()
+    mass: float  # of the object [kg]
+    std: float  # of the mass; before any run `UNKNOWN_STD_KG`
+    covariance: np.ndarray  # of all shared unknowns of a catalogue and the mass, shape (F, F)
+    runs: int  # that could be used
+    fit: FitResult | None = None  # of them
+    prepared: tuple[PreparedRun, ...] = ()  # all runs, as the fit takes them
     towards: tuple[np.ndarray, float] | None = None
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where pushes begin: a joint, its start and those of the others, and the simulator's parameters as they follow from the mass.
-
-    Attributes:
-        p, p_per_kg: shape (P,); dp, dp_per_kg: by the shared unknowns, then the run's own, shape (P, F + 4).
-        own_variance: Of the run's own unknowns, shape (4,).
-        heights: Above the base's plane along `PATH_RAD` [m].
-    """
+    """Where pushes begin, and the simulator's parameters as they follow from the mass."""
 
     prepared: PreparedRun
-    start: dict[str, float]
-    p: np.ndarray
+    start: dict[str, float]  # of all joints
+    p: np.ndarray  # with nothing in the hand, shape (P,)
     p_per_kg: np.ndarray
-    dp: np.ndarray
+    dp: np.ndarray  # by the shared unknowns, then the run's own, shape (P, F + 4)
     dp_per_kg: np.ndarray
-    own_variance: np.ndarray
-    heights: np.ndarray
+    own_variance: np.ndarray  # of the run's own unknowns, shape (4,)
+    heights: np.ndarray  # above the base's plane along `PATH_RAD` [m]
 
 
 class _Candidate(NamedTuple):
@@ -115,20 +104,13 @@ class _Candidate(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """What the encoder would show of C pushes.
+    """What the encoder would show of C pushes."""
 
-    Attributes:
-        shared: Whitened sensitivities by the shared unknowns, shape (C, T, F); own: by the run's own in units of their priors,
-            shape (C, T, 4).
-        times_s: Of the samples, shape (T,).
-        counted: How many of them count; travel: how far the joint goes meanwhile [rad]; shapes (C,).
-    """
-
-    shared: np.ndarray
-    own: np.ndarray
-    times_s: np.ndarray
-    counted: np.ndarray
-    travel: np.ndarray
+    shared: np.ndarray  # whitened sensitivities by the shared unknowns, shape (C, T, F)
+    own: np.ndarray  # the same by the run's own in units of their priors, shape (C, T, 4)
+    times_s: np.ndarray  # of the samples, shape (T,)
+    counted: np.ndarray  # how many of them count, shape (C,)
+    travel: np.ndarray  # how far the joint goes meanwhile [rad], shape (C,)
 
 
 class Catalogue:
@@ -138,7 +120,7 @@ class Catalogue:
         robot: With its calibration where there is one.
         facts: Of the object.
         joints: That may be driven; default all that carry the hand against gravity.
-        starts: Positions of the driven joint over its range.
+        starts: How many positions of the driven joint over its range.
         suits: Whether a push may begin where the driven joint stands at a position [rad] in the pose of a run; default: anywhere.
     """
 
@@ -173,10 +155,9 @@ class Catalogue:
         for pose in locked_poses(self.robot, joint, POSES):
             starts = start_positions(self.robot, joint, self._starts)
             starts = [q for q in starts if clearance(self.robot, pose | {joint: q}) >= CLEARANCE_M]
-            if not starts:
-                continue
-            still = self._still(joint, pose | {joint: starts[0]})
-            starts = [q for q in starts if self._suits is None or self._suits(still, q)]
+            if starts:
+                still = self._still(joint, pose | {joint: starts[0]})
+                starts = [q for q in starts if self._suits is None or self._suits(still, q)]
             if starts:
                 found += self._places_from(still, pose, starts)
         return found
@@ -198,11 +179,9 @@ class Catalogue:
             slopes[..., to] = dp[:, r, :, : len(columns)]
             slopes[..., len(self.keys) :] = dp[:, r, :, len(columns) :]
             variance = np.array([problem.unknowns[o].std ** 2 for o in own])
-            start = {**pose, joint: q}
-            heights = np.array([clearance(self.robot, start | {joint: q + off}) for off in PATH_RAD])
-            found.append(
-                _Place(run, start, p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0], variance, heights)
-            )
+            heights = np.array([clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD])
+            p_and_dp = p[0, r], p[1, r] - p[0, r], slopes[0], slopes[1] - slopes[0]
+            found.append(_Place(run, {**pose, joint: q}, *p_and_dp, variance, heights))
         return found
 
     # ------------------------------------------------------------------------------------------------------- knowledge
@@ -212,12 +191,7 @@ class Catalogue:
         return Known(0.5 * sum(UNKNOWN_KG), UNKNOWN_STD_KG, np.linalg.inv(self._shared.prior), 0)
 
     def known(self, runs: Sequence[Run], before: Known | None = None) -> Known:
-        """What runs with the object say, robot and object together.
-
-        Args:
-            runs: So far.
-            before: What the same runs without the last said: the fit starts there.
-        """
+        """What the runs so far say, robot and object together; the fit starts where that of the same ``before`` the last ended."""
         prepared = () if before is None else before.prepared
         prepared += tuple(prepare_run(self.robot, run, None, self.facts) for run in runs[len(prepared) :])
         usable = [run for run in prepared if run.run.joint in self.joints and not unusable(run)]
@@ -237,13 +211,7 @@ class Catalogue:
         return Known(mass, float(np.sqrt(covariance[place, place])), covariance, runs, fit)
 
     def predicted(self, known: Known, push: Push, load_kg: float | None = None) -> Known:
-        """What would be known after a push, to first order.
-
-        Args:
-            known: Before it.
-            push: Of this catalogue.
-            load_kg: What is known to be in the hand [kg]; None: the object.
-        """
+        """What would be known after a push of this catalogue, to first order; ``load_kg`` as in `rank`."""
         made = [_Candidate(self._place_of(push), push.current_A, push.shake_A)]
         mass = known.mass if load_kg is None else load_kg
         rows = self._rows(self._simulator(made), np.zeros(1, int), made, mass, load_kg is not None)
@@ -253,9 +221,8 @@ class Catalogue:
         within = along @ shared.T + own @ own.T + np.eye(int(used.sum()))
         covariance = known.covariance - along.T @ np.linalg.solve(within, along)
         at = self.at["payload_mass"]
-        return replace(
-            known, covariance=covariance, std=float(np.sqrt(max(covariance[at, at], 0.0))), runs=known.runs + 1
-        )
+        std = float(np.sqrt(max(covariance[at, at], 0.0)))
+        return replace(known, covariance=covariance, std=std, runs=known.runs + 1)
 
     def still(self, push: Push) -> PreparedRun:
         """Where a push of this catalogue begins, as a run in which nothing moves."""
@@ -329,13 +296,9 @@ class Catalogue:
             times, given = _input_of(current, shake)
             friction = drive.coulomb.value + drive.load_friction.value * abs(current) * drive.torque_constant.value
             lightest = float(place.prepared.coefficients.arm[0]) + 0.5 * drive.armature.value
-            fine = self.robot.friction_velocity * lightest / max(friction, 1e-6)
-            runs.append(
-                JointRun(
-                    run.times_s, times, given, (0.0, 0.0, 1.0), self.robot.friction_velocity, STEP_S,
-                    float(np.clip(fine, 2e-4, STEP_S)),
-                )
-            )  # fmt: skip
+            fine = float(np.clip(self.robot.friction_velocity * lightest / max(friction, 1e-6), 2e-4, STEP_S))
+            no_supply = 0.0, 0.0, 1.0
+            runs.append(JointRun(run.times_s, times, given, no_supply, self.robot.friction_velocity, STEP_S, fine))
         return JointSimulator(runs)
 
     def _fitting(
@@ -432,24 +395,17 @@ class Catalogue:
             lasts = np.minimum(rows.counted / max(len(times), 1) * times[-1], duration)
             for c in np.flatnonzero(np.isfinite(after) & (longer | (duration == durations_s[0]))).tolist():
                 place, current, shake = candidates[c]
-                seconds = float(beside[c] + lasts[c])
+                seconds, std, travel = float(beside[c] + lasts[c]), float(np.sqrt(after[c])), float(rows.travel[c])
                 gain = 0.5 * float(np.log(now / after[c])) / seconds
-                found.append(
-                    Push(
-                        place.prepared.run.joint, place.start, float(current), float(shake), duration, seconds,
-                        float(np.sqrt(after[c])), gain, float(rows.travel[c]),
-                    )
-                )  # fmt: skip
+                made = place.prepared.run.joint, place.start, float(current), float(shake), duration
+                found.append(Push(*made, seconds, std, gain, travel))
         return found
 
 
 def _standing_at(still: PreparedRun, position: float) -> PreparedRun:
     """The same run with the driven joint elsewhere [rad]."""
-    run = still.run
-    moved = replace(
-        run, position=np.full_like(run.position, position), before_position=np.full_like(run.before_position, position)
-    )
-    return replace(still, run=moved, rest=Quantity(position, still.rest.std))
+    elsewhere = {name: np.full_like(getattr(still.run, name), position) for name in ("position", "before_position")}
+    return replace(still, run=replace(still.run, **elsewhere), rest=Quantity(position, still.rest.std))
 
 
 def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]:
@@ -458,8 +414,3 @@ def _input_of(current_A: float, shake_A: float) -> tuple[np.ndarray, np.ndarray]
         return np.zeros(1), np.array([current_A])
     times_s = np.arange(0.0, max(DURATIONS_S), 0.5 * SHAKE_PERIOD_S)
     return times_s, current_A + shake_A * (1.0 - 2.0 * (np.arange(len(times_s)) % 2))
-
-
-def half_of(std: float) -> float:
-    """Half of a 95 % interval."""
-    return Z95 * std

@@ -6,13 +6,13 @@ arm stands. When it ends is the same for all that is identified: see `choosing.p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from proprio_ros.excitation.machine import ExcitationMachine
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.experiment_design.candidates import Push
-from proprio_ros.experiment_design.choosing import Chooser, Found, alone, passes, time_of
+from proprio_ros.experiment_design.choosing import Chooser, Found, Whole, alone, passes, time_of
 from proprio_ros.experiment_design.sequential import (
     MAX_TRAVEL,
     SHAKE_PERIOD_S,
@@ -20,7 +20,6 @@ from proprio_ros.experiment_design.sequential import (
     WORTH,
     Catalogue,
     Known,
-    half_of,
 )
 from proprio_ros.quantity import Z95, Sought
 from proprio_ros.records import Run
@@ -37,15 +36,10 @@ empty hand better than by a reference: by 24 pushes of either, the half interval
 
 
 class CatalogueChooser(Chooser):
-    """One whose pushes come from a catalogue of what can be done with a rigid load.
-
-    Attributes:
-        catalogue: Of all pushes.
-    """
+    """One whose pushes come from a catalogue of what can be done with a rigid load."""
 
     catalogue: Catalogue
-    _unknown_kg = UNKNOWN_KG
-    """What the hand may hold while no run says it [kg]."""
+    _unknown_kg = UNKNOWN_KG  # what the hand may hold while no run says it
 
     def run_of(self, push: Push) -> ExcitationRun:
         return run_of(push, self.robot)
@@ -60,23 +54,10 @@ class CatalogueChooser(Chooser):
 
 
 class UntilSure(CatalogueChooser):
-    """One weighing whose pushes are chosen one by one.
-
-    Args:
-        robot: With its calibration where there is one.
-        facts: Of the object.
-        sequence, whole: See `Chooser`.
-
-    Raises:
-        ConfigurationError: The sequence has no `until`.
-    """
+    """One weighing whose pushes are chosen one by one; `Chooser` has what it takes and raises."""
 
     def __init__(
-        self,
-        robot: Robot,
-        facts: PayloadFacts,
-        sequence: ExcitationSequence,
-        whole: Callable[[Sequence[Run]], float | None] | None = None,
+        self, robot: Robot, facts: PayloadFacts, sequence: ExcitationSequence, whole: Whole | None = None
     ) -> None:
         super().__init__(robot, sequence, Sought("mass", "kg"), whole)
         self.catalogue = Catalogue(robot, facts)
@@ -100,9 +81,8 @@ class UntilSure(CatalogueChooser):
 def run_of(push: Push, robot: Robot) -> ExcitationRun:
     """A push as a run of a sequence."""
     # the fingers hold what they hold
-    start = {
-        n: q for n, q in push.start.items() if n in robot.drive_trains and robot.model.joint(n).kind != "prismatic"
-    }
+    turning = [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+    start = {name: position for name, position in push.start.items() if name in turning}
     limit = robot.motors[push.joint].current_limit_A - abs(push.shake_A)
     steady = push.shake_A == 0.0
     eased = push.current_A * push.travel < 0.0  # the current only supports what gravity pulls
@@ -163,7 +143,7 @@ def chosen_refresh(
     known = replace(catalogue.nothing_known(), mass=WEIGHED_KG)
     for push in pushes:
         known = catalogue.predicted(known, push)
-    half, now = half_of(then.std), half_of(known.std)
+    half, now = Z95 * then.std, Z95 * known.std
     return _chosen(catalogue, known, (1.0 + WORTH) * half, at_most_s, sequence, 0.0), half, now
 
 
@@ -174,9 +154,8 @@ def _predicted_weighing(
     robot = catalogue.robot
     known, pushes = replace(catalogue.nothing_known(), mass=weighed_kg), []
     for _ in range(WEIGHED_PUSHES):
-        push = max(catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain)
-        known = catalogue.predicted(known, push)
-        pushes.append(push)
+        pushes.append(max(catalogue.rank(known, time_of(robot, sequence, bent_pose(robot))), key=lambda p: p.gain))
+        known = catalogue.predicted(known, pushes[-1])
     return known, pushes
 
 
@@ -194,7 +173,7 @@ def _chosen(
     for run in sequence.runs:
         here |= run.start
     chosen: list[ExcitationRun] = []
-    while half_of(known.std) > half_interval:
+    while Z95 * known.std > half_interval:
         ranked = catalogue.rank(known, time_of(robot, sequence, here), half_interval / Z95, load_kg=load_kg)
         for push in ranked:
             run = run_of(push, robot)

@@ -19,24 +19,15 @@ NEGLIGIBLE = 1e-9  # a link term that changes less than this at its prior is not
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Inertia and gravity load of the moving part as functions of the payload and of pose errors.
+    """Inertia and gravity load of the moving part as functions of the payload and of pose errors."""
 
-    Attributes:
-        arm: Without payload, shape (4,).
-        payload: Per payload parameter, shape (4, 10).
-        pose: Names of the H locked joints whose zero matters.
-        arm_by_pose: Shape (H, 4); payload_by_pose: shape (H, 4, 10): change per unit of the locked joint's position.
-        links: Keys of the L link unknowns that matter, e.g. ``("link_mass", "link4")``.
-        arm_by_link: Change per unit of each, shape (L, 4).
-    """
-
-    arm: np.ndarray
-    payload: np.ndarray
-    pose: tuple[str, ...] = ()
+    arm: np.ndarray  # without payload, shape (4,)
+    payload: np.ndarray  # per payload parameter, shape (4, 10)
+    pose: tuple[str, ...] = ()  # the H locked joints whose zero matters; then changes per unit of their positions:
     arm_by_pose: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     payload_by_pose: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 10)))
-    links: tuple[tuple[str, str], ...] = ()
-    arm_by_link: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    links: tuple[tuple[str, str], ...] = ()  # keys of the L link unknowns that matter, as ("link_mass", "link4")
+    arm_by_link: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # change per unit of each, shape (L, 4)
 
     def per_kg(self, facts: PayloadFacts) -> np.ndarray:
         """Inertia and gravity load of 1 kg in the hand, shape (4,)."""
@@ -124,14 +115,12 @@ def slide_coefficients(robot: Robot, run: Run) -> Coefficients:
     per_rad = robot.drive_trains[run.joint].transmission
     position = float(run.position[0])
     mass, load = 0.0, 0.0
+    before, after = ({**run.held, run.joint: position + off} for off in (-0.5, 0.5))
     for link in robot.model.links:
         weight = float(link.pseudo_inertia[3, 3])
         if weight > 0.0:
-            start, end = (
-                robot.model.frame_transform(link.name, {**run.held, run.joint: position + sign * 0.5})
-                for sign in (-1.0, 1.0)
-            )
-            velocity = (end - start)[:3, 3]
+            transform = robot.model.frame_transform
+            velocity = (transform(link.name, after) - transform(link.name, before))[:3, 3]
             mass += weight * float(velocity @ velocity)
             load -= weight * float(velocity @ robot.gravity)
     return Coefficients(np.array([mass * per_rad**2, 0.0, 0.0, load * per_rad]), np.zeros((4, 10)))

@@ -25,6 +25,7 @@ from proprio_ros.identification.judge import (
     unsteady,
 )
 from proprio_ros.identification.posterior import Posterior
+from proprio_ros.identification.prepared_runs import joints_of
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95
@@ -49,8 +50,9 @@ class Conclusion:
     called: ClassVar[Mapping[str, str]] = MappingProxyType({})  # unknowns that an answer shows under another kind
 
     def __post_init__(self) -> None:
+        self.robot, self.runs = self.opened.problem.robot, self.opened.problem.runs
+        self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.assessed = Assessment(self.fit, self.name, self.opened)
-        self.robot, self.runs, self.known = self.assessed.robot, self.assessed.runs, self.assessed.known
         # what each source puts on the value, the largest first
         self.budget = [(self.called.get(source, source), std) for source, std in self.assessed.budget()]
         self.apart: Contradiction | None = None

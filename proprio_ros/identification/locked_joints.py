@@ -7,6 +7,7 @@ recorded it, so it is no unknown: the readings are smoothed, and the torque foll
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -27,18 +28,12 @@ DRIVEN_SCALES = np.geomspace(1.0, 300.0, 8)
 
 @dataclass(frozen=True)
 class Motion:
-    """A smooth motion that starts at rest at time 0.
+    """A smooth motion that starts at rest at time 0."""
 
-    Attributes:
-        start: position at rest [rad].
-        knots_s: shape (K,); acceleration: at the knots, linear between them [rad/s^2], shape (K,).
-        evidence: logarithm of how much more probable this motion makes the readings than none.
-    """
-
-    start: float
-    knots_s: np.ndarray
-    acceleration: np.ndarray
-    evidence: float
+    start: float  # position at rest [rad]
+    knots_s: np.ndarray  # shape (K,)
+    acceleration: np.ndarray  # at the knots, linear between them [rad/s^2], shape (K,)
+    evidence: float  # logarithm of how much more probable this motion makes the readings than none
 
     def at(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position less the start, velocity and acceleration, each of the shape of the times."""
@@ -49,25 +44,20 @@ class Motion:
 def _basis(times_s: np.ndarray, knots_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What one unit of acceleration at each knot does to position, velocity and acceleration; shapes (T, K)."""
     step = knots_s[1] - knots_s[0]
-
-    def ramp(order: int) -> np.ndarray:
-        # a hat is three ramps; each integral of a ramp raises its power
-        left = times_s[:, None] - np.concatenate([[knots_s[0] - step], knots_s, [knots_s[-1] + step]])[None, :]
-        return np.maximum(left, 0.0) ** order / float([1, 1, 2, 6][order])
+    left = times_s[:, None] - np.concatenate([[knots_s[0] - step], knots_s, [knots_s[-1] + step]])[None, :]
 
     def hats(order: int) -> np.ndarray:
-        r = ramp(order)
-        return (r[:, :-2] - 2.0 * r[:, 1:-1] + r[:, 2:]) / step
+        # a hat is three ramps; each integral of a ramp raises its power
+        ramp = np.maximum(left, 0.0) ** order / float(math.factorial(order))
+        return (ramp[:, :-2] - 2.0 * ramp[:, 1:-1] + ramp[:, 2:]) / step
 
     acceleration, velocity, position = hats(1), hats(2), hats(3)
     # the motion starts at time 0: the first hat's rise before it has not happened
     since = np.maximum(times_s, 0.0)
-    rise = np.array([0.5 * step, step**2 / 6.0])
-    velocity[:, 0] -= rise[0]
-    position[:, 0] -= rise[1] + rise[0] * since
-    before = times_s < 0.0
+    velocity[:, 0] -= 0.5 * step
+    position[:, 0] -= step**2 / 6.0 + 0.5 * step * since
     for part in (acceleration, velocity, position):
-        part[before] = 0.0
+        part[times_s < 0.0] = 0.0
     return position, velocity, acceleration
 
 
@@ -75,10 +65,10 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
     """The motion that readings show: acceleration as a random walk, how large by the evidence (Kimeldorf & Wahba 1970).
 
     Args:
-        times_s: increasing; before 0 the joint is at rest, shape (T,).
-        position: readings [rad], shape (T,).
-        sigma: standard deviation of a reading [rad].
-        scales: accelerations that the walk reaches by the end, to be tried [rad/s^2].
+        times_s: Increasing; before 0 the joint is at rest, shape (T,).
+        position: Readings [rad], shape (T,).
+        sigma: Standard deviation of a reading [rad].
+        scales: Accelerations that the walk reaches by the end, to be tried [rad/s^2].
     """
     end = float(times_s[-1])
     count = max(int(np.ceil(end / KNOT_S)), 1) + 1
@@ -109,8 +99,7 @@ def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str,
     found = {}
     times_s = np.concatenate([run.before_times_s, run.times_s])
     for name in joints:
-        drive = robot.drive_trains.get(name)
-        readings = run.held_position.get(name)
+        drive, readings = robot.drive_trains.get(name), run.held_position.get(name)
         if drive is None or readings is None or np.ptp(readings) == 0.0 or robot.model.joint(name).kind == "prismatic":
             continue
         motion = smooth(times_s, readings, drive.reading_std, LOCKED_SCALES)
@@ -122,35 +111,26 @@ def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str,
 def loads_of_yielding(
     robot: Robot, run: Run, motions: Mapping[str, Motion], facts: PayloadFacts, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Load that yielding joints put on the driven one, beside what it carries when they stand still.
+    """Load that yielding joints, whose motions are given, put on the driven one, beside what it carries when they stand still.
 
-    The driven joint's own motion, which enters weakly, is its smoothed reading.
-
-    Args:
-        robot: whose drive trains yield.
-        run: with the locked joints' positions.
-        motions: of the locked joints that moved.
-        facts: where the payload sits and how its mass is spread.
-        noise: standard deviation of a reading of the driven joint [rad].
+    The driven joint's own motion, which enters weakly, is its smoothed reading with ``noise`` as standard deviation [rad].
 
     Returns:
         Instants from which each value holds [s], shape (S,), the first 0; with an empty hand [N m] and per kilogram of payload
         [N m/kg], shape (S, 2).
     """
-    active = [run.joint, *motions]
-    held = {name: motions[name].start if name in motions else position for name, position in run.held.items()}
-    model = robot.model.lock(active, held, robot.gravity)
+    held = {**run.held, **{name: motion.start for name, motion in motions.items()}}
+    model = robot.model.lock([run.joint, *motions], held, robot.gravity)
     times_s = np.concatenate([run.before_times_s, run.times_s])
     driven = smooth(times_s, np.concatenate([run.before_position, run.position]), noise, DRIVEN_SCALES)
     begins = np.arange(0.0, float(run.times_s[-1]), SEGMENT_S)
-    middles = begins + 0.5 * SEGMENT_S
+    rest = np.zeros(len(begins))
     still, moving = [], []
     for name in model.joint_names:
-        start, motion = (driven.start, driven) if name == run.joint else (motions[name].start, motions[name])
-        away, velocity, acceleration = motion.at(middles)
-        moving.append((start + away, velocity, acceleration))
-        rest = np.zeros(len(middles))
-        still.append(moving[-1] if name == run.joint else (rest + start, rest, rest))
+        motion = driven if name == run.joint else motions[name]
+        away, velocity, acceleration = motion.at(begins + 0.5 * SEGMENT_S)
+        moving.append((motion.start + away, velocity, acceleration))
+        still.append(moving[-1] if name == run.joint else (rest + motion.start, rest, rest))
     body, body_from_payload = model.frames[robot.payload_frame]
     payload = np.zeros_like(model.pseudo_inertia)
     if body >= 0:
@@ -164,24 +144,20 @@ def loads_of_yielding(
 def joint_torque(
     model: ReducedModel, motion: list[tuple[np.ndarray, np.ndarray, np.ndarray]], joint: int, inertias: np.ndarray
 ) -> np.ndarray:
-    """Torque that a joint needs for a motion of all joints (d'Alembert's principle over homogeneous transforms).
+    """Torque that a joint needs for a motion of all joints (d'Alembert's principle over homogeneous transforms), shape (T, I).
 
     With T a body's transform, P its pseudo-inertia and g gravity as a transform's last column, the torque on joint i is the sum
     over bodies of ``trace(dT/dq_i  P  (T'' - g)^T)``.
 
     Args:
-        model: the moving bodies and their joints.
-        motion: position, velocity and acceleration of each joint over time, each of shape (T,).
-        joint: which.
-        inertias: sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).
-
-    Returns:
-        shape (T, I).
+        model: The moving bodies and their joints.
+        motion: Position, velocity and acceleration of each joint over time, each of shape (T,).
+        joint: Place of the joint.
+        inertias: Sets of pseudo-inertias, one of each body, shape (I, n, 4, 4).
     """
     gravity = np.zeros((4, 4))
     gravity[:3, 3] = model.gravity
-    ground = np.eye(4)
-    zero = np.zeros((4, 4))
+    ground, zero = np.eye(4), np.zeros((4, 4))
     torque = np.zeros((len(motion[0][0]), len(inertias)))
     bodies: list[tuple[np.ndarray, ...]] = []
     for n, (q, v, a) in enumerate(motion):

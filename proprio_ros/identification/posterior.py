@@ -12,17 +12,14 @@ from proprio_ros.identification.problem import Problem
 
 
 class Posterior:
-    """Gauss-Newton posterior of a problem's free unknowns at given values.
+    """Gauss-Newton posterior of a problem's free unknowns at given values of all, shape (N,).
 
-    Args:
-        problem: runs, priors and unknowns.
-        values: of all unknowns, shape (N,).
-        inflation: factor on the encoder's variance; the priors stay.
+    ``inflation`` is a factor on the encoder's variance; the priors stay.
 
     Attributes:
-        residual: whitened, shape (M,); sensitivity: whitened, shape (M, F); run: which run each sample is of, shape (M,).
-        covariance: of the free unknowns in physical units, shape (F, F).
-        condition: of the normal matrix scaled to a unit diagonal.
+        residual: Whitened, shape (M,); sensitivity: whitened, shape (M, F); run: which run each sample is of, shape (M,).
+        covariance: Of the free unknowns in physical units, shape (F, F).
+        condition: Of the normal matrix scaled to a unit diagonal.
     """
 
     def __init__(self, problem: Problem, values: np.ndarray, inflation: float = 1.0) -> None:
@@ -47,8 +44,7 @@ class Posterior:
 
     def whole_covariance(self) -> np.ndarray:
         """Covariance of all unknowns, shape (N, N); zero where an unknown is not free."""
-        size = len(self.problem.unknowns)
-        covariance = np.zeros((size, size))
+        covariance = np.zeros((len(self.problem.unknowns),) * 2)
         covariance[np.ix_(self.problem.free, self.problem.free)] = self.covariance
         return covariance
 

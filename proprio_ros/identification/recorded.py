@@ -17,13 +17,7 @@ BEFORE_SHARE = 0.3  # so much of a run's duration is shown of what came before i
 
 
 def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:
-    """A run as a page shows it.
-
-    Args:
-        robot: that made it.
-        run: as it was cut out of the recording.
-        baseline: whether it was made without what is to be identified.
-    """
+    """A run as a page shows it; ``baseline`` is one made without what is to be identified."""
     shown = run.before_times_s >= -BEFORE_SHARE * run.duration_s
     position = np.concatenate([run.before_position[shown], run.position])
     seen = at_the_shaft(robot, run)

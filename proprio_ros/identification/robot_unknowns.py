@@ -38,15 +38,7 @@ that number better than anybody knows it."""
 def load_unknowns(
     robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, drive_role: Role, start_mass_kg: float
 ) -> list[Unknown]:
-    """All unknowns of a weighing: the payload, what is open about the robot, and each run's start.
-
-    Args:
-        robot: Of the runs.
-        runs: Weighed together.
-        facts: What is stated about the payload.
-        drive_role: ``FROZEN`` keeps the robot at its file's values, ``FREE`` lets the recording move them under their priors.
-        start_mass_kg: The payload's, from which a fit starts [kg].
-    """
+    """All unknowns of a weighing: the payload, from whose ``start_mass_kg`` a fit starts, and those of `robot_unknowns`."""
     unknowns = [Unknown("payload_mass", start_mass_kg, np.inf, -0.5, 20.0, asinh_scale=0.005)]
     for axis, name in enumerate("xyz"):
         spread = float(facts.com_std[axis])
@@ -58,7 +50,8 @@ def load_unknowns(
 def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) -> list[Unknown]:
     """What is open about the robot in these runs, shared and of each run on its own.
 
-    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown.
+    Values and standard deviations are those of the robot file, or of its calibration where that knows an unknown. ``FROZEN`` keeps
+    the robot at these values, ``FREE`` lets the recording move them under their priors.
     """
     shared = [
         _from_quantity("arm_scale", None, robot.arm_scale, lower=0.1),
@@ -75,28 +68,23 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
             # a locked joint's reading is rounded the same way in every sample
             std = float(np.hypot(moved.zero.std, moved.encoder_resolution / np.sqrt(12.0)))
             shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
-            for kind in RIPPLE_TERMS:
-                shared.append(_from_quantity(kind, name, Quantity(0.0, moved.encoder_once_per_turn)))
+            ripple = Quantity(0.0, moved.encoder_once_per_turn)
+            shared += [_from_quantity(kind, name, ripple) for kind in RIPPLE_TERMS]
     stds = link_stds(robot)
-    for kind, link in dict.fromkeys(key for run in runs for key in run.coefficients.links):
-        shared.append(_from_quantity(kind, link, Quantity(0.0, stds[kind])))
+    links = dict.fromkeys(key for run in runs for key in run.coefficients.links)
+    shared += [_from_quantity(kind, link, Quantity(0.0, stds[kind])) for kind, link in links]
     known = {} if robot.calibration is None else robot.calibration.quantities
-    unknowns = [
-        _from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u for u in shared
-    ]
-    unknowns = [u.at_role(drive_role) for u in unknowns]
+    shared = [_from_quantity(u.kind, u.scope, known[u.key], u.lower, u.upper) if u.key in known else u for u in shared]
+    unknowns = [u.at_role(drive_role) for u in shared]
     for row, run in enumerate(runs):
-        unknowns.append(Unknown("q0", run.rest.value, run.rest.std, scope=row))
-        if run.run.free:
-            unknowns.append(Unknown("v0", run.start_velocity, START_VELOCITY_STD, scope=row))
-            change = Unknown("friction_change", 0.0, robot.friction_spread, -0.9, scope=row)
-            unknowns.append(change.at_role(drive_role))
-        else:
-            unknowns.append(Unknown("v0", 0.0, robot.start_velocity, scope=row))
-        unknowns.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row).at_role(drive_role))
+        free = run.run.free
+        start_velocity = (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
+        unknowns += [Unknown("q0", run.rest.value, run.rest.std, scope=row), Unknown("v0", *start_velocity, scope=row)]
+        of_run = [Unknown("friction_change", 0.0, robot.friction_spread, -0.9, scope=row)] if free else []
+        of_run.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
         # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
-        disturbance = 0.0 if run.run.free else robot.torque_disturbance
-        unknowns.append(Unknown("disturbance", 0.0, disturbance, scope=row).at_role(drive_role))
+        of_run.append(Unknown("disturbance", 0.0, 0.0 if free else robot.torque_disturbance, scope=row))
+        unknowns += [unknown.at_role(drive_role) for unknown in of_run]
     return unknowns
 
 

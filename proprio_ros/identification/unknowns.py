@@ -21,21 +21,16 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Unknown(Tag):
-    """One scalar unknown.
+    """One scalar unknown; what it is, and whose, says ``Tag``.
 
     Attributes:
-        kind, scope: what it is, and whose; see ``Tag``.
-        value: prior mean, and the value used while the unknown is not free.
-        std: prior standard deviation; ``inf`` is no prior, 0 is known exactly.
-        lower, upper: bounds on the physical value.
         asinh_scale: 0 keeps the coordinate linear; otherwise the solver moves ``asinh(value / scale)``, which is a logarithm
             for large values and linear through zero, so that orders of magnitude are crossed and an empty hand reads 0.
-        role: see ``Role``.
     """
 
-    value: float
-    std: float
-    lower: float = -np.inf
+    value: float  # prior mean, and the value used while the unknown is not free
+    std: float  # of the prior; `inf` is no prior, 0 is known exactly
+    lower: float = -np.inf  # bounds on the physical value
     upper: float = np.inf
     asinh_scale: float = 0.0
     role: Role = Role.FREE
@@ -44,13 +39,11 @@ class Unknown(Tag):
         if self.kind not in KINDS:
             raise ConfigurationError(f"{self.name}: no such kind of unknown; add it to KINDS")
         if not np.isfinite(self.value) or np.isnan(self.std) or self.std < 0.0:
-            raise ConfigurationError(
-                f"{self.name}: value {self.value} and std {self.std} must be finite and std not negative"
-            )
+            given = f"value {self.value} and std {self.std}"
+            raise ConfigurationError(f"{self.name}: {given} must be finite and std not negative")
         if not self.lower <= self.value <= self.upper:
-            raise ConfigurationError(
-                f"{self.name} = {self.value} {self.unit} lies outside [{self.lower}, {self.upper}]"
-            )
+            bounds = f"[{self.lower}, {self.upper}]"
+            raise ConfigurationError(f"{self.name} = {self.value} {self.unit} lies outside {bounds}")
 
     def at_role(self, role: Role) -> Unknown:
         """A copy with another role; what is known exactly stays frozen."""
@@ -68,8 +61,8 @@ class Coordinates:
     """Maps between physical values and solver coordinates of a list of unknowns, and holds their joint prior.
 
     Args:
-        unknowns: the free unknowns, in solver order.
-        correlated: keys and covariance (physical units) of those whose priors belong together, as a calibration leaves them;
+        unknowns: The free unknowns, in solver order.
+        correlated: Keys and covariance (physical units) of those whose priors belong together, as a calibration leaves them;
             the others are independent. Keys that are not among the unknowns are marginalised out.
     """
 

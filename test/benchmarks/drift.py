@@ -30,11 +30,11 @@ from proprio_ros.calibration_files.drift import FRICTION, Drift, aged
 from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import load_sequence
-from proprio_ros.experiment_design.sequential import half_of
 from proprio_ros.experiment_design.until import chosen_refresh
 from proprio_ros.identification.refresh import refresh
 from proprio_ros.identification.robot_calibration import LoadedRun
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 
@@ -88,7 +88,7 @@ def weighings(hidden: HiddenRobot, robots: dict[str, Robot], masses: Sequence[fl
                 cases.append(Case(way, float("nan"), float("nan"), False))
                 continue
             low, high = value.ci95
-            cases.append(Case(way, value.value - mass, half_of(value.std), bool(low <= mass <= high)))
+            cases.append(Case(way, value.value - mass, Z95 * value.std, bool(low <= mass <= high)))
     return cases
 
 

@@ -34,11 +34,11 @@ from results import Results, parser_of
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, Until, load_sequence
 from proprio_ros.excitation.ways import approach_s
-from proprio_ros.experiment_design.sequential import half_of
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.quantity import Z95
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
@@ -157,7 +157,7 @@ def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, unt
 
     def whole(made: Sequence[Run]) -> float | None:
         std = weigh(robot, made, facts).value("payload_mass").std
-        return None if std is None else half_of(std)
+        return None if std is None else Z95 * std
 
     chooser = UntilSure(robot, facts, sequence, whole)
     while True:
@@ -176,7 +176,7 @@ def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, unt
             mass, reference, "refused", nan, nan, False, False, len(runs), bench.time_s, nan, False, nan, decided
         )
     low, high = value.ci95
-    half = half_of(value.std)
+    half = Z95 * value.std
     # the fixed sequence, again and again
     other = Bench(hidden, fixed, np.random.default_rng([seed, round(1e6 * mass), 1]))
     made: list[Run] = []
@@ -186,7 +186,7 @@ def one_case(robot: Robot, hidden: HiddenRobot, mass: float, reference: str, unt
     def half_after(count: int) -> float:
         nonlocal state
         state = chooser.catalogue.known(made[:count], state if count == len(made) else None)
-        return half_of(state.std)
+        return Z95 * state.std
 
     while fixed_half > half and len(made) < FIXED_AT_MOST:
         for probe in fixed.runs:
