@@ -29,10 +29,8 @@ def refusal_of(estimate: Estimate) -> str:
 def live_interval(estimate: Estimate) -> tuple[float, float] | None:
     """What is searched for and its standard deviation as far as the run has come, also where a verdict still withholds them."""
     name, _ = probe_named(estimate.probe).answer
-    for row in estimate.unknowns:
-        if row.name == name and np.isfinite(row.std):
-            return float(row.value), float(row.std)
-    return None
+    found = ((float(row.value), float(row.std)) for row in estimate.unknowns if row.name == name)
+    return next((known for known in found if np.isfinite(known[1])), None)
 
 
 def live_answer(estimate: Estimate) -> tuple[int, str, dict[str, Any]] | None:
@@ -41,12 +39,10 @@ def live_answer(estimate: Estimate) -> tuple[int, str, dict[str, Any]] | None:
     if known is None:
         return None
     (name, unit), (value, std) = probe_named(estimate.probe).answer, known
-    samples = sum(len(run.times_s) for run in estimate.run_fits)
-    entries = {
-        "probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit,
-        f"{name}.std": std, f"{name}.ci95": [value - Z95 * std, value + Z95 * std],
-    }  # fmt: skip
-    words = shown(unit, value, Z95 * std, spec=spec_for(unit, std), between=" +- ")
+    samples, half = sum(len(run.times_s) for run in estimate.run_fits), Z95 * std
+    entries = {"probe": estimate.probe, "final": False, "samples": samples, name: value, f"{name}.unit": unit}
+    entries |= {f"{name}.std": std, f"{name}.ci95": [value - half, value + half]}
+    words = shown(unit, value, half, spec=spec_for(unit, std), between=" +- ")
     return samples, f"live, {samples} samples: {words}", entries
 
 

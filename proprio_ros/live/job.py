@@ -17,47 +17,28 @@ WEIGH = "weigh"  # the job that needs no excitation: whoever moves the arm, move
 
 
 class JobError(ProprioError):
-    """Why a job ended without a result, in one sentence.
-
-    Attributes:
-        aborted_by: What ended a probe, such as "limit"; empty where none was ended.
-    """
+    """Why a job ended without a result, in one sentence."""
 
     def __init__(self, sentence: str, aborted_by: str = "") -> None:
         super().__init__(sentence)
-        self.aborted_by = aborted_by
+        self.aborted_by = aborted_by  # what ended a push, such as "limit"; empty where none was ended
 
 
 @dataclass
 class Job:
-    """A job.
+    """What was asked by a call, and how far it has come."""
 
-    Attributes:
-        kind: `ROBOT`, `WEIGH`, or the name of a probe, with ``_baseline`` behind it where that is recorded.
-        service: That was called.
-        cancelled, ended: Set when somebody asks for its end, and when that is reached.
-        success, message: The answer.
-        settings: What is known about the object beside what the node knows, KEY=VALUE; these win.
-        sequence: To be made; empty: the parameter's.
-        until: Pushes are chosen until then, whatever the sequence says; None: what it says counts.
-        bag: The recording; empty: there is none yet.
-        entries: Keys and values of its estimate in the end.
-        on_end: Called at its end.
-        reason: Why no further push was chosen; empty where none was to be.
-        decisions: One by one, where pushes were chosen.
-    """
-
-    kind: str
-    service: str
-    cancelled: clock.Event = field(default_factory=clock.event)
-    ended: clock.Event = field(default_factory=clock.event)
+    kind: str  # `ROBOT`, `WEIGH`, or the name of a probe, with `_baseline` behind it where that is recorded
+    service: str  # that was called
+    cancelled: clock.Event = field(default_factory=clock.event)  # set when somebody asks for its end ..
+    ended: clock.Event = field(default_factory=clock.event)  # .. and when that is reached
     success: bool = False
     message: str = ""
-    settings: tuple[str, ...] = ()
-    sequence: str = ""
-    bag: str = ""
-    entries: Mapping[str, Any] = field(default_factory=dict)
-    on_end: list[Callable[[], None]] = field(default_factory=list)
-    reason: str = ""
-    until: Until | None = None
-    decisions: list[Decision] = field(default_factory=list)
+    settings: tuple[str, ...] = ()  # KEY=VALUE, about the object; these win over what the node knows
+    sequence: str = ""  # to be made; empty: the parameter's
+    bag: str = ""  # the recording; empty: there is none yet
+    entries: Mapping[str, Any] = field(default_factory=dict)  # keys and values of its estimate in the end
+    on_end: list[Callable[[], None]] = field(default_factory=list)  # called at its end
+    reason: str = ""  # why no further push was chosen; empty where none was to be
+    until: Until | None = None  # pushes are chosen until then, whatever the sequence says; None: what it says counts
+    decisions: list[Decision] = field(default_factory=list)  # one by one, where pushes were chosen

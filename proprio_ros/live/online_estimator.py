@@ -26,29 +26,17 @@ def current_A(effort: float, unit: str, effort_per_current: float) -> float:
 
 
 def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: Iterable[str]) -> bool:
-    """Whether any of these joints moved.
-
-    Args:
-        states: Names and positions of each joint state [rad or m].
-        joints: Those that count.
-    """
-    least: dict[str, float] = {}
-    most: dict[str, float] = {}
+    """Whether any of these joints moved, by the names and positions of joint states [rad or m]."""
+    seen: dict[str, list[float]] = {name: [] for name in joints}
     for names, positions in states:
         for name, position in zip(names, positions, strict=False):
-            if math.isfinite(position):
-                least[name] = min(position, least.get(name, position))
-                most[name] = max(position, most.get(name, position))
-    return any(most[name] - least[name] > MOVED_RAD for name in joints if name in least)
+            if name in seen and math.isfinite(position):
+                seen[name].append(position)
+    return any(max(at) - min(at) > MOVED_RAD for at in seen.values() if at)
 
 
 class OnlineFeed:
-    """Makes a running estimate of joint states as they come.
-
-    Args:
-        probe: That says what the hand holds.
-        robot: With a calibration of motions.
-        facts: What is stated about what the hand holds.
+    """Makes a running estimate of joint states as they come, on a robot with a calibration of motions.
 
     Attributes:
         others: Joints that are not in the calibration and count as standing.
@@ -91,25 +79,15 @@ class OnlineFeed:
         """What is wrong with the estimate that the newest joint state gave; empty: nothing."""
         if not self.moved:
             return ""
-        return (
-            f"{', '.join(sorted(self.moved))} is not in the calibration and not where it counts as standing: calibrate with it "
-            "moving, or activate the node again"
-        )
+        elsewhere = "is not in the calibration and not where it counts as standing"
+        return f"{', '.join(sorted(self.moved))} {elsewhere}: calibrate with it moving, or activate the node again"
 
     def add(
         self, time_s: float, names: Sequence[str], position: Sequence[float], effort: Sequence[float], unit: str
     ) -> OnlineEstimate | None:
-        """One joint state, of some or all joints.
+        """One joint state, of some or all joints, and the estimate, where there is a new one.
 
-        Args:
-            time_s: Its stamp.
-            names: Of the joints.
-            position: [rad or m].
-            effort: In the unit.
-            unit: ``N.m``, ``A``, ``mA`` or ``raw``; empty: nobody says it.
-
-        Returns:
-            The estimate, where there is a new one.
+        Positions are in rad or m; the unit of efforts is ``N.m``, ``A``, ``mA`` or ``raw``, and empty where nobody says it.
         """
         heard = {name: at for name, at in zip(names, position, strict=False) if math.isfinite(at)}
         others = {name: at for name, at in heard.items() if name in self._held}
@@ -138,42 +116,35 @@ class OnlineFeed:
 
 
 def _why_not(mine: Mapping[str, int], effort: Sequence[float], unit: str) -> str:
-    """Why the effort of a joint state says nothing, or an empty string.
-
-    Args:
-        mine: The place of each joint that matters.
-        effort: Of all joints.
-        unit: Of it.
-    """
+    """Why the effort of a joint state says nothing, or an empty string; ``mine``: the place of each joint that matters."""
     if not unit:
         return "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
     without = [name for name, at in mine.items() if at >= len(effort) or not math.isfinite(effort[at])]
     if not without:
         return ""
-    return (
-        f"the joint states carry no measured effort of {', '.join(without)}, and what is commanded does not count: have the driver "
-        "publish what it measures"
-    )
+    none = f"the joint states carry no measured effort of {', '.join(without)}, and what is commanded does not count"
+    return f"{none}: have the driver publish what it measures"
 
 
 def online_entries(feed: OnlineFeed, estimate: OnlineEstimate, behind_s: float) -> Mapping[str, Any]:
-    """Keys and values of a diagnostics message.
-
-    Args:
-        feed: That made it.
-        estimate: Of now.
-        behind_s: How long ago the newest sample of it came.
-    """
-    probe = feed.probe
-    name, unit = probe.answer
+    """Keys and values of a diagnostics message; ``behind_s``: how long ago the newest sample of the estimate came."""
+    name, unit = feed.probe.answer
+    at_rest_s = 0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s
     return {
-        "probe": probe.name, "running": True, "final": False, "changed": estimate.changed,
-        "seconds_since_change": estimate.time_s - estimate.since_s, "seconds_of_motion": estimate.motion_s,
-        "seconds_at_rest": 0.0 if estimate.resting_since_s is None else estimate.time_s - estimate.resting_since_s,
-        "seconds_behind": behind_s, "taken_to_stand": feed.others,
-        name: estimate.mass_kg if estimate.known else "not determined", f"{name}.unit": unit,
-        f"{name}.std": estimate.std_kg, f"{name}.ci95": list(estimate.ci95_kg),
-    }  # fmt: skip
+        "probe": feed.probe.name,
+        "running": True,
+        "final": False,
+        "changed": estimate.changed,
+        "seconds_since_change": estimate.time_s - estimate.since_s,
+        "seconds_of_motion": estimate.motion_s,
+        "seconds_at_rest": at_rest_s,
+        "seconds_behind": behind_s,
+        "taken_to_stand": feed.others,
+        name: estimate.mass_kg if estimate.known else "not determined",
+        f"{name}.unit": unit,
+        f"{name}.std": estimate.std_kg,
+        f"{name}.ci95": list(estimate.ci95_kg),
+    }
 
 
 def online_words(estimate: OnlineEstimate) -> str:

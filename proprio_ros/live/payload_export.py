@@ -27,36 +27,19 @@ RIGID = 1e-9  # by how much a transform between two links that are one body may 
 
 @dataclass(frozen=True)
 class Controller:
-    """A maker's way to be told.
+    """A maker's way to be told."""
 
-    Attributes:
-        package, kind: of the service: package of its messages and name of its type.
-        service: its usual name.
-        links: names that the flange has in the maker's URDFs.
-        with_tool: whether it wants the tool, too.
-        fill: writes a load into a request.
-        refusal: why a response says no, or an empty string.
-    """
-
-    package: str
-    kind: str
-    service: str
-    links: tuple[str, ...]
-    with_tool: bool
-    fill: Callable[[Any, Carried], None]
-    refusal: Callable[[Any], str]
+    package: str  # of the service's messages
+    kind: str  # the service's type
+    service: str  # its usual name
+    links: tuple[str, ...]  # names that the flange has in the maker's URDFs
+    with_tool: bool  # whether it wants the tool, too
+    fill: Callable[[Any, Carried], None]  # writes a load into a request
+    refusal: Callable[[Any], str]  # why a response says no, or an empty string
 
 
 def load_at(robot: Robot, carried: Carried, link: str) -> Carried:
-    """The same load, seen from another link.
-
-    Args:
-        robot: whose payload frame the load is stated in.
-        carried: the load.
-        link: of the URDF.
-
-    Returns:
-        The load in the frame of that link.
+    """A load that is stated in the robot's payload frame, in the frame of another link.
 
     Raises:
         RobotError: There is no such link.
@@ -71,23 +54,17 @@ def load_at(robot: Robot, carried: Carried, link: str) -> Carried:
 
     transform = seen(0.0)
     if np.abs(transform - seen(0.1)).max() > RIGID:
-        raise ConfigurationError(
-            f"hand_on_link: {link} moves against {robot.payload_frame}, in which objects are held; state a link that does not"
-        )
+        moves = f"{link} moves against {robot.payload_frame}, in which objects are held"
+        raise ConfigurationError(f"hand_on_link: {moves}; state a link that does not")
     turn = transform[:3, :3]
     centre = turn @ np.asarray(carried.com_m, float) + transform[:3, 3]
     return replace(carried, com_m=centre.tolist(), inertia_kg_m2=turn @ carried.inertia_kg_m2 @ turn.T)
 
 
 def together(load: Carried, tool: Sequence[float]) -> Carried:
-    """Load and tool as one body.
+    """Load and tool (its mass and centre of mass: kg, m, m, m) as one body, all in the frame of the flange.
 
-    Args:
-        load: in the frame of the flange.
-        tool: its mass and centre of mass in that frame: kg, m, m, m.
-
-    Returns:
-        The body. Its inertia is not known where the tool has a mass: nobody states that of a tool.
+    Its inertia is not known where the tool has a mass: nobody states that of a tool.
     """
     tool_kg, centre = tool[0], np.asarray(tool[1:], float)
     if tool_kg == 0.0:
@@ -98,27 +75,21 @@ def together(load: Carried, tool: Sequence[float]) -> Carried:
 
 
 def check_tool(controller: str, tool: Sequence[float]) -> tuple[float, ...]:
-    """The tool that the controller is to know beside the load.
-
-    Args:
-        controller: a key of `CONTROLLERS`.
-        tool: as stated: nothing, or mass [kg] and centre of mass in the frame of the flange [m].
+    """The tool that the controller is to know beside the load, as it is stated: nothing, or mass [kg] and centre of mass [m].
 
     Raises:
         ConfigurationError: It is missing where the controller wants it, or is no mass and centre.
     """
     if not len(tool):
         if CONTROLLERS[controller].with_tool:
-            raise ConfigurationError(
-                f"hand_on_tool: {controller} wants to know all that hangs at its flange: state mass [kg] and centre of mass [m] of "
-                "the empty gripper in the frame of the flange, [0.0, 0.0, 0.0, 0.0] if there is none"
-            )
+            wanted = f"{controller} wants to know all that hangs at its flange"
+            state = "state mass [kg] and centre of mass [m] of the empty gripper in the frame of the flange"
+            raise ConfigurationError(f"hand_on_tool: {wanted}: {state}, [0.0, 0.0, 0.0, 0.0] if there is none")
         return (0.0, 0.0, 0.0, 0.0)
     values = tuple(float(value) for value in tool)
     if len(values) != 4 or not all(map(math.isfinite, values)) or values[0] < 0.0 or max(map(abs, values[1:])) > 2.0:
-        raise ConfigurationError(
-            f"hand_on_tool={list(tool)}: state four numbers, the mass [kg] and the centre of mass in the frame of the flange [m]"
-        )
+        state = "state four numbers, the mass [kg] and the centre of mass in the frame of the flange [m]"
+        raise ConfigurationError(f"hand_on_tool={list(tool)}: {state}")
     return values
 
 
@@ -133,15 +104,9 @@ def _fill_ur(request: Any, load: Carried) -> None:
     centre, inertia = request.center_of_gravity, _inertia(load)
     centre.x, centre.y, centre.z = (float(value) for value in load.com_m)
     if hasattr(request, "ixx"):  # newer drivers
-        for name, row, column in (
-            ("ixx", 0, 0),
-            ("iyy", 1, 1),
-            ("izz", 2, 2),
-            ("ixy", 0, 1),
-            ("ixz", 0, 2),
-            ("iyz", 1, 2),
-        ):
-            setattr(request, name, float(inertia[row, column]))
+        for axes in ("xx", "yy", "zz", "xy", "xz", "yz"):
+            row, column = map("xyz".index, axes)
+            setattr(request, f"i{axes}", float(inertia[row, column]))
 
 
 def _fill_franka(request: Any, load: Carried) -> None:

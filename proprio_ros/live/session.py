@@ -46,15 +46,10 @@ _RECORD = struct.Struct("<qHHI")  # time [ns], and lengths of topic, type and da
 
 
 class Session:
-    """The messages of one calibration.
+    """The messages of one calibration, in a folder of its own below a root, whose name says when it began and of what ``kind``.
 
     Each is written as it comes, so that a process that is killed loses none (see `recover`), and becomes part of the bag at the
     end: the index of an MCAP file is written last.
-
-    Args:
-        root: Folder below which the session's own folder is made.
-        kind: Such as ``payload``; part of the folder's name.
-        now: Time of its beginning; default the present.
     """
 
     def __init__(self, root: Path, kind: str, now: datetime | None = None) -> None:
@@ -126,9 +121,8 @@ class Session:
             self.discard()
             self.folder, self.bag = folder, folder / "bag"
             return self.bag, f"the recording is in {folder}, because of this: {problem}" if problem else ""
-        raise RecordingError(
-            f"the recording can be written nowhere ({problem}): free some room; it is kept in memory meanwhile"
-        )
+        cure = "free some room; it is kept in memory meanwhile"
+        raise RecordingError(f"the recording can be written nowhere ({problem}): {cure}")
 
     def discard(self) -> None:
         """Take away what was written as it came, and the folder where nothing else is in it."""
@@ -144,10 +138,9 @@ class Session:
 
 def unwritable(folder: Path, error: Exception) -> RecordingError:
     """Why nothing is begun."""
-    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return RecordingError(
-        f"{folder} cannot be written ({reason}): free some room, or name another folder with --data-directory"
-    )
+    reason = getattr(error, "strerror", None) or str(error)
+    cure = "free some room, or name another folder with --data-directory"
+    return RecordingError(f"{folder} cannot be written ({reason}): {cure}")
 
 
 def read_journal(path: Path) -> list[RawMessage]:
@@ -161,18 +154,14 @@ def read_journal(path: Path) -> list[RawMessage]:
         names, end = at + topic + msgtype, at + topic + msgtype + size
         if end > len(data):
             break
-        messages.append(
-            RawMessage(data[at : at + topic].decode(), data[at + topic : names].decode(), time_ns, data[names:end])
-        )
+        called, of_type = data[at : at + topic].decode(), data[at + topic : names].decode()
+        messages.append(RawMessage(called, of_type, time_ns, data[names:end]))
         at = end
     return messages
 
 
 def recover(root: Path) -> tuple[list[Path], list[str]]:
-    """Make bags of what was being recorded by processes that are gone.
-
-    Args:
-        root: That of their sessions.
+    """Make bags of what was being recorded below a root by processes that are gone.
 
     Returns:
         The bags, and a sentence about each that could not be written; it is tried again the next time.
@@ -208,7 +197,7 @@ def prepare_identification(options: Options) -> None:
     """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled in a probe.
 
     Raises:
-        ConfigurationError, RobotError: the robot cannot be read, or compiled kernels cannot be kept.
+        ConfigurationError, RobotError: The robot cannot be read, or compiled kernels cannot be kept.
     """
     compile_kernels(rises=robot_of(options).friction_rises)
 
@@ -223,32 +212,27 @@ def check_settings(options: Options) -> None:
     """Look at settings that may be about the objects of several probes.
 
     Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with them.
+        ConfigurationError, RobotError: In one line, what is wrong with them, or that the nodes cannot do it.
     """
-    read_request(options, _checked)
 
+    def take(settings: Settings) -> None:
+        settings.take_prefix("solver.")
+        # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
+        concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
+        for probe in concerned:
+            facts = probe.facts(settings)
+            if isinstance(probe, Guards):
+                probe.check_live(facts)
+        if settings.left:
+            for probe in all_probes():  # so that the refusal can list every key there is
+                if probe not in concerned:
+                    probe.facts(settings)
 
-def _checked(settings: Settings) -> None:
-    """Take what is stated about any object; Raises: ConfigurationError: it is wrong, or the nodes cannot do it."""
-    settings.take_prefix("solver.")
-    # finite elements take a second to import, which a node that starts beside a driver should not spend on nothing
-    concerned = [probe for probe in all_probes() if any(key.startswith(probe.keys) for key in settings.left)]
-    for probe in concerned:
-        facts = probe.facts(settings)
-        if isinstance(probe, Guards):
-            probe.check_live(facts)
-    if settings.left:
-        for probe in all_probes():  # so that the refusal can list every key there is
-            if probe not in concerned:
-                probe.facts(settings)
+    read_request(options, take)
 
 
 def live_request(options: Options) -> Request:
-    """Robot, object and search as the options have them, for a live job.
-
-    Raises:
-        ConfigurationError, RobotError: In one line, what is wrong with them.
-    """
+    """What the options ask of a live job; what is wrong with them is raised as by `request_of`."""
     request = request_of(options)
     if isinstance(request.probe, Guards):
         request.probe.check_live(request.facts)
@@ -310,23 +294,18 @@ def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) 
         raise RecordingError(str(error).removeprefix(f"{bag}: ")) from error
     finally:
         shutil.rmtree(bag, ignore_errors=True)
-    recorded = recording.joints.names
-    if not set(recorded) & set(robot.drive_trains):
-        raise RecordingError(
-            f"the joint states are of {', '.join(recorded)}, and {robot.name} has {', '.join(robot.drive_trains)}: name the robot"
-            " with --robot, or their topic with --state-topic"
-        )
+    if not set(recording.joints.names) & set(robot.drive_trains):
+        recorded, known = ", ".join(recording.joints.names), ", ".join(robot.drive_trains)
+        cure = "name the robot with --robot, or their topic with --state-topic"
+        raise RecordingError(f"the joint states are of {recorded}, and {robot.name} has {known}: {cure}")
     return recording.notes + about_motors
 
 
 def as_parameters(sentence: str) -> str:
     """The same with options of the command line called what they are called in a node."""
     sentence = sentence.replace("--set ", "the parameter settings with ")
-    return re.sub(
-        r"--(robot|driver|calibration|data-directory|[a-z]+-topic|effort-unit)\b",
-        lambda found: f"the parameter {found[1].replace('-', '_')}",
-        sentence,
-    )
+    known = r"--(robot|driver|calibration|data-directory|[a-z]+-topic|effort-unit)\b"
+    return re.sub(known, lambda found: f"the parameter {found[1].replace('-', '_')}", sentence)
 
 
 def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
@@ -342,15 +321,9 @@ def keep_result(bag: Path, estimate: Estimate, command: str) -> None:
 def replay_command(bag: Path, options: Options) -> str:
     """The command line that gives the same numbers again."""
     words = ["proprio", "replay", str(bag), "--probe", options.probe]
-    if options.robot:
-        words += ["--robot", options.robot]
-    if options.calibration:
-        words += ["--calibration", str(options.calibration)]
-    if options.driver:
-        words += ["--driver", str(options.driver)]
-    for name in ("state_topic", "command_topic", "effort_unit"):
+    for name in ("robot", "calibration", "driver", "state_topic", "command_topic", "effort_unit"):
         if getattr(options, name):
-            words += [f"--{name.replace('_', '-')}", getattr(options, name)]
+            words += [f"--{name.replace('_', '-')}", str(getattr(options, name))]
     if options.baseline:
         words += ["--baseline", *(str(path) for path in options.baseline)]
     for key, value in options.settings.items():
@@ -361,10 +334,8 @@ def replay_command(bag: Path, options: Options) -> str:
 class LiveEstimate:
     """An estimate from what has come so far; its interval shrinks as the probe goes on.
 
-    `add_state` and `add_input` may be called from another thread than `estimate`.
-
-    Args:
-        request: As for the bag that will be identified afterwards.
+    The request is that of the bag that will be identified afterwards. `add_state` and `add_input` may be called from another
+    thread than `estimate`.
     """
 
     def __init__(self, request: Request) -> None:
@@ -413,11 +384,8 @@ class LiveEstimate:
 
     def position(self) -> dict[str, float]:
         """Where every joint was last seen [rad or m]."""
-        latest: dict[str, float] = {}
         with self._lock:
-            for _, row in self._states[-50:]:
-                latest.update(row)
-        return latest
+            return {name: position for _, row in self._states[-50:] for name, position in row.items()}
 
     def runs(self) -> tuple[Run, ...]:
         """All runs so far, the one under way included; none where nothing can be cut out yet."""
@@ -430,19 +398,15 @@ class LiveEstimate:
         current = np.array([[row.get(name, 0.0) for name in drives] for _, row in inputs])
         driven = {name for name, column in zip(drives, current.T, strict=True) if column.any()}
         # as from a bag: a row for each message that has the driven joints; what others report in between is held
-        latest: dict[str, float] = {}
-        for _, row in reversed(states):
-            latest.update(row)
+        latest = dict(item for _, row in reversed(states) for item in row.items())
         names = tuple(name for name in drives if name in latest)
-        times: list[int] = []
-        positions: list[list[float]] = []
+        rows: dict[int, list[float]] = {}
         for stamp_ns, row in states:
-            latest.update(row)
-            if driven <= row.keys() and not (times and stamp_ns <= times[-1]):
-                times.append(stamp_ns)
-                positions.append([latest[name] for name in names])
+            latest |= row
+            if driven <= row.keys() and stamp_ns > next(reversed(rows), -1):
+                rows[stamp_ns] = [latest[name] for name in names]
         try:
-            record = JointRecord(np.array(times), names, np.array(positions).reshape(-1, len(names)))
+            record = JointRecord(np.array(list(rows)), names, np.array(list(rows.values())).reshape(-1, len(names)))
             topic = "/applied_effort" if applied else "/current_command"
             source = InputRecord(np.array([time_ns for time_ns, _ in inputs]), drives, current, topic)
             return cut_runs(Recording("live", record, source), joints=drives)

@@ -25,19 +25,12 @@ OLD_S = 86400.0  # age of a baseline that is worth a warning: nobody remembers w
 
 @dataclass
 class Workspace:
-    """What holds of one robot until something else is made.
+    """What holds of one robot until something else is made."""
 
-    Attributes:
-        data: The folder.
-        robot: Name or file of the robot.
-        topics: What a replay must be told to take the same topics, as in `Options`.
-        calibration: That is used; None: none.
-    """
-
-    data: Path
-    robot: str
-    topics: Mapping[str, Any] = field(default_factory=dict)
-    calibration: Path | None = None
+    data: Path  # the folder
+    robot: str  # its name or file
+    topics: Mapping[str, Any] = field(default_factory=dict)  # what a replay must be told to take the same ones
+    calibration: Path | None = None  # that is used
 
     def options(self) -> Options:
         """With which a recording is replayed, but for what is in the hand."""
@@ -45,21 +38,13 @@ class Workspace:
         return Options(robot=robot, calibration=self.calibration, **self.topics)
 
     def request(self, probe: Probe[Any], settings: Mapping[str, Any], baseline: Path | None) -> Request:
-        """What a job is about: robot, and what is stated about the object, read once.
-
-        Raises:
-            ConfigurationError, RobotError: In one line, what is wrong with them.
-        """
+        """What a job is about: robot, and what is stated about the object, read once; raises as `request_of` does."""
         empty = () if baseline is None else (baseline,)
         stated = settings_for(probe, settings)
         return live_request(replace(self.options(), probe=probe.name, settings=stated, baseline=empty))
 
     def configured(self, settings: Mapping[str, Any]) -> Robot:
-        """The robot, as calibrated and with what the settings say of it.
-
-        Raises:
-            ConfigurationError, RobotError: In one line, what is wrong with them.
-        """
+        """The robot, as calibrated and with what the settings say of it; raises as `robot_of` does."""
         return robot_of(replace(self.options(), settings=settings))
 
     # --- the calibration ----------------------------------------------------------------------------------------------
@@ -70,10 +55,7 @@ class Workspace:
         return self.data / f"{Path(self.robot).stem}_calibration.yaml"
 
     def find_calibration(self, stated: str) -> str:
-        """Take the calibration that is stated, or the newest.
-
-        Args:
-            stated: A path; empty: the one last taken of this robot; ``none``: none.
+        """Take the calibration that is stated by its path; empty: the one last taken of this robot; ``none``: none.
 
         Returns:
             Why the newest is not taken, or an empty string.
@@ -100,9 +82,6 @@ class Workspace:
     def keep_calibration(self, path: Path) -> str:
         """Take a new one from now on, unless the one in use knows all that it knows of joints under current, and of more joints.
 
-        Args:
-            path: Of the new calibration.
-
         Returns:
             Why it is not taken, or an empty string.
 
@@ -111,11 +90,9 @@ class Workspace:
         """
         known, used = self._driven(path), self._driven(self.calibration)
         if known < used:
-            lost = ", ".join(sorted(used - known))
-            return (
-                f"{self.calibration} stays in use, since the new one does not know what a current does to {lost}: name the new one "
-                "in the parameter calibration to take it all the same"
-            )
+            lost = f"the new one does not know what a current does to {', '.join(sorted(used - known))}"
+            cure = "name the new one in the parameter calibration to take it all the same"
+            return f"{self.calibration} stays in use, since {lost}: {cure}"
         self.calibration = path
         _point(self.newest_calibration, path)
         return ""
@@ -140,11 +117,7 @@ class Workspace:
         return self.data / f"{Path(self.robot).stem}_{probe.name}_baseline"
 
     def find_baseline(self, probe: Probe[Any], stated: str) -> Path | None:
-        """The recording without what is to be identified, if there is one.
-
-        Args:
-            probe: Whose.
-            stated: A bag; empty: the newest; ``none``: none.
+        """The recording without what is to be identified: a stated bag; empty: the newest, if there is one; ``none``: none.
 
         Raises:
             ConfigurationError: One was named that is not there.
@@ -152,18 +125,15 @@ class Workspace:
         if stated == "none":
             return None
         path = Path(stated).expanduser() if stated else self.newest_baseline(probe)
-        if stated and not path.exists():
-            raise ConfigurationError(
-                f"{probe.name}_baseline {path}: there is no such recording; name a bag, or leave it empty"
-            )
-        return path.resolve() if path.exists() else None
+        if path.exists():
+            return path.resolve()
+        if stated:
+            cure = "there is no such recording; name a bag, or leave it empty"
+            raise ConfigurationError(f"{probe.name}_baseline {path}: {cure}")
+        return None
 
     def keep_baseline(self, probe: Probe[Any], bag: Path) -> None:
-        """Take a new one from now on.
-
-        Raises:
-            ConfigurationError: The link to it cannot be written.
-        """
+        """Take a new one from now on; ConfigurationError: the link to it cannot be written."""
         _point(self.newest_baseline(probe), bag)
 
     def about_baseline(self, bag: Path) -> str:
@@ -177,19 +147,14 @@ class Workspace:
 
 
 def _point(link: Path, target: Path) -> None:
-    """Have the link point to the target, in one step.
-
-    Raises:
-        ConfigurationError: It cannot be written.
-    """
+    """Have the link point to the target, in one step."""
     fresh = link.with_name(f".{link.name}.{os.getpid()}")
     try:
         fresh.symlink_to(target)
         fresh.replace(link)
     except OSError as error:
-        raise ConfigurationError(
-            f"{link} cannot be written ({error.strerror}); what it should point to is {target}"
-        ) from error
+        unwritten = f"{link} cannot be written ({error.strerror})"
+        raise ConfigurationError(f"{unwritten}; what it should point to is {target}") from error
 
 
 def _duration(seconds: float) -> str:
