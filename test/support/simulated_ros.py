@@ -1,6 +1,6 @@
 """ROS in one process and in simulated time: the part of rclpy that the nodes use, without DDS.
 
-`install` puts stand-ins where rclpy has its nodes and executors; messages, parameters and qualities of service are rclpy's own.
+`installed` puts stand-ins where rclpy has its nodes and executors; messages, parameters and qualities of service are rclpy's own.
 Messages take a while, and a `Network` may lose, double or reorder them as its seed says.
 """
 
@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -111,6 +113,17 @@ class Publisher:
         return self._node.count_subscribers(self.topic_name)
 
 
+def _takes_one(callback: Any) -> bool:
+    """Whether it is called with a message alone; rclpy tries that first, too."""
+    try:
+        inspect.signature(callback).bind(object())
+    except TypeError:
+        return False
+    except ValueError:  # built in, such as a list's append
+        pass
+    return True
+
+
 class Subscription:
     def __init__(
         self, node: SimulatedNode, kind: type, topic: str, callback: Any, qos: Any, raw: bool, polled: bool
@@ -121,6 +134,7 @@ class Subscription:
         self.latched = isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self.queue: deque[tuple[float, bytes, int]] = deque()
         self.handle = self
+        self._wants_info = not _takes_one(callback)
         self._last_s: dict[int, float] = {}
         if self.latched:
             for publisher in node.graph.all("publishers"):
@@ -168,11 +182,7 @@ class Subscription:
         if told is None:
             return False
         message, info = told
-        try:
-            wants_info = len(inspect.signature(self.callback).parameters) > 1
-        except (TypeError, ValueError):
-            wants_info = False
-        self.callback(message, info) if wants_info else self.callback(message)
+        self.callback(message, info) if self._wants_info else self.callback(message)
         return True
 
 
@@ -363,9 +373,8 @@ class SimulatedNode:
         self.executor: Any = None
         self.group = self.graph.clock.actor.group
         self.graph.nodes.append(self)
-        from rcl_interfaces.srv import SetParameters
-
         self.create_service(SetParameters, "~/set_parameters", self._set_from_far)
+        self.create_service(GetParameters, "~/get_parameters", self._get_from_far)
 
     # --- names
 
@@ -403,8 +412,6 @@ class SimulatedNode:
             self._ros_on_set.remove(callback)
 
     def set_parameters(self, parameters: list[Parameter]) -> list[Any]:
-        from rcl_interfaces.msg import SetParametersResult
-
         results = []
         for parameter in parameters:
             result = SetParametersResult(successful=True)
@@ -424,6 +431,11 @@ class SimulatedNode:
 
     def _set_from_far(self, request: Any, response: Any) -> Any:
         response.results = self.set_parameters([Parameter.from_parameter_msg(each) for each in request.parameters])
+        return response
+
+    def _get_from_far(self, request: Any, response: Any) -> Any:
+        for name in request.names:
+            response.values.append(Parameter(name, value=self._ros_parameters[name][0]).get_parameter_value())
         return response
 
     # --- what it has
@@ -630,12 +642,23 @@ class SimulatedExecutor:
         return True
 
 
-def install() -> None:
-    """Have everything that is imported from now on take the stand-ins; for a process of its own."""
+@contextlib.contextmanager
+def installed() -> Iterator[None]:
+    """Everything that is imported in the block takes the stand-ins."""
     import rclpy.executors
     import rclpy.lifecycle
     import rclpy.node
 
-    rclpy.lifecycle.LifecycleNode = SimulatedNode
-    rclpy.node.Node = SimulatedNode
-    rclpy.executors.SingleThreadedExecutor = SimulatedExecutor
+    places = (
+        (rclpy.lifecycle, "LifecycleNode", SimulatedNode),
+        (rclpy.node, "Node", SimulatedNode),
+        (rclpy.executors, "SingleThreadedExecutor", SimulatedExecutor),
+    )
+    before = [getattr(module, name) for module, name, _ in places]
+    for module, name, stand_in in places:
+        setattr(module, name, stand_in)
+    try:
+        yield
+    finally:
+        for (module, name, _), real in zip(places, before, strict=True):
+            setattr(module, name, real)

@@ -1,34 +1,61 @@
 """The whole robot in one process and in simulated time: servos, driver, excitation, identifier, and whoever calls them.
 
 The nodes are those that run on the robot, the bytes on the bus are those of the vendor's library; clock and transport are stand-ins
-(`simulated_time`, `simulated_ros`). Import this before anything of `proprio_ros.nodes`, in a process of its own.
+(`simulated_time`, `simulated_ros`). The nodes' modules are loaded a second time for that, on the stand-ins, so that real nodes may
+live in the same process.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
+import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+import proprio_ros
+from proprio_ros import clock as time_source
+from proprio_ros.bus.dynamixel import DynamixelBus
+from proprio_ros.virtual import robot as virtual_robot
+from proprio_ros.virtual.bus import VirtualBus
 from support import simulated_ros
 from support.memory_port import MemoryPort
 from support.simulated_ros import GRAPH, Graph, Network
 from support.simulated_time import Ended, SimulatedClock, SimulatedThread
 
-simulated_ros.install()
 
-from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
+def _on_stand_ins() -> dict[str, ModuleType]:
+    """The nodes' modules, made anew on the stand-ins; those that others import are left as they were."""
+    room = "proprio_ros.nodes"
 
-from proprio_ros import clock as time_source
-from proprio_ros.bus.dynamixel import DynamixelBus
-from proprio_ros.nodes import driver, excitation, identifier, runtime, virtual
-from proprio_ros.virtual import robot as virtual_robot
-from proprio_ros.virtual.bus import VirtualBus
+    def taken() -> dict[str, ModuleType]:
+        names = [name for name in sys.modules if name == room or name.startswith(f"{room}.")]
+        return {name: sys.modules.pop(name) for name in names}
 
+    before, attribute = taken(), getattr(proprio_ros, "nodes", None)
+    try:
+        with simulated_ros.installed():
+            return {name: importlib.import_module(f"{room}.{name}") for name in (*NODES, "runtime")}
+    finally:
+        taken()
+        sys.modules.update(before)
+        if attribute is not None:
+            proprio_ros.nodes = attribute
+
+
+NODES = {
+    "virtual": "VirtualNode", "driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode",
+}  # fmt: skip
+ROOM = _on_stand_ins()
+ROOM["runtime"].ManagedNode._begin_real_time = lambda _node: None
+LINK = "/simulated/arm"
 WORLD_STEP_S = 0.01
 """The arm moves on at least so often, though nobody talks to it."""
 PORTS: dict[str, SimulatedPort] = {}
@@ -110,7 +137,7 @@ class Process:
             self.node = self._make()
             return self.node
 
-        self.code = runtime.live(make, self._ended)
+        self.code = ROOM["runtime"].live(make, self._ended)
 
     @property
     def alive(self) -> bool:
@@ -157,37 +184,58 @@ class World:
         seed: Of who runs first, and of the network.
         network: How messages come.
         nodes: Parameters by node, beside those that are needed.
+        only: The nodes that are started.
     """
 
     def __init__(
-        self, data: Path, seed: int = 0, network: Network | None = None, nodes: dict[str, dict[str, Any]] | None = None
+        self,
+        data: Path,
+        seed: int = 0,
+        network: Network | None = None,
+        nodes: dict[str, dict[str, Any]] | None = None,
+        only: tuple[str, ...] = tuple(NODES),
     ) -> None:
         given = nodes or {}
         self.clock = SimulatedClock(seed)
         self.graph = Graph(self.clock, seed, network or Network())
         GRAPH.append(self.graph)
-        self._before = time_source.use(self.clock)
+        self._before = time_source.use(self.clock), virtual_robot.PtyPort
         virtual_robot.PtyPort = SimulatedPort  # type: ignore[assignment,misc]
-        driver.DynamixelBus = lambda port, *rest: DynamixelBus(port, *rest, connect=partial(Wire, port))  # type: ignore[assignment,misc]
-        virtual.VirtualRobot = HandledRobot  # type: ignore[misc]
-        link = "/simulated/arm"
-        makes: dict[str, tuple[Any, dict[str, Any]]] = {
-            "virtual": (virtual.VirtualNode, {"link": link}),
-            "driver": (driver.DriverNode, {"port": link}),
-            "excitation": (excitation.ExcitationNode, {}),
-            "identifier": (identifier.IdentifierNode, {"data_directory": str(data), "report": False}),
+        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(port, *rest, connect=partial(Wire, port))
+        ROOM["virtual"].VirtualRobot = HandledRobot
+        self._needed: dict[str, dict[str, Any]] = {
+            "virtual": {"link": LINK},
+            "driver": {"port": LINK},
+            "excitation": {},
+            "identifier": {"data_directory": data, "report": False},
         }
         self.processes: dict[str, Process] = {}
-        for name, (kind, values) in makes.items():
-            parameters = [Parameter(key, value=value) for key, value in {**values, **given.get(name, {})}.items()]
-            self.processes[name] = Process(self, name, partial(kind, parameter_overrides=parameters))
-        self.user = simulated_ros.SimulatedNode("user")
-        self._spinning = self.clock.thread(self._spin, "user", group="user")
-        self._spinning.start()
+        for name in only:
+            self.start(name, given.get(name, {}))
+        self.user = self.somebody("user")
 
-    def _spin(self) -> None:
-        while True:
-            self.user.spin_once(math.inf)
+    def start(self, name: str, values: dict[str, Any], namespace: str = "") -> Process:
+        """Start a node; what is not a word, a number or a list becomes a word."""
+        plain = {
+            key: str(value) if isinstance(value, Path) else value
+            for key, value in {**self._needed[name], **values}.items()
+        }
+        overrides = [Parameter(key, value=value) for key, value in plain.items()]
+        kind = getattr(ROOM[name], NODES[name])
+        make = partial(kind, parameter_overrides=overrides, **({"namespace": namespace} if namespace else {}))
+        self.processes[name] = Process(self, name, make)
+        return self.processes[name]
+
+    def somebody(self, name: str) -> Any:
+        """A node that listens and calls, of a process of its own."""
+        node = simulated_ros.SimulatedNode(name)
+
+        def spin() -> None:
+            while True:
+                node.spin_once(math.inf)
+
+        self.clock.thread(spin, name, group=name).start()
+        return node
 
     def call(self, service: str, kind: Any = Trigger, request: Any = None, within_s: float = 600.0) -> Any:
         """The answer of a service; None where it never comes."""
@@ -206,7 +254,8 @@ class World:
     def close(self) -> None:
         with contextlib.suppress(Ended):
             self.clock.end()
-        time_source.use(self._before)
+        before, virtual_robot.PtyPort = self._before  # type: ignore[misc]
+        time_source.use(before)
         GRAPH.remove(self.graph)
 
 

@@ -1,4 +1,4 @@
-"""What is in the box, live: robot, empty container, container with a sphere, by services only; the truth is MuJoCo's."""
+"""What is in the box, in the simulated world: robot, empty container, container with a sphere, by services only."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from support.domains import free_domain
-from support.live import HEARD, Client, replayed_alike, running, wait_for, warm_up
+from support.listening import HEARD, replayed_alike
+from support.simulated_live import Client, running
 from visualization_msgs.msg import Marker, MarkerArray
 
 pytestmark = pytest.mark.long
 
 SHELL_KG = 0.03
 MASSES_KG = (0.03,)
-OBJECT_S = 3600.0
 FACTS = ("container.inner_size=[0.06,0.04,0.04]", "container.centre=[0.035,0,0]", "sphere.radius=0.01")
 
 
@@ -51,9 +50,6 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("container")
-    warm_up("container", *FACTS)
-    domain = pytest.MonkeyPatch()
-    domain.setenv("ROS_DOMAIN_ID", free_domain())
     with running(
         folder,
         virtual={"object": container(MASSES_KG[0])},
@@ -64,20 +60,19 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
             "robot_sequence": "empty_hand_container",
             "reference_sequence": "reference_elbow",
         },
-    ) as (_, client):
+    ) as client:
         held: list[str] = []
         markers: list[MarkerArray] = []
         client.node.create_subscription(
             DiagnosticStatus, "/virtual/status", lambda message: held.append(message.message), HEARD
         )
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
-        refused = client.call("/identifier/calibrate_container", OBJECT_S)
+        refused = client.call("/identifier/calibrate_container")
         recorded = list((folder / "data").glob("*"))
         robot = client.asked("/identifier/calibrate_robot")
         held.clear()
         baseline = client.asked("/identifier/record_container_baseline")
         yield Calibrated(client, folder / "data", held, markers, refused, recorded, robot, baseline)
-    domain.undo()
 
 
 def test_refused_without_the_empty_container(arm: Calibrated) -> None:
@@ -100,7 +95,7 @@ def test_the_empty_container_is_recorded_and_weighed(arm: Calibrated) -> None:
     assert (bag.parent / "report.html").is_file()
     # whoever is beside the arm took the sphere out, and put it back
     assert any(f"holds Payload(mass_kg={SHELL_KG}" in words for words in arm.held), arm.held
-    assert wait_for(lambda: "holds Container" in arm.held[-1]), arm.held
+    assert arm.client.wait_for(lambda: "holds Container" in arm.held[-1]), arm.held
     told = [estimate for estimate in arm.client.estimates if estimate.get("probe") == "payload"]
     assert told and float(told[-1]["payload_mass"]) == shell["value"]
     assert not arm.client.masses, "what was asked for is a sphere's mass, and there is none yet"
@@ -120,7 +115,7 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
             client.masses and math.isfinite(client.masses[-1]) and arm.markers and len(arm.markers[-1].markers) > 1
         )
 
-    assert wait_for(lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container")
+    assert client.wait_for(lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container")
     final = client.estimates[-1]
     assert final["final"] == "true" and final["verdict"] == "accepted"
     assert float(final["sphere_mass"]) == client.masses[-1] and final["sphere_mass.unit"] == "kg"
@@ -179,7 +174,7 @@ def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> N
     known = len(arm.folders("container"))
     for baseline, reason in (("none", "has not been recorded"), ("/nowhere/bag", "there is no such recording")):
         assert client.set("/identifier", "container_baseline", baseline).successful
-        answer = client.call("/identifier/calibrate_container", OBJECT_S)
+        answer = client.call("/identifier/calibrate_container")
         assert not answer.success and reason in answer.message and "\n" not in answer.message
     assert len(arm.folders("container")) == known, "nothing moved"
 
@@ -190,8 +185,8 @@ def test_an_arm_that_was_calibrated_since_is_said(arm: Calibrated) -> None:
     assert client.set("/identifier", "container_baseline", "").successful
     (arm.data / "open_manipulator_x_calibration.yaml").resolve().touch()
     future = client.begin("/identifier/calibrate_container")
-    client.wait_for_phase("probe", OBJECT_S)
+    client.wait_for_phase("probe", 600.0)
     assert "busy: calibrate_container is under way" in client.call("/identifier/record_container_baseline").message
-    answer = client.answer(future, OBJECT_S)
+    answer = client.answer(future)
     assert answer.success, answer.message
     assert "older than the robot's calibration: record it again if the arm has changed" in answer.message

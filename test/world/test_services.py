@@ -1,4 +1,4 @@
-"""A virtual arm, four processes, services only: the robot weighs itself, then three objects; the truth is MuJoCo's."""
+"""A virtual arm in the simulated world, services only: the robot weighs itself, then three objects; the truth is MuJoCo's."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
-from support.domains import free_domain
-from support.live import Client, replayed_alike, running, wait_for
+from support.listening import replayed_alike
+from support.simulated_live import Client, running
 
-from proprio_ros.nodes.graph import Graph
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
 
@@ -30,7 +29,6 @@ MASSES_KG = (0.010, 0.050, 0.100)
 class Calibrated:
     """The nodes after `calibrate_robot`."""
 
-    graph: Graph
     client: Client
     data: Path
     answer: Any
@@ -39,16 +37,13 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("arm")
-    domain = pytest.MonkeyPatch()
-    domain.setenv("ROS_DOMAIN_ID", free_domain())
     # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: those determine torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     # and they sit in the middle of the hand: not stated, that would be guessed to 5 mm, and decide the interval
     identifier = {"reference_mass": 0.1, "reference_wait": 0.5, "settings": ["payload.com=[0,0,0]"]}
-    with running(folder, identifier=identifier) as (graph, client):
+    with running(folder, identifier=identifier) as client:
         answer = client.asked("/identifier/calibrate_robot")
-        yield Calibrated(graph, client, folder / "data", answer)
-    domain.undo()
+        yield Calibrated(client, folder / "data", answer)
 
 
 def test_the_robot_weighs_itself(arm: Calibrated) -> None:
@@ -57,7 +52,7 @@ def test_the_robot_weighs_itself(arm: Calibrated) -> None:
     assert load_robot(newest.resolve()).calibration is not None
     assert str(newest.resolve()) in arm.answer.message
     assert (newest.resolve().parent / "report.html").is_file()
-    assert wait_for(lambda: bool(arm.client.estimates) and arm.client.estimates[-1]["final"] == "true")
+    assert arm.client.wait_for(lambda: bool(arm.client.estimates) and arm.client.estimates[-1]["final"] == "true")
     told = arm.client.estimates[-1]
     assert told["verdict"] == "accepted"
     assert float(told["torque_constant[joint3].std"]) < 0.05, "the file's own word is 0.09"
@@ -66,10 +61,10 @@ def test_the_robot_weighs_itself(arm: Calibrated) -> None:
 @pytest.mark.parametrize("mass_kg", MASSES_KG)
 def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     client = arm.client
-    assert client.set("/virtual", "object", mass_kg).successful
+    assert client.set("/virtual", "object", str(mass_kg)).successful
     answer = client.asked("/identifier/calibrate_payload")
     assert answer.success, answer.message
-    assert wait_for(lambda: bool(client.masses and client.estimates) and client.estimates[-1]["final"] == "true")
+    assert client.wait_for(lambda: bool(client.masses and client.estimates) and client.estimates[-1]["final"] == "true")
     final = client.estimates[-1]
     low, high = json.loads(final["payload_mass.ci95"])
     # the interval reaches a gram to either side, a little more where samples were lost; one in twenty misses the truth, hardly one
@@ -98,33 +93,30 @@ def test_replaying_the_bag_gives_the_same_numbers_bit_for_bit(arm: Calibrated) -
 
 
 def test_a_late_listener_hears_the_result(arm: Calibrated) -> None:
-    late = Client()
-    try:
-        assert wait_for(lambda: bool(late.masses and late.payloads and late.estimates and late.statuses))
-        payload = late.payloads[-1]
-        assert late.masses[-1] == arm.client.masses[-1] == payload.inertia.m
-        assert payload.header.frame_id == "end_effector_link"
-        assert payload.inertia.ixx > 0.0 and late.estimates[-1]["inertia"] == "assumed", "nobody said its shape"
-    finally:
-        late.close()
+    late = Client(arm.client.world, "late")
+    assert late.wait_for(lambda: bool(late.masses and late.payloads and late.estimates and late.statuses))
+    payload = late.payloads[-1]
+    assert late.masses[-1] == arm.client.masses[-1] == payload.inertia.m
+    assert payload.header.frame_id == "end_effector_link"
+    assert payload.inertia.ixx > 0.0 and late.estimates[-1]["inertia"] == "assumed", "nobody said its shape"
 
 
 def test_what_the_driver_publishes_is_the_contract(arm: Calibrated) -> None:
     client = arm.client
-    assert wait_for(lambda: len(client.states) > 100 and len(client.applied) > 100)
+    assert client.wait_for(lambda: len(client.states) > 100 and len(client.applied) > 100)
     state = client.states[-1]
     names = ["joint1", "joint2", "joint3", "joint4", "gripper_left_joint"]
     assert list(state.name) == names and len(state.position) == len(state.velocity) == len(state.effort) == 5
     state_stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.states[-60:-20]]
     # two topics are heard one after the other: of the newest only one may have come
-    assert wait_for(
+    assert client.wait_for(
         lambda: (
             len({(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.applied[-200:]} & {*state_stamps}) >= 35
         )
     ), "both carry the same stamps"
     # effort is torque: present current times the nominal torque constant
     constant = load_robot("open_manipulator_x").drive_trains["joint2"].nominal_torque_constant
-    assert wait_for(lambda: abs(client.states[-1].effort[1] - constant * client.motor("joint2")) < 0.05)
+    assert client.wait_for(lambda: abs(client.states[-1].effort[1] - constant * client.motor("joint2")) < 0.05)
 
 
 def test_the_recording_reads_like_any_bag(arm: Calibrated) -> None:

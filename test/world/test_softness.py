@@ -1,4 +1,4 @@
-"""How soft is it, live: the gripper learns itself, then squeezes blocks, by services only; the block obeys a law in closed form."""
+"""How soft is it, in the simulated world: the gripper learns itself, then squeezes blocks that obey a law in closed form."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from std_msgs.msg import Float64
-from support.domains import free_domain
-from support.live import HEARD, Client, replayed_alike, running, wait_for, warm_up
+from support.listening import HEARD, replayed_alike
+from support.simulated_live import Client, running
 from visualization_msgs.msg import Marker, MarkerArray
 
 from proprio_ros.inputs.resources import resource
@@ -28,7 +28,6 @@ pytestmark = pytest.mark.long
 GRIPPER = "gripper_left_joint"
 GAP_M = 0.0005
 BLOCKS = ((12e3, 0.25), (60e3, 0.13))
-OBJECT_S = 3600.0
 
 
 def block(modulus_Pa: float, ratio: float = 0.25) -> str:
@@ -52,18 +51,15 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     folder = tmp_path_factory.mktemp("softness")
-    warm_up("softness", "block.size=0.03")
     sequence = yaml.safe_load(resource("probes", "block_until").read_text())
     sequence["excitation"]["until"] |= {"half_interval": 0.02, "at_most_s": 15}
     sequence["excitation"]["runs"][0]["duration_s"] = 0.5  # it tells less than a whole one, so that others are worth it
     (folder / "block.yaml").write_text(yaml.safe_dump(sequence))
-    domain = pytest.MonkeyPatch()
-    domain.setenv("ROS_DOMAIN_ID", free_domain())
     with running(
         folder,
         virtual={"object": block(*BLOCKS[0])},
         identifier={"robot_sequence": "empty_hand_gripper", "settings": ["block.size=0.03"]},
-    ) as (_, client):
+    ) as client:
         numbers: dict[str, list[float]] = {name: [] for name in ("youngs_modulus", "lame_mu", "lame_lambda")}
         for name, heard in numbers.items():
             client.node.create_subscription(
@@ -72,12 +68,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
         markers: list[MarkerArray] = []
         client.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, HEARD)
         yield Calibrated(client, folder / "data", numbers, markers, client.asked("/identifier/calibrate_robot"))
-    domain.undo()
 
 
 def test_the_gripper_learns_itself(arm: Calibrated) -> None:
     assert arm.robot.success, arm.robot.message
-    assert wait_for(lambda: bool(arm.client.estimates) and arm.client.estimates[-1]["final"] == "true")
+    assert arm.client.wait_for(lambda: bool(arm.client.estimates) and arm.client.estimates[-1]["final"] == "true")
     told = arm.client.estimates[-1]
     assert float(told[f"coulomb[{GRIPPER}].std"]) < 0.01, "the file's own word is 0.08"
 
@@ -98,11 +93,11 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
         """What stood before is withdrawn by a NaN."""
         return [value for value in arm.numbers[name] if math.isfinite(value)]
 
-    assert wait_for(lambda: bool(said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1))
-    assert wait_for(lambda: bool(client.estimates) and client.estimates[-1]["final"] == "true")
+    assert client.wait_for(lambda: bool(said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1))
+    assert client.wait_for(lambda: bool(client.estimates) and client.estimates[-1]["final"] == "true")
     final = client.estimates[-1]
     assert final["probe"] == "softness" and final["final"] == "true" and final["verdict"] == "accepted"
-    assert wait_for(lambda: bool(said("youngs_modulus")))
+    assert client.wait_for(lambda: bool(said("youngs_modulus")))
     told = said("youngs_modulus")[-1]
     assert float(final["youngs_modulus"]) == told and final["youngs_modulus.unit"] == "Pa"
     shown_told = shown("Pa", told, spec=spec_for("Pa", float(final["youngs_modulus.std"])))
@@ -113,7 +108,7 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     # what is not determined is not published either
     assert (final["lame_lambda"] == "not determined") == (not said("lame_lambda"))
     assert 0.05 < float(final["largest_squeeze"]) < 0.45
-    assert wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001), "the fingers let go"
+    assert client.wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001), "the fingers let go"
 
     drawn = {marker.type: marker for marker in arm.markers[-1].markers if marker.action == Marker.ADD}
     cube, words = drawn[Marker.CUBE], drawn[Marker.TEXT_VIEW_FACING]
@@ -137,7 +132,7 @@ def test_a_block_is_squeezed_until_it_is_sure(arm: Calibrated) -> None:
     low, high = json.loads(final["youngs_modulus.ci95"])
     told = float(final["youngs_modulus"])
     assert final["verdict"] == "accepted" and abs(told - 20e3) < high - low
-    assert wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001)
+    assert client.wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001)
     assert "Pushes, one by one" in (arm.folders()[-1] / "choices.html").read_text()
 
 
@@ -147,7 +142,7 @@ def test_no_squeeze_goes_too_far(arm: Calibrated) -> None:
     assert client.set("/virtual", "object", block(1.5e3)).successful
     began = client.position(GRIPPER)
     first = len(client.motors)
-    answer = client.call("/identifier/calibrate_softness", OBJECT_S)
+    answer = client.call("/identifier/calibrate_softness")
     assert answer.message
     closed = began - min(m.position[list(m.name).index(GRIPPER)] for m in client.motors[first:])
     assert 2.0 * (closed - GAP_M) / 0.03 < 0.45, "two fingers, a block of 30 mm"
@@ -158,11 +153,11 @@ def test_no_squeeze_goes_too_far(arm: Calibrated) -> None:
     ):
         if not client.set("/identifier", name, value).successful:
             pytest.fail(f"{name} must be changeable while the node runs")
-        answer = client.call("/identifier/calibrate_softness", OBJECT_S)
+        answer = client.call("/identifier/calibrate_softness")
         assert not answer.success and reason in answer.message and "\n" not in answer.message
     assert client.set("/identifier", "softness_sequence", "softness").successful
     assert client.set("/identifier", "settings", ["block.size=0.01"]).successful
-    answer = client.call("/identifier/calibrate_softness", OBJECT_S)
+    answer = client.call("/identifier/calibrate_softness")
     assert not answer.success and "largest_squeeze=0.4" in answer.message
     refused = client.set("/identifier", "settings", ["block.hardness=1"])
     assert not refused.successful and "unknown" in refused.reason
@@ -173,18 +168,18 @@ def test_no_squeeze_goes_too_far(arm: Calibrated) -> None:
 def test_cancelled_in_the_middle_of_a_squeeze(arm: Calibrated) -> None:
     client = arm.client
     future = client.begin("/identifier/calibrate_softness")
-    client.wait_for_phase("probe", OBJECT_S)
+    client.wait_for_phase("probe", 600.0)
     answer = client.call("/identifier/cancel")
     assert answer.success, answer.message
     assert not client.answer(future).success
-    assert wait_for(lambda: client.excitation.get("busy") == "false")
+    assert client.wait_for(lambda: client.excitation.get("busy") == "false")
     # held where it is: the current that flows in the gripper is the holder's, and it does not go on closing
     heard = len(client.motors)
-    assert wait_for(lambda: len(client.motors) > heard + 25), (
+    assert client.wait_for(lambda: len(client.motors) > heard + 25), (
         "half a second: the position may be heard after the status"
     )
     place = client.position(GRIPPER)
-    assert not wait_for(lambda: client.position(GRIPPER) < place - 0.002, 1.0)
+    assert not client.wait_for(lambda: client.position(GRIPPER) < place - 0.002, 1.0)
     assert list((arm.folders()[-1] / "bag").glob("*.mcap")), "what was recorded is kept"
 
 

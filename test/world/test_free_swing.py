@@ -11,8 +11,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from std_msgs.msg import Bool
-from support.domains import free_domain
-from support.live import HEARD, running, wait_for
+from support.listening import HEARD
+from support.simulated_live import running
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.robot import load_robot
@@ -23,13 +23,12 @@ ROBOT = load_robot("open_manipulator_x")
 
 
 @pytest.mark.long
-def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
+def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path) -> None:
     drawn = Truth.draw(ROBOT, 3)
     wrist = replace(drawn.joints[WRIST], coulomb=0.03)
     file = tmp_path / "truth.json"
     file.write_text(replace(drawn, joints={**drawn.joints, WRIST: wrist}).as_json())
-    with running(tmp_path, virtual={"truth": str(file)}, identifier={"robot_sequence": "free_swing"}) as (_, client):
+    with running(tmp_path, virtual={"truth": str(file)}, identifier={"robot_sequence": "free_swing"}) as client:
         said: list[bool] = []
         client.node.create_subscription(Bool, "/torque_enabled", lambda message: said.append(message.data), HEARD)
         answer = client.asked("/identifier/calibrate_robot")
@@ -37,7 +36,7 @@ def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path, monk
         assert "robot calibrated on 4 of 4 runs" in answer.message
         assert said[-8:] == [False, True] * 4
         # held when all is over, though a wrist that was let go of would hang at 1.2 rad
-        assert wait_for(lambda: any(client.motors[-1].effort) and client.excitation["phase"] == "done")
+        assert client.wait_for(lambda: any(client.motors[-1].effort) and client.excitation["phase"] == "done")
     (path,) = (tmp_path / "data").glob("*_robot/calibration.yaml")
     calibration = load_robot(path).calibration
     assert isinstance(calibration, Calibration) and calibration.swing_error > 0.0
