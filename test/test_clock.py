@@ -84,7 +84,6 @@ def test_with_the_real_clock() -> None:
         pacer.wait()
     assert time.monotonic() - started >= 0.2
     assert all(late >= 0.0 for late in pacer.lateness_s)
-    assert np.median(pacer.lateness_s) < 0.1
 
 
 def test_real_time_says_whether_it_was_granted() -> None:

@@ -1,17 +1,16 @@
-"""Servos do not wait: what is tested here runs as in its node. Where that is not permitted, work beside it disturbs the tests."""
+"""Servos do not wait: what is tested here is in simulated time, but for what needs a pseudo-terminal or real servos."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import pytest
+from support.simulated_port import simulated
+from support.simulated_time import SimulatedClock
 
-from proprio_ros.clock import run_in_real_time, run_like_others
 
-
-@pytest.fixture(autouse=True)
-def real_time() -> Iterator[None]:
-    granted = run_in_real_time()
-    yield
-    if granted:
-        run_like_others()
+@pytest.fixture
+def clock() -> Iterator[SimulatedClock]:
+    """Simulated time, until the test ends."""
+    with simulated() as made:
+        yield made

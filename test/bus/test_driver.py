@@ -1,4 +1,4 @@
-"""The driver of an arm on an emulated bus, in real time: what the servos really do, not only what the driver says.
+"""The driver of an arm on an emulated bus, in simulated time: what the servos really do, not only what the driver says.
 
 Currents are those that flow in the simulated arm, noted in every millisecond of its world.
 """
@@ -6,13 +6,15 @@ Currents are those that flow in the simulated arm, noted in every millisecond of
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.simulated_port import Wire
+from support.simulated_time import SimulatedClock
 
 from proprio_ros.bus.control_table import XM430_W350, HardwareError
 from proprio_ros.bus.driver import LOST_AFTER_S, ArmDriver, DriverSettings
@@ -34,7 +36,8 @@ SETTINGS = DriverSettings(reconnect_s=0.05)
 class Rig:
     """A virtual robot with a driver, and a note of the currents that flow."""
 
-    def __init__(self, folder: Path, settings: DriverSettings) -> None:
+    def __init__(self, clock: SimulatedClock, folder: Path, settings: DriverSettings) -> None:
+        self.clock = clock
         self.robot = load_robot("open_manipulator_x")
         self.virtual = VirtualRobot(self.robot, Truth.draw(self.robot, 1), link=folder / "arm", seed=1)
         self.flow: list[tuple[float, np.ndarray]] = []  # time, current of each servo [A]
@@ -50,7 +53,8 @@ class Rig:
         self.pacer = Pacer(CYCLE_S)
 
     def new_driver(self, settings: DriverSettings) -> ArmDriver:
-        bus = DynamixelBus(str(self.virtual.port.path), servos_of(self.robot))
+        name = str(self.virtual.port.path)
+        bus = DynamixelBus(name, servos_of(self.robot), connect=partial(Wire, self.clock, name))
         return ArmDriver(self.robot, bus, settings, lambda severity, message: self.log.append((severity, message)))
 
     def close(self) -> None:
@@ -64,8 +68,8 @@ class Rig:
     def run(self, duration_s: float, currents: dict[str, float] | None = None) -> list[ArmSample]:
         """Cycles, with this command before each of them."""
         samples = []
-        end_s = time.monotonic() + duration_s
-        while time.monotonic() < end_s:
+        end_s = self.clock.now() + duration_s
+        while self.clock.now() < end_s:
             if currents is not None:
                 self.driver.command_currents(currents)
             sample = self.cycle()
@@ -75,9 +79,9 @@ class Rig:
 
     def until(self, done: Callable[[], bool], limit_s: float = 30.0) -> None:
         """Cycles until something is true."""
-        end_s = time.monotonic() + limit_s
+        end_s = self.clock.now() + limit_s
         while not done():
-            assert time.monotonic() < end_s, f"did not come true in {limit_s} s; {self.driver.state}, {self.log[-3:]}"
+            assert self.clock.now() < end_s, f"did not come true in {limit_s} s; {self.driver.state}, {self.log[-3:]}"
             self.cycle()
 
     def currents(self, joint: str, start_s: float, end_s: float = math.inf) -> np.ndarray:
@@ -111,9 +115,9 @@ def settings() -> DriverSettings:
 
 
 @pytest.fixture
-def rig(tmp_path: Path, settings: DriverSettings) -> Iterator[Rig]:
+def rig(clock: SimulatedClock, tmp_path: Path, settings: DriverSettings) -> Iterator[Rig]:
     """Connected, held and settled."""
-    rig = Rig(tmp_path, settings)
+    rig = Rig(clock, tmp_path, settings)
     try:
         rig.until(lambda: rig.driver.state is BusState.RUNNING)
         rig.run(0.1)
@@ -129,8 +133,8 @@ def with_settings(**changes: Any) -> pytest.MarkDecorator:
 # --- holding and driving
 
 
-def test_it_holds_where_it_is(tmp_path: Path) -> None:
-    rig = Rig(tmp_path, SETTINGS)
+def test_it_holds_where_it_is(clock: SimulatedClock, tmp_path: Path) -> None:
+    rig = Rig(clock, tmp_path, SETTINGS)
     try:
         assert rig.driver.state is BusState.DISCONNECTED
         assert rig.driver.command_currents({"joint3": 0.1}).startswith("the arm is disconnected")
@@ -151,9 +155,9 @@ def test_it_holds_where_it_is(tmp_path: Path) -> None:
 
 def test_a_command_drives_with_the_quantised_current_until_its_deadline(rig: Rig) -> None:
     held = rig.position()
-    start_s = time.monotonic()
+    start_s = rig.clock.now()
     samples = rig.run(0.25, {"joint3": PUSH_A})
-    last_s = time.monotonic() - CYCLE_S
+    last_s = rig.clock.now() - CYCLE_S
     assert samples[-1].commanded_A["joint3"] == pytest.approx(QUANTISED_A)
     assert samples[-1].commanded_A["joint2"] == 0.0
     assert rig.driver.modes["joint3"] == "driven" and rig.driver.modes["joint2"] == "held"
@@ -176,7 +180,7 @@ def test_zero_after_the_deadline(rig: Rig) -> None:
     rig.run(0.1, {"joint4": 0.1})
     rig.run(0.2)
     assert rig.driver.modes["joint4"] == "free"
-    start_s = time.monotonic()
+    start_s = rig.clock.now()
     rig.run(0.1)
     assert not np.any(rig.currents("joint4", start_s))
     assert np.any(rig.currents("joint2", start_s)), "the others are held"
@@ -252,7 +256,7 @@ def test_a_zero_from_nobody_drops_nothing(rig: Rig) -> None:
 
 def test_a_zero_after_a_push_is_driven(rig: Rig) -> None:
     rig.run(0.05, {"joint4": -0.05})
-    zero_s = time.monotonic()
+    zero_s = rig.clock.now()
     samples = rig.run(0.08, {"joint4": 0.0, "joint3": 0.0})
     assert rig.driver.modes["joint4"] == "driven" and samples[-1].commanded_A["joint4"] == 0.0
     assert rig.driver.modes["joint3"] == "held"
@@ -317,7 +321,7 @@ def test_one_sender_moves_the_arm(rig: Rig) -> None:
 def test_told_to_hold_in_mid_push(rig: Rig) -> None:
     rig.run(0.05, {"joint3": PUSH_A})
     rig.driver.hold()
-    told_s = time.monotonic()
+    told_s = rig.clock.now()
     rig.run(0.1)
     assert set(rig.driver.modes.values()) == {"held"} and rig.driver.state is BusState.RUNNING
     assert rig.pushed(told_s + 2 * CYCLE_S + 0.015) < 0.3
@@ -338,7 +342,6 @@ def test_a_position_below_the_table_is_refused(rig: Rig) -> None:
     assert set(rig.driver.modes.values()) == {"held"}
 
 
-@pytest.mark.long
 def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
     """Both ends are high enough, but one joint arrives before the other."""
     before = {"joint2": -0.23, "joint3": 1.09, "joint4": -1.09}
@@ -356,7 +359,7 @@ def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
 
 @with_settings(min_clearance_m=0.15)
 def test_a_push_ends_above_the_table(rig: Rig) -> None:
-    start_s = time.monotonic()
+    start_s = rig.clock.now()
     samples = rig.run(0.6, {"joint3": 0.15})
     assert rig.said("joint3 was about to bring the arm too near to the base's plane")
     assert rig.driver.modes["joint3"] == "held"
@@ -373,7 +376,7 @@ def test_a_push_ends_above_the_table(rig: Rig) -> None:
 @with_settings(limit_margin_rad=1.0)
 def test_a_joint_at_its_limit_is_not_driven_further(rig: Rig) -> None:
     """The margin is so wide that joint3, parked at 0.6 of 1.4, is in it."""
-    start_s = time.monotonic()
+    start_s = rig.clock.now()
     rig.run(0.1, {"joint3": 0.2})
     assert rig.driver.modes["joint3"] == "held"
     assert rig.said("joint3 is at its upper limit; held")
@@ -447,7 +450,7 @@ def test_another_fault_than_heat(rig: Rig) -> None:
 def test_stop_ends_every_current(rig: Rig) -> None:
     rig.run(0.1, {"joint3": PUSH_A})
     rig.driver.stop()
-    stopped_s = time.monotonic()
+    stopped_s = rig.clock.now()
     rig.run(0.3, {"joint3": PUSH_A})
     assert rig.driver.state is BusState.STOPPED
     assert rig.all_zero(stopped_s + 2 * CYCLE_S + 0.01)
@@ -486,7 +489,7 @@ def test_a_stop_while_torque_is_being_switched_on(rig: Rig) -> None:
 def test_torque_off(rig: Rig) -> None:
     rig.driver.set_torque(False)
     rig.cycle()
-    off_s = time.monotonic()
+    off_s = rig.clock.now()
     samples = rig.run(0.15)
     assert rig.driver.state is BusState.RELEASED
     assert {servo["torque_enable"] for servo in rig.virtual.servos.values()} == {0}
@@ -511,7 +514,7 @@ def test_holding_anew_does_not_sag(rig: Rig) -> None:
 def test_unplugged_while_it_pushes(rig: Rig) -> None:
     rig.run(0.1, {"joint3": PUSH_A})
     rig.virtual.set_fault("unplug")
-    unplugged_s = time.monotonic()
+    unplugged_s = rig.clock.now()
     rig.run(0.5, {"joint3": PUSH_A})
     assert rig.driver.state is BusState.DISCONNECTED
     assert set(rig.driver.modes.values()) == {"held"}
@@ -520,7 +523,7 @@ def test_unplugged_while_it_pushes(rig: Rig) -> None:
     assert sum("trying again" in message for _, message in rig.log) <= 2, "not in every attempt"
     rig.virtual.set_fault("")
     rig.until(lambda: rig.driver.state.value == "running")
-    plugged_s = time.monotonic()
+    plugged_s = rig.clock.now()
     rig.run(0.3)
     assert set(rig.driver.modes.values()) == {"held"}
     assert rig.pushed(plugged_s) < 0.3, "no push goes on"
@@ -534,12 +537,12 @@ def test_what_was_limp_stays_limp_after_a_lost_bus(rig: Rig, limp: str) -> None:
     else:
         rig.driver.set_torque(False)
     rig.run(0.05)
-    limp_s = time.monotonic()
+    limp_s = rig.clock.now()
     rig.virtual.set_fault("unplug")
     rig.until(lambda: rig.driver.state is BusState.DISCONNECTED)
     rig.virtual.set_fault("")
     rig.until(lambda: rig.driver.state is not BusState.DISCONNECTED)
-    back_s = time.monotonic()
+    back_s = rig.clock.now()
     rig.run(0.1)
     assert rig.driver.state is BusState.RELEASED
     assert rig.all_zero(back_s)
@@ -552,9 +555,9 @@ def test_what_was_limp_stays_limp_after_a_lost_bus(rig: Rig, limp: str) -> None:
 
 def test_a_dead_bus_is_lost_after_a_while(rig: Rig) -> None:
     rig.virtual.set_fault("hang=joint1")
-    started = time.monotonic()
+    started = rig.clock.now()
     rig.until(lambda: rig.driver.state is BusState.DISCONNECTED)
-    assert time.monotonic() - started > 0.9 * LOST_AFTER_S
+    assert rig.clock.now() - started > 0.9 * LOST_AFTER_S
     rig.run(0.3)
     assert "no servo 11 (joint1)" in rig.driver.reason
     rig.virtual.set_fault("")
@@ -563,8 +566,8 @@ def test_a_dead_bus_is_lost_after_a_while(rig: Rig) -> None:
 
 def test_the_process_dies_while_it_pushes(rig: Rig) -> None:
     rig.run(0.1, {"joint3": PUSH_A})
-    died_s = time.monotonic()
-    time.sleep(0.45)
+    died_s = rig.clock.now()
+    rig.clock.sleep(0.45)
     assert np.allclose(rig.currents("joint3", died_s, died_s + 0.15), QUANTISED_A, atol=1e-9)
     assert rig.all_zero(died_s + rig.driver.settings.watchdog_s + 0.02)
     rig.run(0.4)
@@ -590,7 +593,7 @@ def test_lost_answers_are_no_pause_of_the_commands(rig: Rig) -> None:
     rig.virtual.set_fault("jump=joint2")
     rig.run(0.05, {"joint3": PUSH_A})
     rig.virtual.set_fault("jump=joint2,corrupt=0.6")
-    blocked_s = time.monotonic()
+    blocked_s = rig.clock.now()
     rig.run(0.3, {"joint3": PUSH_A})
     assert rig.driver.statistics.incomplete > 0
     assert rig.pushed(blocked_s) < 0.3, "still blocked"
@@ -611,8 +614,8 @@ def test_a_sample_of_unknown_time_is_left_out_and_starts_no_push(rig: Rig) -> No
     assert rig.driver.modes["joint3"] == "driven", "but a push goes on"
 
 
-def test_a_missing_servo_is_said_once(tmp_path: Path) -> None:
-    rig = Rig(tmp_path, SETTINGS)
+def test_a_missing_servo_is_said_once(clock: SimulatedClock, tmp_path: Path) -> None:
+    rig = Rig(clock, tmp_path, SETTINGS)
     try:
         rig.virtual.set_fault("hang=joint4")
         rig.run(0.6)
@@ -629,8 +632,8 @@ def test_a_missing_servo_is_said_once(tmp_path: Path) -> None:
 def test_close_releases(rig: Rig) -> None:
     rig.run(0.05, {"joint3": PUSH_A})
     rig.driver.close()
-    closed_s = time.monotonic()
-    time.sleep(0.1)
+    closed_s = rig.clock.now()
+    rig.clock.sleep(0.1)
     assert {servo["torque_enable"] for servo in rig.virtual.servos.values()} == {0}
     assert rig.all_zero(closed_s + 0.005)
     assert not rig.driver.bus.is_open and rig.driver.state is BusState.DISCONNECTED
@@ -639,9 +642,9 @@ def test_close_releases(rig: Rig) -> None:
 def test_close_that_holds(rig: Rig) -> None:
     rig.run(0.05, {"joint3": PUSH_A})
     rig.driver.close(hold=True)
-    time.sleep(0.2)
+    rig.clock.sleep(0.2)
     there = rig.position()
-    time.sleep(0.3)  # longer than the watchdog
+    rig.clock.sleep(0.3)  # longer than the watchdog
     for servo in rig.virtual.servos.values():
         assert (servo["torque_enable"], servo["bus_watchdog"]) == (1, 0)
     for name, position in rig.position().items():

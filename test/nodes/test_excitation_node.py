@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +12,16 @@ import pytest
 pytest.importorskip("rclpy")
 
 import rclpy
-from builtin_interfaces.msg import Time
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from support.simulated_port import simulated
+from support.simulated_time import SimulatedClock
 
+from proprio_ros import clock
 from proprio_ros.excitation.commands import Command
-from proprio_ros.live.job import Job, JobError
+from proprio_ros.live.job import JobError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.excitation import ExcitationNode
 from proprio_ros.nodes.identifier import IdentifierNode
@@ -49,7 +46,13 @@ RUNNING = messages.status("ok", "driver: servo bus", "held", {"state": "running"
 
 
 @pytest.fixture
-def context(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def time_of_the_test() -> Iterator[SimulatedClock]:
+    with simulated() as made:
+        yield made
+
+
+@pytest.fixture
+def context(monkeypatch: pytest.MonkeyPatch, time_of_the_test: SimulatedClock) -> Iterator[Any]:
     monkeypatch.setattr(ExcitationNode, "real_time", False)  # this process is that of the other tests, too
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
@@ -102,14 +105,14 @@ class Arm:
         for _ in range(2000):
             if done():
                 return
-            time.sleep(step_s)
+            clock.sleep(step_s)
             self.state(step_s)
         raise AssertionError(self.machine.message)
 
 
 @pytest.fixture
 def arm(context: Any, tmp_path: Path) -> Iterator[Arm]:
-    arm = Arm(context, tmp_path, stale_after=4.0)  # others use this computer, too
+    arm = Arm(context, tmp_path)
     arm.state(0.0)
     yield arm
     arm.node.finish()
@@ -161,7 +164,6 @@ def test_nothing_swings_where_nobody_says_that_it_was_let_go_of(arm: Arm, tmp_pa
     assert arm.run().success
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("lets_go", [True, False])
 def test_a_driver_that_does_not_let_go_is_noticed(arm: Arm, tmp_path: Path, lets_go: bool) -> None:
     swings(arm, tmp_path)
@@ -195,57 +197,6 @@ def test_an_idle_node_rests_between_messages(arm: Arm) -> None:
     assert arm.node.pause_s == 0.0
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("pace", [4.0, 0.5])
-def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(context: Any, tmp_path: Path, pace: float) -> None:
-    """The simulation runs faster or slower than the clock on the wall, and pauses before the push and in it."""
-    arm = Arm(context, tmp_path, use_sim_time=True)
-    simulation = Node("simulation", context=context)
-    clock = simulation.create_publisher(Clock, "/clock", 10)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(arm.node)
-    now_s, step_s = 100.0, 0.01
-    try:
-        answer = arm.run()
-        assert not answer.success and "no time comes on /clock" in answer.message
-
-        def advance() -> None:
-            nonlocal now_s
-            now_s += step_s
-            deadline = time.monotonic() + 60.0
-            while abs(arm.node.now_s() - now_s) > 1e-3:
-                assert time.monotonic() < deadline
-                clock.publish(Clock(clock=Time(sec=int(now_s), nanosec=round(1e9 * (now_s % 1.0)) % 10**9)))
-                executor.spin_once(timeout_sec=0.05)
-            time.sleep(step_s / pace / 10.0)
-            arm.state(step_s)
-
-        advance()
-        assert arm.run().success
-        paused = set()
-        for _ in range(2000):
-            advance()
-            phase = arm.machine.phase.value
-            if phase in ("settle", "probe") and phase not in paused:
-                paused.add(phase)
-                time.sleep(0.3)  # longer than stale_after
-                executor.spin_once(timeout_sec=0.05)
-                arm.node._on_timer()
-            if not arm.machine.busy:
-                break
-        assert arm.machine.phase.value == "done", arm.machine.message
-        (outcome,) = arm.machine.outcomes
-        assert outcome.duration_s == pytest.approx(PUSH_S, abs=step_s)
-        driven_s = [at_s for at_s, command in arm.sent if command.current_A]
-        assert driven_s[-1] - driven_s[0] == pytest.approx(PUSH_S, abs=2 * step_s)
-        assert all(after - before == pytest.approx(step_s, abs=1e-3) for before, after in pairwise(driven_s))
-    finally:
-        executor.shutdown()
-        arm.node.finish()
-        arm.node.destroy_node()
-        simulation.destroy_node()
-
-
 # --- the identifier -----------------------------------------------------------------------------------------------------
 
 
@@ -268,9 +219,7 @@ def test_a_weighing_after_a_stop_is_refused_at_once(identifier: Any, monkeypatch
         identifier._jobs.await_others()
     answers: list[tuple[bool, str]] = []
     identifier._begin("payload", lambda success, message: answers.append((success, message)))
-    deadline = time.monotonic() + 30.0
-    while not answers and time.monotonic() < deadline:
-        time.sleep(0.01)
+    clock.sleep(10.0)
     assert answers and not answers[0][0] and "/driver/torque true" in answers[0][1]
 
 
@@ -293,35 +242,6 @@ def test_nor_is_the_identifier_configured_with_one(context: Any, capfd: pytest.C
         )
     finally:
         node.destroy_node()
-
-
-def test_an_idle_identifier_takes_what_waits_at_once(identifier: Any, context: Any) -> None:
-    """A wake-up for each of 250 joint states in a second costs a quarter of a core."""
-    assert identifier.pause_s == IDLE_PAUSE_S
-    publisher = identifier.create_publisher(JointState, "/joint_states", 100)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(identifier)
-    stamps: list[int] = []
-    try:
-        deadline = time.monotonic() + 60.0
-        while publisher.get_subscription_count() < 1:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        for row in range(1, 51):
-            publisher.publish(messages.joint_state(10**9 * row, ["joint1"], [0.0]))
-        time.sleep(0.2)
-        while identifier._inputs.stamp_ns < 50 * 10**9:
-            assert time.monotonic() < deadline
-            executor.spin_once(timeout_sec=0.05)
-            if identifier._inputs.stamp_ns not in stamps:
-                stamps.append(identifier._inputs.stamp_ns)
-        assert len(stamps) < 10
-        identifier._job = Job("payload", "calibrate_payload")
-        assert identifier.pause_s == 0.0
-    finally:
-        identifier._job = None
-        executor.shutdown()
-        identifier.destroy_publisher(publisher)
 
 
 def test_timers_have_their_turn_where_messages_come_faster_than_they_are_taken(

@@ -22,24 +22,11 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from proprio_ros.nodes.messages import labelled, values_of
+from support.waiting import SOON_S
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HEARD = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """What is latched, and all that comes after it: a client that is not run for a while must not miss what stood meanwhile."""
-SOON_S = 60.0
-"""What happens within a second on an idle computer. It costs time only where a test fails."""
-
-
-def comes_true(
-    ready: Callable[[], object], seconds: float, now: Callable[[], float], sleep: Callable[[float], None]
-) -> bool:
-    """Whether it became true within the time of a clock."""
-    end_s = now() + seconds
-    while not ready():
-        if now() > end_s:
-            return False
-        sleep(0.005)
-    return True
 
 
 class Listener:

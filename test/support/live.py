@@ -18,7 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from proprio_ros.nodes.graph import Graph, Patience
 from proprio_ros.nodes.messages import values_of
-from support.listening import HEARD, LATCHED, SOON_S, Listener, comes_true, replayed_alike
+from support.listening import HEARD, LATCHED, Listener, replayed_alike
+from support.waiting import SOON_S, wait_for
 
 __all__ = [
     "HEARD", "LATCHED", "SOON_S", "UP_S", "Client", "comes_up", "replayed_alike", "running", "wait_for", "warm_up",
@@ -55,11 +56,6 @@ class Client(Listener):
 
     def wait_for(self, ready: Callable[[], object], seconds: float = SOON_S) -> bool:
         return wait_for(ready, seconds)
-
-
-def wait_for(ready: Callable[[], object], seconds: float = SOON_S) -> bool:
-    """Whether it became true within the time."""
-    return comes_true(ready, seconds, time.monotonic, time.sleep)
 
 
 def comes_up(graph: Graph, ready: Callable[[], object]) -> bool:

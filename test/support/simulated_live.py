@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.nodes.messages import values_of
-from support.listening import SOON_S, Listener, comes_true
+from support.listening import Listener
 from support.simulated_ros import Network
 from support.simulated_world import World, world
+from support.waiting import SOON_S, comes_true
 
 
 class Client(Listener):

@@ -24,9 +24,8 @@ import proprio_ros
 from proprio_ros import clock as time_source
 from proprio_ros.bus.dynamixel import DynamixelBus
 from proprio_ros.virtual import robot as virtual_robot
-from proprio_ros.virtual.bus import VirtualBus
 from support import simulated_ros
-from support.memory_port import MemoryPort
+from support.simulated_port import SimulatedPort, Wire
 from support.simulated_ros import GRAPH, Graph, Network
 from support.simulated_time import Ended, SimulatedClock, SimulatedThread
 
@@ -56,66 +55,6 @@ NODES = {
 ROOM = _on_stand_ins()
 ROOM["runtime"].ManagedNode._begin_real_time = lambda _node: None
 LINK = "/simulated/arm"
-WORLD_STEP_S = 0.01
-"""The arm moves on at least so often, though nobody talks to it."""
-PORTS: dict[str, SimulatedPort] = {}
-
-
-class SimulatedPort:
-    """In place of `proprio_ros.virtual.port.PtyPort`: a cable to emulated servos, in memory."""
-
-    def __init__(self, bus: VirtualBus, link: Path | None = None, **_: Any) -> None:
-        self.lock = time_source.lock()
-        self.bus, self.path, self.plugged = bus, link, True
-        self._running = True
-        PORTS[str(link)] = self
-        time_source.thread(self._run, "arm").start()
-
-    def _run(self) -> None:
-        while self._running:
-            with self.lock:
-                self.bus.advance(time_source.now())
-            time_source.sleep(WORLD_STEP_S)
-
-    def unplug(self) -> None:
-        self.plugged = False
-
-    def plug(self) -> None:
-        self.plugged = True
-
-    def close(self) -> None:
-        self._running = False
-        PORTS.pop(str(self.path), None)
-
-
-class Wire(MemoryPort):
-    """The computer's end of the cable."""
-
-    def __init__(self, name: str) -> None:
-        port = PORTS.get(name)
-        if port is None or not port.plugged:
-            raise OSError(2, f"could not open port {name}")
-        self._port = port
-        super().__init__(port.bus, time_source.now)
-
-    def _check(self) -> None:
-        if GRAPH[-1].clock.actor.killed:
-            raise Ended  # who was killed says nothing any more
-        if not self._port.plugged:
-            raise OSError(5, "Input/output error")
-
-    def write(self, data: bytes) -> int:
-        self._check()
-        with self._port.lock:
-            return super().write(data)
-
-    def read(self, size: int) -> bytes:
-        self._check()
-        with self._port.lock:
-            return super().read(size)
-
-    def close(self) -> None:
-        pass
 
 
 class Process:
@@ -201,7 +140,9 @@ class World:
         GRAPH.append(self.graph)
         self._before = time_source.use(self.clock), virtual_robot.PtyPort
         virtual_robot.PtyPort = SimulatedPort  # type: ignore[assignment,misc]
-        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(port, *rest, connect=partial(Wire, port))
+        ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(
+            port, *rest, connect=partial(Wire, self.clock, port)
+        )
         ROOM["virtual"].VirtualRobot = HandledRobot
         self._needed: dict[str, dict[str, Any]] = {
             "virtual": {"link": LINK},

@@ -7,16 +7,16 @@ goes off, so support the arm first; nothing moves a motor without ``--hardware-m
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import dynamixel_sdk as sdk
 import pytest
 from support.desk import Desk, servos_named
+from support.simulated_port import simulated
 
+from proprio_ros import clock
 from proprio_ros.bus.control_table import BUS_WATCHDOG_TRIPPED, XM430_W350, OperatingMode
 from proprio_ros.bus.dynamixel import ALERT, DynamixelBus, Goal
 from proprio_ros.errors import BusError
@@ -69,13 +69,7 @@ class Bench:
         return bytes(data), result, error & ~ALERT
 
     def _tried(self, exchange: Callable[[Any], Any]) -> Any:
-        """Once more where no answer came in time: on a busy machine one is late now and then."""
-        for _ in range(3):
-            answer = self.bus._guarded(exchange)
-            if answer[-2] == sdk.COMM_SUCCESS:
-                break
-            self.bus._settle()
-        return answer
+        return self.bus._guarded(exchange)
 
     def refusal(self, register: str, value: int) -> int:
         """Number of the error with which a write is refused; 0 when it is not."""
@@ -92,8 +86,8 @@ class Bench:
         self.write("goal_current", 0)
 
 
-@pytest.fixture(params=["memory", "pty", "hardware"])
-def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+@pytest.fixture(params=["memory", "hardware"])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     if request.param == "hardware":
         option = request.config.getoption
         port = option("--hardware-port")
@@ -104,22 +98,17 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
         def hardware(fast: bool) -> DynamixelBus:
             return DynamixelBus(port, servos, option("--hardware-baud"), fast_sync_read=fast)
 
-        yield from opened(hardware, time.sleep, option("--hardware-moves"))
+        yield from opened(hardware, option("--hardware-moves"))
         return
-    with Desk((11, 12), tmp_path / "arm" if request.param == "pty" else None) as desk:
-
-        def wait(duration_s: float) -> None:
-            desk.skip(duration_s)
-            time.sleep(0.005)  # a port in real time looks at the clock every 2 ms
-
-        yield from opened(lambda fast: desk.bus(fast=fast), wait, True)
+    with simulated() as time_of_the_test, Desk((11, 12), time_of_the_test) as desk:
+        yield from opened(lambda fast: desk.bus(fast=fast), True)
 
 
-def opened(another: Callable[[bool], DynamixelBus], wait: Callable[[float], None], moves: bool) -> Iterator[Bench]:
+def opened(another: Callable[[bool], DynamixelBus], moves: bool) -> Iterator[Bench]:
     bus = another(True)
     bus.open()
     bus.handshake()
-    bench = Bench(bus, another, wait, moves)
+    bench = Bench(bus, another, clock.sleep, moves)
     for servo in bus.servos:
         bus.write(servo.id, "bus_watchdog", 0)
         bus.write(servo.id, "torque_enable", 0)
@@ -224,19 +213,18 @@ def test_header_bytes_within_the_data(bench: Bench) -> None:
 # --- who answers, and when
 
 
-@pytest.mark.long
 def test_status_return_levels(bench: Bench) -> None:
     bench.raw_write("status_return_level", b"\x01")  # whether this one is answered is not laid down
-    time.sleep(0.03)
+    bench.wait(0.03)
     assert bench.read("status_return_level") == 1
     assert bench.raw_write("led", b"\x01")[0] == sdk.COMM_RX_TIMEOUT
     assert bench.read("led") == 1, "obeyed in silence"
     bench.raw_write("status_return_level", b"\x00")
-    time.sleep(0.03)
+    bench.wait(0.03)
     assert bench.raw_read(REGISTERS["led"].address, 1)[1] == sdk.COMM_RX_TIMEOUT
     assert bench.bus.ping(bench.id) == XM430_W350.number
     bench.raw_write("status_return_level", b"\x02")
-    time.sleep(0.03)
+    bench.wait(0.03)
     bench.write("led", 0)
 
 
@@ -244,9 +232,9 @@ def test_return_delay(bench: Bench) -> None:
     def exchange_s() -> float:
         times = []
         for _ in range(60):
-            started = time.monotonic()
+            started = clock.now()
             bench.read("led")
-            times.append(time.monotonic() - started)
+            times.append(clock.now() - started)
         return statistics.median(times)
 
     bench.write("return_delay_time", 0)
