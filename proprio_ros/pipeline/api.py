@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -39,11 +39,7 @@ _Row = TypeVar("_Row")
 
 
 class _Answered:
-    """What every answer has.
-
-    Attributes:
-        estimate: Everything that was found out: fits of the runs, unknowns, and what else its kind has.
-    """
+    """What every answer has."""
 
     estimate: Estimate | CalibrationEstimate
 
@@ -130,16 +126,9 @@ class Weighing(_Answered):
         return self.estimate.as_json()
 
     def to_frame(self) -> pandas.DataFrame:
-        """A table with one row per estimated quantity.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
+        """A table with one row per estimated quantity; needs pandas."""
         columns = ("name", "value", "std", "ci95_low", "ci95_high", "unit", "reason", "verdict")
-        rows = []
-        for value in self.estimate.values:
-            low, high = _ends(value.ci95)
-            rows.append((value.name, value.value, value.std, low, high, value.unit, value.reason, self.verdict))
+        rows = [(v.name, v.value, v.std, *_ends(v.ci95), v.unit, v.reason, self.verdict) for v in self.estimate.values]
         return _frame(columns, rows)
 
     def plot(self) -> Figure:
@@ -153,26 +142,14 @@ class Weighing(_Answered):
         return runs_figure(self.estimate.run_fits)
 
     def report(self, path: AnyPath) -> Path:
-        """Write the HTML page.
-
-        Returns:
-            The file.
-
-        Raises:
-            ConfigurationError: It cannot be written.
-        """
+        """Write the HTML page, or raise ConfigurationError; returns the file."""
         write_report(self.estimate, Path(path), command=self.call, sources=self.bags)
         return Path(path)
 
     def _repr_html_(self) -> str:
-        estimate = self.estimate
-        return card(
-            f"{estimate.probe}, {estimate.robot}",
-            estimate.verdict,
-            estimate.values,
-            estimate.reasons,
-            estimate.interval_first,
-        )
+        found = self.estimate
+        title = f"{found.probe}, {found.robot}"
+        return card(title, found.verdict, found.values, found.reasons, found.interval_first)
 
     def __repr__(self) -> str:
         if self._main.value is None:
@@ -216,26 +193,15 @@ class CalibrationResult(_Answered, os.PathLike[str]):
         return {**self.estimate.as_json(), "output": None if kept is None else str(kept)}
 
     def to_frame(self) -> pandas.DataFrame:
-        """A table with one row per unknown of the robot: what its file says (prior), and what the runs say.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
+        """A table with one row per unknown of the robot: what its file says (prior), and what the runs say; needs pandas."""
         columns = ("name", "value", "std", "unit", "prior", "prior_std")
         rows = [(u.name, u.value, u.std, u.unit, u.prior, u.prior_std) for u in self.estimate.unknowns]
         return _frame(columns, rows)
 
     def report(self, path: AnyPath) -> Path:
-        """Write the HTML page.
-
-        Returns:
-            The file.
-
-        Raises:
-            ConfigurationError: It cannot be written.
-        """
-        references = [entry["bag"] for entry in self.estimate.origin["references"]]
-        sources = [*self.estimate.origin["bags"], *references]
+        """Write the HTML page, or raise ConfigurationError; returns the file."""
+        origin = self.estimate.origin
+        sources = [*origin["bags"], *(entry["bag"] for entry in origin["references"])]
         write_calibration_report(self.estimate, Path(path), command=self.call, sources=sources)
         return Path(path)
 
@@ -262,9 +228,6 @@ class _Listed(Sequence[_Row]):
     def __len__(self) -> int:
         return len(self._rows)
 
-    def __iter__(self) -> Iterator[_Row]:
-        return iter(self._rows)
-
 
 class Plans(_Listed[ExcitationPlan]):
     """Runs that have not been made, best first.
@@ -290,11 +253,7 @@ class Plans(_Listed[ExcitationPlan]):
         }
 
     def to_frame(self) -> pandas.DataFrame:
-        """A table with one row per plan.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
+        """A table with one row per plan; needs pandas."""
         keys = ("joint", "current_A", "duration_s", "start", "kind", "travel", "clearance_m", "std_kg", "reason")
         return _frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
 
@@ -324,11 +283,7 @@ class Checks(_Listed[BagCheck]):
         return checks_as_json(self.robot, self)
 
     def to_frame(self) -> pandas.DataFrame:
-        """A table with one row per run.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
+        """A table with one row per run; needs pandas."""
         keys = ("name", "joint", "duration_s", "travel", "unit", "current_A", "samples", "problem")
         rows = [(check.bag, *(getattr(run, key) for key in keys)) for check in self for run in check.runs]
         return _frame(("bag", *keys), rows)
@@ -400,25 +355,12 @@ def calibrate(
 ) -> CalibrationResult:
     """Learn the robot from runs with nothing in the hand, and optionally with a weighed reference.
 
-    Args:
-        bags: Bags with nothing in the hand.
-        references: Bags with a weighed reference in the hand, and its mass [kg].
-        output: The calibration file (.yaml); written when the calibration is accepted.
-        force: Whether an older file of that name may be replaced.
-        progress: Called with a sentence on what is going on.
-        robot: As for `weigh`.
-        settings: As for `weigh`.
-        driver: As for `weigh`.
-        state_topic: As for `weigh`.
-        command_topic: As for `weigh`.
-        effort_unit: As for `weigh`.
-        **facts: As for `weigh`; ``payload`` describes the reference.
-
-    Raises:
-        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
+    ``references`` are bags with the reference in the hand, and its mass [kg]; ``payload`` describes it. An accepted calibration
+    becomes the file ``output`` (.yaml), in the place of an older one only with ``force``. ``progress`` hears in sentences what is
+    going on. All else is as for `weigh`, errors included.
     """
     given = dict(locals())
-    folder = None if output is not None else tempfile.TemporaryDirectory(prefix="proprio-")
+    folder = tempfile.TemporaryDirectory(prefix="proprio-") if output is None else None
     path = Path(output) if folder is None else Path(folder.name) / "calibration.yaml"  # type: ignore[arg-type]
     known: dict[str | Path, float] = {os.fspath(bag): mass for bag, mass in (references or {}).items()}
     estimate = calibrate_from_bags(_texts(bags), known, _options(given), path, progress, force)
@@ -438,17 +380,8 @@ def plan(
 ) -> Plans:
     """Which run to make for an object of about this mass: start poses and currents, the smallest interval first.
 
-    Args:
-        masses: What the hand may hold [kg]; a run must suit all of them.
-        count: At most so many plans.
-        progress: Called with a sentence on what is going on.
-        calibration: As for `weigh`.
-        robot: As for `weigh`.
-        settings: As for `weigh`.
-        **facts: As for `weigh`.
-
-    Raises:
-        ConfigurationError, RobotError: With one line that says what is wrong and what to do.
+    A run must suit all ``masses`` [kg] that the hand may hold; there are at most ``count`` plans. ``progress`` hears in sentences
+    what is going on. All else is as for `weigh`, errors included.
     """
     options = _options(locals())
     asked = [float(masses)] if isinstance(masses, (int, float)) else [float(mass) for mass in masses]
@@ -467,45 +400,27 @@ def check(
 ) -> Checks:
     """What is in each bag, which input would be used, and which runs: before any fit.
 
-    Args:
-        bags: Bag folders or files, or text recordings.
-        robot: As for `weigh`.
-        driver: As for `weigh`.
-        state_topic: As for `weigh`.
-        command_topic: As for `weigh`.
-        effort_unit: As for `weigh`.
-        settings: As for `weigh`; what is stated about an object is not looked at.
-
-    Raises:
-        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
+    All is as for `weigh`, errors included; what is stated about an object is not looked at.
     """
     return Checks(*check_bags(_texts(bags), _options(locals())))
 
 
 def _options(given: Mapping[str, Any]) -> Options:
-    """What a call states, by the names of its arguments; paths become text."""
-    stated = {entry.name: given[entry.name] for entry in fields(Options) if entry.name in given}
-    for name in ("robot", "calibration", "driver"):
-        if stated.get(name) is not None:
-            stated[name] = os.fspath(stated[name])
+    """What a call states, by the names of its arguments: facts get dotted keys, paths become text, arrays lists."""
+    stated = {entry.name: _plain(given[entry.name]) for entry in fields(Options) if entry.name in given}
     stated["baseline"] = _texts(stated.get("baseline", ()))
-    return Options(**{**stated, "settings": _settings(given["settings"], given.get("facts", {}))})
-
-
-def _texts(paths: Paths) -> tuple[str, ...]:
-    return tuple(os.fspath(path) for path in paths_of(paths))  # type: ignore[arg-type]
-
-
-def _settings(settings: Mapping[str, Any] | None, facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Dotted keys with plain values: arrays become lists, paths become text."""
-    dotted = dict(settings or {})
-    for section, values in facts.items():
+    dotted = dict(given["settings"] or {})
+    for section, values in given.get("facts", {}).items():
         if not isinstance(values, Mapping):
             raise TypeError(
                 f"{section}={values!r} is no argument; facts come by section, such as payload={{'size': 0.03}}"
             )
         dotted |= {f"{section}.{key}": value for key, value in values.items()}
-    return {key: _plain(value) for key, value in dotted.items()}
+    return Options(**{**stated, "settings": {key: _plain(value) for key, value in dotted.items()}})
+
+
+def _texts(paths: Paths) -> tuple[str, ...]:
+    return tuple(os.fspath(path) for path in paths_of(paths))  # type: ignore[arg-type]
 
 
 def _plain(value: Any) -> Any:
@@ -518,15 +433,12 @@ def _plain(value: Any) -> Any:
 
 def _call(name: str, bags: Paths, given: Mapping[str, Any]) -> str:
     """The call as it was made, for the report."""
-    unsaid: tuple[Any, ...] = (None, (), {}, "", False)
+    usual = {"probe": "payload", "solver": "lm", "profile": "default"}
     words = [repr(list(_texts(bags)))]
     for key, value in given.items():
-        default = {"probe": "payload", "solver": "lm", "profile": "default"}.get(key)
-        if key in ("bags", "progress") or any(value is none or value == none for none in (*unsaid, default)):
-            continue
         if key == "facts":
             words += [f"{section}={values!r}" for section, values in value.items()]
-        else:
+        elif key not in ("bags", "progress") and value and value != usual.get(key):
             words.append(f"{key}={os.fspath(value) if isinstance(value, os.PathLike) else value!r}")
     return f"{name}({', '.join(words)})"
 

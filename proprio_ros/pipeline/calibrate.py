@@ -63,15 +63,15 @@ def calibrate_from_bags(
     """Calibrate a robot and write the file that ``proprio replay --calibration`` takes.
 
     Args:
-        paths: bags with nothing in the hand.
-        references: bags with a weighed reference in the hand, and its mass [kg]; the payload settings say where it sits.
-        options: robot, settings and topics; what concerns the probe is not used.
-        output: the file; it is only written when the calibration is accepted.
-        progress: called with what is going on.
-        force: whether an older file of that name may be replaced.
+        paths: Bags with nothing in the hand.
+        references: Bags with a weighed reference in the hand, and its mass [kg]; the payload settings say where it sits.
+        options: Robot, settings and topics; what concerns the probe is not used.
+        output: The file; it is only written when the calibration is accepted.
+        progress: Called with what is going on.
+        force: Whether an older file of that name may be replaced.
 
     Raises:
-        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     paths, started = paths_of(paths), time.perf_counter()
     _check_given([*paths, *references], output, force)
@@ -79,7 +79,7 @@ def calibrate_from_bags(
         if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
             raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
     request = read_request(replace(options or Options(), calibration=None), _reference)
-    loads = [*((Path(path), KnownLoad()) for path in paths)]
+    loads = [(Path(path), KnownLoad()) for path in paths]
     loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
     motors = _motors_of([path for path, _ in loads], request)
@@ -106,15 +106,11 @@ def calibrate_from_bags(
     if estimate.calibration is not None:
         made = moment_of([each.run for each in runs], [path for path, _ in loads], request.options.state_topic)
         estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
-    written = _written(estimate, output, request)
-    origin = {
-        "bags": [str(path) for path in paths],
-        "references": [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()],
-        "calibration": written,
-    }
     used = {fit.name for fit in estimate.run_fits}
     unused = tuple(recorded_run(request.robot, each.run) for each in runs if each.run.name not in used)
-    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin, unused=unused)
+    known = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
+    origin = {"bags": [str(path) for path in paths], "references": known}
+    return _written(replace(estimate, unused=unused), output, request, origin, read - started)
 
 
 @one_blas_thread
@@ -125,17 +121,9 @@ def refresh_from_bags(
     progress: Callable[[str], None] = lambda _: None,
     force: bool = False,
 ) -> CalibrationEstimate:
-    """Bring a calibration up to date by a few runs with nothing in the hand, and write it as another file.
+    """Bring the calibration of the options up to date by a few runs with nothing in the hand, and write it as another file.
 
-    Args:
-        paths: the bags.
-        options: its ``calibration`` is the old one; what concerns the probe is not used.
-        output: the new file, written where the outcome is accepted.
-        progress: called with what is going on.
-        force: whether an older file of that name may be replaced.
-
-    Raises:
-        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+    All else is as for `calibrate_from_bags`, errors included.
     """
     paths, old, started = paths_of(paths), options.calibration, time.perf_counter()
     if old is None:
@@ -159,9 +147,8 @@ def refresh_from_bags(
     if (learnt := estimate.calibration) is not None:
         learnt = replace(learnt, motors={**fresh.motors, **motors}, made=now)
         estimate = replace(estimate, calibration=learnt)
-    written = _written(estimate, output, replace(request, robot=robot), like=Path(old))
-    origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old), "calibration": written}
-    return replace(estimate, timing_s={"read": read - started, **estimate.timing_s}, origin=origin)
+    origin = {"bags": [str(path) for path in paths], "references": [], "refreshed": str(old)}
+    return _written(estimate, output, replace(request, robot=robot), origin, read - started, Path(old))
 
 
 def _check_given(paths: Sequence[str | Path], output: str | Path | None, force: bool) -> None:
@@ -173,15 +160,21 @@ def _check_given(paths: Sequence[str | Path], output: str | Path | None, force: 
 
 
 def _written(
-    estimate: CalibrationEstimate, output: str | Path | None, request: Request, like: Path | None = None
-) -> dict[str, str] | None:
-    """Write an accepted calibration, and name it as answers do; None: it is not written."""
-    learnt = estimate.calibration or estimate.motion or estimate.joint
-    if output is None or learnt is None or estimate.verdict.value != "accepted":
-        return None
-    said = "" if estimate.weighable is None else estimate.weighable.sentence()
-    write_calibration(Path(output), request.robot, learnt, request.overrides, said, like)
-    return calibration_used(Path(output))
+    estimate: CalibrationEstimate,
+    output: str | Path | None,
+    request: Request,
+    origin: Mapping[str, Any],
+    read_s: float,
+    like: Path | None = None,
+) -> CalibrationEstimate:
+    """The estimate with its origin and timing; where it is accepted, it is written first."""
+    learnt, written = estimate.calibration or estimate.motion or estimate.joint, None
+    if output is not None and learnt is not None and estimate.verdict.value == "accepted":
+        said = "" if estimate.weighable is None else estimate.weighable.sentence()
+        write_calibration(Path(output), request.robot, learnt, request.overrides, said, like)
+        written = calibration_used(Path(output))
+    timing = {"read": read_s, **estimate.timing_s}
+    return replace(estimate, timing_s=timing, origin={**origin, "calibration": written})
 
 
 def _reference(settings: Settings) -> PayloadFacts:
@@ -191,11 +184,7 @@ def _reference(settings: Settings) -> PayloadFacts:
 
 
 def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdentity]:
-    """The motors of the arm that all recordings are of, as far as they say it.
-
-    Raises:
-        RecordingError: They are of several.
-    """
+    """The motors of the arm that all recordings are of, as far as they say it; RecordingError: they are of several."""
     motors: dict[str, MotorIdentity] = {}
     for path in paths:
         if episode_of(path) is not None:  # a data set does not say it
@@ -217,13 +206,11 @@ def plan_excitations(
     """The robot, and the weighings that would determine most about objects of these masses.
 
     Raises:
-        ConfigurationError, RobotError: with one line that says what is wrong and what to do.
+        ConfigurationError, RobotError: With one line that says what is wrong and what to do.
     """
     request = read_request(options or Options(), _reference)
-    if request.locked:
-        raise ConfigurationError(
-            f"--set held.{next(iter(request.locked))}: a plan says where every joint is; leave it out"
-        )
+    for name in request.locked:
+        raise ConfigurationError(f"--set held.{name}: a plan says where every joint is; leave it out")
     return request.robot, plan(request.robot, masses_kg, request.facts, count, progress=progress)
 
 
@@ -257,29 +244,17 @@ def write_calibration(
     """Write a robot file that extends the robot by its calibration; an older file of that name is replaced in one step.
 
     Args:
-        path: of the new robot file.
-        robot: what was calibrated, overrides included.
-        calibration: what was learnt.
-        overrides: dotted robot settings that were in force, so that they come back with the file.
-        said: what can be weighed with it, for the file's comment.
-        like: an older calibration, whose place this one takes: all else stands as it does there.
+        path: Of the new robot file.
+        robot: What was calibrated, overrides included.
+        calibration: What was learnt.
+        overrides: Dotted robot settings that were in force, so that they come back with the file.
+        said: What can be weighed with it, for the file's comment.
+        like: An older calibration, whose place this one takes: all else stands as it does there.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: The file cannot be written.
     """
-    settings = calibration.as_settings()
-    section = CommentedMap(settings)
-    section["runs"] = [_on_one_line(run) for run in settings["runs"]]
-    if "made" in settings:
-        section["made"] = _on_one_line(settings["made"])
-    if "unknowns" in settings:
-        section["unknowns"] = CommentedMap({name: _on_one_line(entry) for name, entry in settings["unknowns"].items()})
-    for name in ("correlation", "deviations", "without"):
-        if name in settings:
-            section[name] = LiteralScalarString(settings[name])
-    if isinstance(calibration, MotionCalibration):
-        section["torque_scale"] = _on_one_line(settings["torque_scale"])
-        section["joints"] = [_on_one_line(joint) for joint in settings["joints"]]
+    section = CommentedMap({key: _laid_out(key, value) for key, value in calibration.as_settings().items()})
     if like is None:
         content = CommentedMap(nested_settings(robot.model.independent_joints, overrides or {}))
         content.insert(0, "extends", _reference_to(robot.source, path))
@@ -288,11 +263,13 @@ def write_calibration(
         below = like.resolve().parent / str(content.get("extends", ""))
         if below.is_file():
             content["extends"] = _reference_to(below, path)
-    if isinstance(calibration, Calibration):
+    of_runs = isinstance(calibration, Calibration)
+    if of_runs:
         content["calibrated"] = True
     content["model_fingerprint"] = robot.model.fingerprint()
-    content[_section_of(calibration)] = section
-    noun = "runs" if isinstance(calibration, Calibration) else "motions"
+    of_motions = "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
+    content["calibration" if of_runs else of_motions] = section
+    noun = "runs" if of_runs else "motions"
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     content.yaml_set_start_comment(
         f"What one {robot.name} says about itself: {len(calibration.runs)} {noun}, {now}, proprio_ros {__version__}.\n"
@@ -304,13 +281,6 @@ def write_calibration(
     writer.width = 1000
     writer.dump(content, stream)
     write_in_one_step(path, stream.getvalue(), "--output")
-
-
-def _section_of(calibration: Calibration | MotionCalibration | JointCalibration) -> str:
-    """The key of the robot file under which it stands."""
-    if isinstance(calibration, Calibration):
-        return "calibration"
-    return "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
 
 
 def _with_learnt_delay(
@@ -340,6 +310,17 @@ def _with_learnt_delay(
     delay = best_delay(left_over, robot.delay)
     overrides = {**request.overrides, "delay_s": {"value": delay.value, "std": delay.std}}
     return replace(request, robot=replace(robot, delay=delay), overrides=overrides)
+
+
+def _laid_out(key: str, value: Any) -> Any:
+    """A value of the section as it stands in the file: an entry of a table is one line, a matrix is text."""
+    if key in ("runs", "joints"):
+        return [_on_one_line(entry) for entry in value]
+    if key == "unknowns":
+        return CommentedMap({name: _on_one_line(entry) for name, entry in value.items()})
+    if key in ("correlation", "deviations", "without"):
+        return LiteralScalarString(value)
+    return _on_one_line(value) if key in ("made", "torque_scale") else value
 
 
 def _on_one_line(entry: Mapping[str, Any]) -> CommentedMap:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -62,10 +63,9 @@ def check_bags(paths: str | Path | Sequence[str | Path], options: Options | None
     # a URDF alone is enough to look, as where torque was recorded: what needs torque constants is then not said
     described = read_request(replace(options, effort_unit="N.m", driver=None), _any_object)
     request = replace(described, options=options)
-    checks = [
-        _text_check(request.robot, path) if is_text_recording(path) else _bag_check(request, path) for path in given
+    return request.robot.name, [
+        (_text_check if is_text_recording(path) else _bag_check)(request, path) for path in given
     ]
-    return request.robot.name, checks
 
 
 def _any_object(settings: Settings) -> None:
@@ -80,20 +80,24 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     types = {name: kind for name, kind, _ in contents.topics}
     fitting = tuple(driver.name for driver in drivers_of(types.items()))
     check = BagCheck(
-        str(path),
-        topics=contents.topics,
-        state_topic=contents.states,
-        problem=contents.problem,
-        driver=request.driver,
-        fitting=fitting,
+        str(path), topics=contents.topics, state_topic=contents.states, driver=request.driver, fitting=fitting
     )
     if contents.problem:
-        return check
+        return replace(check, problem=contents.problem)
     problem = ""
+    recording: Recording | None = None
+    runs: tuple[RunCheck, ...] = ()
+    motion: Motion | None = None
     try:
         recording = bag_recording(path, request)
+        found = runs_or_motion(recording, request)
+        if isinstance(found, Motion):
+            motion = found
+        else:
+            runs = tuple(_run_check(robot, run) for run in found)
     except RecordingError as error:
         problem = str(error)
+    if recording is None:
         try:  # only to look at: no run is cut from a current of an unstated unit
             recording = read_recording(
                 path,
@@ -105,21 +109,9 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
             )
         except RecordingError as worse:
             return replace(check, problem=str(worse))
-    runs: tuple[RunCheck, ...] = ()
-    motion: Motion | None = None
-    if not problem:
-        try:
-            found = runs_or_motion(recording, request)
-            if isinstance(found, Motion):
-                motion = found
-            else:
-                runs = tuple(_run_check(robot, run) for run in found)
-        except RecordingError as error:
-            problem = str(error)
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
     moved = moving(recording.joints, slides)
     seen = (*findings(recording, slides), *_of_robot(robot, recording, effort_unit))
-    by_voltage = voltage_driven(robot)
     # what the law of a position servo makes of goal and position needs no effort
     drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
     without = {name for name, drive in drives.items() if drive is not None and drive.follows_goal}
@@ -130,13 +122,15 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
             if motion is not None and finding.code in UNUSABLE_EFFORT and set(finding.joints) & set(motion.moved):
                 motion, problem = None, f"of no use as a motion: {finding.sentence}"
     useless = {name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints}
+    by_voltage = voltage_driven(robot)
     per_torque, units = ({}, ()) if by_voltage else plausible_units(recording, robot, useless)
     # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
     tells = None if by_voltage and len(robot.drive_trains) == 1 else _motion_check(robot, recording, motion)
     driven_by, driven_in = _input_of(recording, runs, types, effort_unit)
+    names = recording.joints.names
     check = replace(
         check,
-        joints=recording.joints.names,
+        joints=names,
         **_spacing(1e-9 * (recording.joints.times_ns - recording.joints.times_ns[0])),
         input=driven_by or None,
         input_unit=driven_in or None,
@@ -145,7 +139,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         notes=recording.notes + (() if motion is not None else unit_not_used(recording.inputs, options.effort_unit)),
         motion=motion,
         moves=moved,
-        still=tuple(name for name in recording.joints.names if name not in moved),
+        still=tuple(name for name in names if name not in moved),
         findings=seen,
         effort_units=units,
         effort_per_N_m=per_torque,
@@ -168,33 +162,25 @@ def _spacing(times_s: FloatArray) -> dict[str, Any]:
 
 def _of_robot(robot: Robot, recording: Recording, effort_unit: str | None) -> tuple[Finding, ...]:
     """What the robot that was named leaves open."""
-    if not set(recording.joints.names) & set(robot.model.independent_joints):
-        return (
-            Finding(
-                "other_robot",
-                f"none of these joints is one of {robot.name}: name the robot with --robot NAME, FILE or URDF",
-                recording.joints.names,
-            ),
-        )
+    recorded, file = recording.joints.names, robot.source.name
+    if not set(recorded) & set(robot.model.independent_joints):
+        why = f"none of these joints is one of {robot.name}: name the robot with --robot NAME, FILE or URDF"
+        return (Finding("other_robot", why, recorded),)
     if is_description(str(robot.source)) and effort_unit != "N.m":
-        return (
-            Finding(
-                "no_torque_constants",
-                f"{robot.source.name} states no torque constants: write a file with `proprio robot new` and state them there, or "
-                "--effort-unit N.m where effort is torque",
-            ),
+        why = (
+            f"{file} states no torque constants: write a file with `proprio robot new` and state them there, or "
+            "--effort-unit N.m where effort is torque"
         )
-    driven_by = {name: drive.driven_by for name, drive in robot.drive_trains.items() if drive.driven_by is not None}
-    return tuple(
-        Finding(
-            "voltage_driven",
-            f"a voltage drives {name} ({kind.kind} in {robot.source.name}): its torque is made from {kind.takes}, and its scale is "
-            "open: a joint alone is weighed with motions of known loads (`calibrate --reference BAG=KG ..`, three or more)",
-            (name,),
-        )
-        for name, kind in driven_by.items()
-        if name in recording.joints.names
-    )
+        return (Finding("no_torque_constants", why),)
+    found = []
+    for name, drive in robot.drive_trains.items():
+        if (kind := drive.driven_by) is not None and name in recorded:
+            why = (
+                f"a voltage drives {name} ({kind.kind} in {file}): its torque is made from {kind.takes}, and its scale is open: a "
+                "joint alone is weighed with motions of known loads (`calibrate --reference BAG=KG ..`, three or more)"
+            )
+            found.append(Finding("voltage_driven", why, (name,)))
+    return tuple(found)
 
 
 def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
@@ -231,9 +217,8 @@ def _motion_check(robot: Robot, recording: Recording, motion: Motion | None) -> 
 def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, ...]:
     """What to record instead, or beside it."""
     advice = []
-    record = recording.joints
     free = any(run.free for run in check.runs)
-    if recording.inputs is None and record.reported_effort is None and not free:
+    if recording.inputs is None and recording.joints.reported_effort is None and not free:
         advice.append(
             "what the motors gave, too: their torque or current as effort in /joint_states, or commands in /applied_effort or "
             "/current_command"
@@ -245,11 +230,9 @@ def _advice(robot: Robot, recording: Recording, check: BagCheck) -> tuple[str, .
     if not check.moves:
         advice.append("a motion: nothing moves here")
     elif check.tells is not None:
-        short = check.tells.duration_s < 15.0
-        advice.append(
-            "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
-            + (" and both for 15 s or longer" if short else "")
-        )
+        longer = " and both for 15 s or longer" if check.tells.duration_s < 15.0 else ""
+        same = "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
+        advice.append(same + longer)
     elif any(not run.problem for run in check.runs) and not free and not robot.is_calibrated():
         advice.append("runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold")
     return tuple(advice)
@@ -287,15 +270,12 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         screen_run(robot, prepared, found)
     except RecordingError as error:
         problem = str(error)
-    unit = "m" if slides else "rad"
     notes = (*run.notes, *(reason.removeprefix(f"{run.name}: ") for reason in found.reasons))
-    try:
+    width_kg = None
+    with suppress(RobotError):
         width_kg = None if problem or slides or run.free else mass_from_run(robot, run)
-    except RobotError:
-        width_kg = None
-    return RunCheck(
-        run.name, run.joint, run.duration_s, travel, unit, largest, len(run.times_s), problem, notes, width_kg, run.free
-    )
+    driven = (run.duration_s, travel, "m" if slides else "rad", largest, len(run.times_s))
+    return RunCheck(run.name, run.joint, *driven, problem, notes, width_kg, run.free)
 
 
 def _unusable_closing(run: PreparedRun) -> str:
@@ -306,25 +286,13 @@ def _unusable_closing(run: PreparedRun) -> str:
     return unusable(run) if run.used < MIN_USED else ""
 
 
-def _text_check(robot: Robot, path: Path) -> BagCheck:
+def _text_check(request: Request, path: Path) -> BagCheck:
     """A text recording is one run, driven by the torque that its setting states."""
     text = read_text_recording(path)
-    drive = robot.drive_trains.get(text.joint)
-    run = RunCheck(
-        text.name,
-        text.joint,
-        duration_s=float(text.times_s[-1]),
-        travel=float(text.relative_position[-1]),
-        unit="rad",
-        current_A=float(text.setting["torque_N_m"]) / (np.nan if drive is None else drive.nominal_effort_per_current),
-        samples=len(text.times_s),
-        problem="" if drive is not None else f"{robot.name} has no drive train for {text.joint}",
-    )
-    return BagCheck(
-        str(path),
-        (text.joint,),
-        **_spacing(text.times_s),
-        input="the torque in setting.json",
-        input_unit="N m",
-        runs=(run,),
-    )
+    drive = request.robot.drive_trains.get(text.joint)
+    current_A = float(text.setting["torque_N_m"]) / (np.nan if drive is None else drive.nominal_effort_per_current)
+    driven = (float(text.times_s[-1]), float(text.relative_position[-1]), "rad", current_A, len(text.times_s))
+    problem = "" if drive is not None else f"{request.robot.name} has no drive train for {text.joint}"
+    run = RunCheck(text.name, text.joint, *driven, problem)
+    check = BagCheck(str(path), (text.joint,), **_spacing(text.times_s), runs=(run,))
+    return replace(check, input="the torque in setting.json", input_unit="N m")

@@ -28,13 +28,10 @@ _Found = TypeVar("_Found", Motion, Sequence[Run])
 
 
 class Recordings:
-    """What was given, each recording once: a run that counts twice would narrow the interval without a reason.
-
-    Args:
-        paths: All that were given, whatever for.
+    """All that was given, each recording once: a run that counts twice would narrow the interval without a reason.
 
     Raises:
-        ConfigurationError: Two of them lead to the same place.
+        ConfigurationError: Two of the paths lead to the same place.
     """
 
     def __init__(self, paths: Sequence[str | Path]) -> None:
@@ -77,7 +74,7 @@ def bag_runs(path: Path, request: Request) -> tuple[Run, ...]:
     """The runs of one bag, named after it.
 
     Raises:
-        RecordingError: it cannot be read, or holds no runs.
+        RecordingError: It cannot be read, or holds no runs.
     """
     recording = bag_recording(path, request)
     runs = cut_runs(recording, held=request.locked, joints=list(request.robot.drive_trains))
@@ -88,7 +85,7 @@ def bag_motion(path: Path, request: Request) -> Motion:
     """One bag as a motion of all joints that have a motor and turn, named after it.
 
     Raises:
-        RecordingError: it cannot be read, or nothing moves in it.
+        RecordingError: It cannot be read, or nothing moves in it.
     """
     return _motion(bag_recording(path, request), request)
 
@@ -97,7 +94,7 @@ def bag_runs_or_motion(path: Path, request: Request) -> tuple[Run, ...] | Motion
     """The runs of one bag, or its motion where several joints were driven at once, or one under a controller.
 
     Raises:
-        RecordingError: it cannot be read, or holds neither.
+        RecordingError: It cannot be read, or holds neither.
     """
     recording = bag_recording(path, request)
     found = runs_or_motion(recording, request)
@@ -105,11 +102,7 @@ def bag_runs_or_motion(path: Path, request: Request) -> tuple[Run, ...] | Motion
 
 
 def runs_or_motion(recording: Recording, request: Request) -> tuple[Run, ...] | Motion:
-    """The same of a recording that was read.
-
-    Raises:
-        RecordingError: it holds neither.
-    """
+    """The same of a recording that was read."""
     if _under_a_controller(recording, request.robot):
         return _motion(recording, request)
     try:
@@ -149,7 +142,7 @@ def bag_recording(path: Path, request: Request) -> Recording:
     """What one bag, or one episode of a data set, holds for a robot, named after it.
 
     Raises:
-        RecordingError: it cannot be read.
+        RecordingError: It cannot be read.
     """
     robot, options, unit, episode = request.robot, request.options, request.unit, episode_of(path)
     if request.driver is not None and request.driver.refused:
@@ -183,8 +176,7 @@ def bag_recording(path: Path, request: Request) -> Recording:
         notes += check_motors(path, robot, options.state_topic)
     if request.driver is not None:
         notes += _implausible_unit(recording, request)
-    inputs = recording.inputs
-    if unit == "N.m" and is_description(str(robot.source)) and inputs is not None:
+    if unit == "N.m" and is_description(str(robot.source)) and (inputs := recording.inputs) is not None:
         if not inputs.measured and inputs.unit != "N.m":
             raise RecordingError(
                 f"{path}: {inputs.source} are currents, and {robot.source.name} states no torque constants: write a file with "
@@ -216,27 +208,22 @@ def _episode_recording(path: Path, folder: Path, index: int, request: Request) -
 
 
 def _implausible_unit(recording: Recording, request: Request) -> tuple[str, ...]:
-    """A note where the effort is far from what gravity needs in the unit that holds."""
-    driver = request.driver
-    for each in plausible_units(recording, request.robot)[1]:
-        if each.unit == request.unit and not each.plausible and driver is not None:
-            ratio = f"{float(np.median(list(each.ratio.values()))):.2g}"
-            return (
-                f"effort in {each.unit} (--driver {driver.name}) is {ratio} times the torque that gravity needs by the URDF, "
-                "and an empty hand gives 1: is it this driver, and are the torque constants right?",
-            )
-    return ()
+    """A note where the effort is far from what gravity needs in the unit of the driver's profile."""
+    assert request.driver is not None
+    return tuple(
+        f"effort in {each.unit} (--driver {request.driver.name}) is {np.median(list(each.ratio.values())):.2g} times the torque "
+        "that gravity needs by the URDF, and an empty hand gives 1: is it this driver, and are the torque constants right?"
+        for each in plausible_units(recording, request.robot)[1]
+        if each.unit == request.unit and not each.plausible
+    )
 
 
 def plausible_units(
     recording: Recording, robot: Robot, without: Collection[str] = ()
 ) -> tuple[dict[str, float], tuple[EffortUnit, ...]]:
-    """Effort over what gravity needs, by joint, and how plausible units are by it.
+    """Effort over what gravity needs by the robot's URDF, by joint, and how plausible units are by it.
 
-    Args:
-        recording: with effort.
-        robot: whose URDF says what gravity needs.
-        without: joints whose effort is of no use.
+    ``without`` are joints whose effort is of no use.
     """
     try:
         per_torque = effort_per_torque(recording, robot)
@@ -249,13 +236,10 @@ def plausible_units(
 
 
 def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str, ...]:
-    """Whether a bag is of the arm that was calibrated, as far as both say whose it is.
-
-    Returns:
-        A note where the same motors have other firmware now.
+    """A note where a bag is of the motors that were calibrated, but these have other firmware now.
 
     Raises:
-        RecordingError: It is of another arm, or cannot be read.
+        RecordingError: It is of another arm, as far as both say whose it is, or cannot be read.
     """
     if robot.calibration is None or not robot.calibration.motors:
         return ()

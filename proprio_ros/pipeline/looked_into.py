@@ -65,17 +65,14 @@ class RunCheck:
         if not self.problem and self.mass_half_width_kg is not None:
             judged += f"; alone it tells a light object's mass to about +-{_grams(self.mass_half_width_kg)}"
         if self.free:
-            about = (
-                f"a free swing of {self.joint}: torque off, {self.duration_s:.2f} s until it hangs still, "
-                f"over {self.travel:.2f} {self.unit}"
-            )
+            until = f"{self.duration_s:.2f} s until it hangs still, over {self.travel:.2f} {self.unit}"
+            about = f"a free swing of {self.joint}: torque off, {until}"
         else:
             moved = f"{1e3 * self.current_A:+.0f} mA for {self.duration_s:.2f} s, travel {self.travel:+.3f} {self.unit}"
             about = f"run of {self.joint}: {moved}"
-        lines = [f"  {about}, {self.samples} samples: {judged}"]
-        if self.free and not self.problem:
-            lines.append(f"    {FREE_SWING}")
-        return [*lines, *(f"    note: {note}" for note in self.notes)]
+        good_for = [f"    {FREE_SWING}"] * (self.free and not self.problem)
+        notes = [f"    note: {note}" for note in self.notes]
+        return [f"  {about}, {self.samples} samples: {judged}", *good_for, *notes]
 
 
 @dataclass(frozen=True)
@@ -100,10 +97,8 @@ class MotionCheck:
             more = "as much of the mass as the torque constants are uncertain"
         else:
             more = f"{100.0 * self.mass_half_width_per_kg:.0f} % of the mass, which is how well the torque constants are known"
-        return (
-            "beside the same motion with an empty hand it tells a light object's mass to about "
-            f"+-{_grams(self.mass_half_width_kg)} (95 %), and {more}"
-        )
+        width = f"+-{_grams(self.mass_half_width_kg)} (95 %)"
+        return f"beside the same motion with an empty hand it tells a light object's mass to about {width}, and {more}"
 
     def as_json(self) -> dict[str, Any]:
         return _named(self, "joints", "duration_s", "mass_half_width_kg", "mass_half_width_per_kg")
@@ -165,23 +160,19 @@ class BagCheck:
         return sum(not run.problem for run in self.runs) + (self.motion is not None)
 
     def as_json(self) -> dict[str, Any]:
-        motion = self.motion
-        record = plain(
-            {
-                **_named(self, "bag", "joints", "duration_s", "rate_Hz", "gaps", "longest_gap_s"),
-                "topics": [{"name": name, "type": kind, "messages": count} for name, kind, count in self.topics],
-                **_named(self, "state_topic", "input", "input_unit", "runs"),
-                "motion": motion and {"joints": motion.moved, "duration_s": motion.times_s[-1]},
-                "usable_runs": self.usable,
-                "problem": self.problem or None,
-                **_named(
-                    self, "notes", "moves", "still", "findings", "effort_units", "effort_per_N_m", "tells", "record"
-                ),
-                "driver": self.driver and self.driver.name,
-                "fitting_drivers": self.fitting,
-            }
-        )
-        return dict(record)
+        motion, seen = self.motion, ("notes", "moves", "still", "findings", "effort_units", "effort_per_N_m", "tells")
+        record = {
+            **_named(self, "bag", "joints", "duration_s", "rate_Hz", "gaps", "longest_gap_s"),
+            "topics": [{"name": name, "type": kind, "messages": count} for name, kind, count in self.topics],
+            **_named(self, "state_topic", "input", "input_unit", "runs"),
+            "motion": motion and {"joints": motion.moved, "duration_s": motion.times_s[-1]},
+            "usable_runs": self.usable,
+            "problem": self.problem or None,
+            **_named(self, *seen, "record"),
+            "driver": self.driver and self.driver.name,
+            "fitting_drivers": self.fitting,
+        }
+        return dict(plain(record))
 
     def as_text(self) -> str:
         """For the terminal."""
@@ -196,8 +187,7 @@ class BagCheck:
             lines.append(f"  input: {self.input}" + (f" ({self.input_unit})" if self.input_unit else ""))
         lines += [f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics]
         lines += self._driver_lines()
-        for run in self.runs:
-            lines += run.lines()
+        lines += [line for run in self.runs for line in run.lines()]
         if self.motion is not None:
             lines.append(f"  {self._about_motion(self.motion)}")
         if self.tells is not None:
@@ -227,16 +217,13 @@ class BagCheck:
 
     def _driver_lines(self) -> list[str]:
         stated = self.driver
-        lines = []
-        if stated is not None:
-            lines = [f"  driver: {stated.name}, {stated.title}", *(f"    {note}" for note in stated.notes)]
-        if not self.fitting or (stated is not None and {stated.name, *stated.extends} & set(self.fitting)):
-            return lines
         words = f"its topics are those of {' or '.join(self.fitting)}"
-        if stated is not None:
-            return [*lines, f"  problem: {words}, not of {stated.name}"]
-        which = "one" if len(self.fitting) > 1 else "it"
-        return [*lines, f"  driver: {words}; state {which} with --driver, none is used before"]
+        if stated is None:
+            which = "one" if len(self.fitting) > 1 else "it"
+            return [f"  driver: {words}; state {which} with --driver, none is used before"] * bool(self.fitting)
+        lines = [f"  driver: {stated.name}, {stated.title}", *(f"    {note}" for note in stated.notes)]
+        other = self.fitting and not {stated.name, *stated.extends} & set(self.fitting)
+        return [*lines, *[f"  problem: {words}, not of {stated.name}"] * bool(other)]
 
     def _effort_lines(self) -> list[str]:
         if not self.effort_per_N_m:
@@ -244,19 +231,16 @@ class BagCheck:
         joints = ", ".join(self.effort_per_N_m)
         parts = []
         for unit in self.effort_units:
-            ends = [_short(edge) for edge in (min(unit.ratio.values()), max(unit.ratio.values()))]
-            parts.append(
-                f"{' to '.join(dict.fromkeys(ends))} in {unit.unit}" + (" (plausible)" if unit.plausible else "")
-            )
+            ends = dict.fromkeys(_short(edge) for edge in (min(unit.ratio.values()), max(unit.ratio.values())))
+            parts.append(f"{' to '.join(ends)} in {unit.unit}{' (plausible)' if unit.plausible else ''}")
         lines = [
             f"  effort over the torque that gravity needs by the URDF, of {joints}: {'; '.join(parts)}; an empty hand gives 1, a "
             "load more; nothing is chosen by it"
         ]
         if len(self.effort_units) == 1:
             constants = ", ".join(_short(1.0 / abs(value)) for value in self.effort_per_N_m.values())
-            lines.append(
-                f"  were it a current and the hand empty, the torque constants would be {constants} N m per unit of it"
-            )
+            would = f"the torque constants would be {constants} N m per unit of it"
+            lines.append(f"  were it a current and the hand empty, {would}")
         if all(value < 0.0 for value in self.effort_per_N_m.values()):
             lines.append("  the effort has the sign of the torque that gravity makes, not of what holds against it")
         return lines

@@ -37,12 +37,12 @@ def replay(paths: str | Path | Sequence[str | Path], options: Options | None = N
     """Identify what the probe names from one or more recordings of the same object.
 
     Args:
-        paths: bags (folders or files, either storage) or text recordings; all runs in all of them give one estimate. One path
+        paths: Bags (folders or files, either storage) or text recordings; all runs in all of them give one estimate. One path
             may stand alone.
-        options: probe, robot and settings.
+        options: Probe, robot and settings.
 
     Raises:
-        ConfigurationError, RobotError, RecordingError: with one line that says what is wrong and what to do.
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     paths = paths_of(paths)
     started = time.perf_counter()
@@ -75,18 +75,19 @@ def read_for(request: Request, paths: Sequence[str | Path]) -> tuple[Robot, Reco
     sources: list[Path] = []  # of each run
     motions: list[Motion] = []
     text: TextRecording | None = None
+    found: Sequence[Run] | Motion
     for path in paths:
         if Path(path) in texts:
             text = read_text_recording(path)
             request = replace(request, robot=published_robot(request.robot, text))
-            runs.extend(once.checked(path, (published_run(request.robot, text, request.locked),)))
+            found = (published_run(request.robot, text, request.locked),)
         else:
             found = bag_runs_or_motion(Path(path), request)
-            if isinstance(found, Motion):
-                motions.append(once.checked(path, found))
-            else:
-                runs.extend(once.checked(path, found))
-        sources.extend([Path(path)] * (len(runs) - len(sources)))
+        if isinstance(found, Motion):
+            motions.append(once.checked(path, found))
+        else:
+            runs.extend(once.checked(path, found))
+            sources.extend([Path(path)] * len(found))
     _refuse_unsuited(request, runs, motions)
     request = replace(request, robot=aged_for(request.robot, runs, paths, options.state_topic))
     whole = replace(request, options=replace(options, span=None))
@@ -123,13 +124,7 @@ def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Mo
 
 
 def identify(request: Request, robot: Robot, read: Recorded, paths: Sequence[str | Path]) -> Estimate:
-    """Identify what the probe names from what was read.
-
-    Args:
-        request: What is asked.
-        robot: As `read_for` gave it.
-        read: The recordings.
-        paths: Where they come from.
+    """Identify what the probe names from robot and recordings as `read_for` gave them; ``paths`` say where they come from.
 
     Raises:
         RecordingError: A recording is of no use.
@@ -146,9 +141,9 @@ def identify(request: Request, robot: Robot, read: Recorded, paths: Sequence[str
     recorded = [recorded_run(robot, run) for run in read.runs]
     recorded += [recorded_run(robot, run, True) for run in read.baseline]
     notes = (*estimate.notes, *_guessed_frame(robot, request.options.settings))
-    fresh = request.robot.calibration
-    if fresh is not None and robot.calibration is not None:
-        notes += tuple(filter(None, (said(fresh, robot.drift, robot.calibration.made),)))
+    if (fresh := request.robot.calibration) is not None and robot.calibration is not None:
+        if drifted := said(fresh, robot.drift, robot.calibration.made):
+            notes += (drifted,)
     return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded))
 
 
@@ -183,31 +178,20 @@ def _guessed_frame(robot: Robot, settings: Mapping[str, Any]) -> tuple[str, ...]
     """A note where nobody said which link holds the objects."""
     if not is_description(str(robot.source)) or not {"payload.frame", "robot.payload_frame"}.isdisjoint(settings):
         return ()
-    return (
-        f"{robot.payload_frame} is taken as the link that holds the object, a guess: --set payload.frame=LINK states it",
-    )
+    frame = f"{robot.payload_frame} is taken as the link that holds the object, a guess"
+    return (f"{frame}: --set payload.frame=LINK states it",)
 
 
 def compile_for(options: Options) -> None:
     """Compile ahead what an identification with these options needs on this computer; again it costs nothing.
 
     Raises:
-        ConfigurationError, RobotError: a setting is wrong, or compiled kernels cannot be kept.
+        ConfigurationError, RobotError: A setting is wrong, or compiled kernels cannot be kept.
     """
     request = request_of(options)
     request.probe.compile(request.robot, request.facts)
 
 
 def write_report(estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = ()) -> None:
-    """Write the page for one result, with what its probe has to show; an older page of that name is replaced in one step.
-
-    Args:
-        estimate: what to show.
-        path: the HTML file.
-        command: the command line that gives the same result again.
-        sources: the recordings it came from.
-
-    Raises:
-        ConfigurationError: the file cannot be written.
-    """
+    """Write the page for one result, with what its probe has to show; see `write_page`."""
     write_page(estimate, path, probe_named(estimate.probe).sections(estimate), command=command, sources=sources)

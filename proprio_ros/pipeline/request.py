@@ -33,12 +33,12 @@ class Options:
     """What the user states; see ``proprio replay --help``.
 
     Attributes:
-        settings: dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values.
-        calibration: what ``proprio calibrate`` wrote.
-        baseline: recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
+        settings: Dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values.
+        calibration: What ``proprio calibrate`` wrote.
+        baseline: Recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
             empty container.
-        driver: profile of the driver that published; topics and unit that are stated beside it win.
-        span: the part of each recording that is read; of a baseline all is.
+        driver: Profile of the driver that published; topics and unit that are stated beside it win.
+        span: The part of each recording that is read; of a baseline all is.
     """
 
     probe: str = "payload"
@@ -65,15 +65,15 @@ class Request:
     """What is asked, as it was read; many recordings can share it.
 
     Attributes:
-        robot: with its calibration, as the settings have it.
-        options: what the user stated; the topics, unit and span of them hold for each recording.
-        facts: what is stated about the object; the probe knows their form.
-        locked: positions that are stated of joints that were not recorded [rad or m].
-        overrides: dotted settings of the robot file that are in force.
-        driver: profile of the driver that published; read here, where only the options name it.
+        robot: With its calibration, as the settings have it.
+        options: What the user stated; the topics, unit and span of them hold for each recording.
+        facts: What is stated about the object; the probe knows their form.
+        locked: Positions that are stated of joints that were not recorded [rad or m].
+        overrides: Dotted settings of the robot file that are in force.
+        driver: Profile of the driver that published; read here, where only the options name it.
 
     Raises:
-        ConfigurationError: there is no such driver, or it is wrong.
+        ConfigurationError: There is no such driver, or it is wrong.
     """
 
     robot: Robot
@@ -109,11 +109,7 @@ class Request:
 
 
 def request_of(options: Options) -> Request:
-    """Read what is asked about an object.
-
-    Raises:
-        ConfigurationError, RobotError: in one line, what is wrong with it.
-    """
+    """Read what is asked about an object; raises as `read_request` does."""
     probe = probe_asked_for(options)
     return read_request(options, lambda settings: probe.facts(settings, options.solver, options.profile))
 
@@ -122,11 +118,11 @@ def read_request(options: Options, facts: Callable[[Settings], Any] = lambda set
     """Read what is asked; whatever it is about.
 
     Args:
-        options: what the user states.
-        facts: takes what is stated about the object from the settings; what it leaves there is refused.
+        options: What the user states.
+        facts: Takes what is stated about the object from the settings; what it leaves there is refused.
 
     Raises:
-        ConfigurationError, RobotError: in one line, what is wrong with it.
+        ConfigurationError, RobotError: In one line, what is wrong with it.
     """
     driver = usable_driver(options.driver)
     settings = Settings(options.settings)
@@ -141,7 +137,7 @@ def facts_of(facts: Callable[[Settings], Any], settings: Mapping[str, Any]) -> A
     """What is stated about an object, where no robot is asked for.
 
     Raises:
-        ConfigurationError: a setting is unknown, or of the wrong form.
+        ConfigurationError: A setting is unknown, or of the wrong form.
     """
     given = Settings(settings)
     stated = facts(given)
@@ -150,11 +146,7 @@ def facts_of(facts: Callable[[Settings], Any], settings: Mapping[str, Any]) -> A
 
 
 def probe_asked_for(options: Options) -> Probe[Any]:
-    """The probe that the options name, with a solver and a profile that it has.
-
-    Raises:
-        ConfigurationError: there is none, or it lacks them.
-    """
+    """The probe that the options name; ConfigurationError: there is none, or it lacks their solver or profile."""
     probe = probe_named(options.probe)
     for flag, given, default in (("solver", options.solver, "lm"), ("profile", options.profile, "default")):
         there = {each.name: getattr(each, f"{flag}s", (default,)) for each in all_probes()}
@@ -171,7 +163,7 @@ def usable_driver(name: str | Path | None) -> Driver | None:
     """The profile of a driver, where one is stated.
 
     Raises:
-        ConfigurationError: there is none of that name, it is wrong, or nothing can be weighed with what it publishes.
+        ConfigurationError: There is none of that name, it is wrong, or nothing can be weighed with what it publishes.
     """
     driver = None if name is None else load_driver(name)
     if driver is not None and driver.refused:
@@ -183,7 +175,7 @@ def robot_of(options: Options) -> Robot:
     """The robot alone, with its calibration, as the settings about it have it; what else they say is not looked at.
 
     Raises:
-        ConfigurationError, RobotError: a setting does not fit it, it cannot be read, or the calibration is of another robot.
+        ConfigurationError, RobotError: A setting does not fit it, it cannot be read, or the calibration is of another robot.
     """
     settings = Settings(options.settings)
     driver = None if options.driver is None else load_driver(options.driver)
@@ -217,8 +209,7 @@ def _configured(options: Options, settings: Settings, unit: str | None) -> tuple
         if unit == "N.m":
             overrides = with_recorded_torque(name, overrides)
         robot = robot_named(name, overrides)
-    frame = settings.take("payload.frame", None)
-    if frame is not None:
+    if (frame := settings.take("payload.frame", None)) is not None:
         links = [link.name for link in robot.model.links]
         if frame not in links:
             raise ConfigurationError(f"payload.frame={frame!r} is no link of {robot.name}; it has: {', '.join(links)}")
@@ -228,19 +219,15 @@ def _configured(options: Options, settings: Settings, unit: str | None) -> tuple
 
 def _calibrated(calibration: str | Path, name: str | None, overrides: Mapping[str, Any]) -> Robot:
     """The robot of a calibration, which must be the one that is named, if any is."""
+    given = f"--calibration {calibration}"
     if Path(calibration).suffix not in (".yaml", ".yml"):
-        raise RobotError(
-            f"--calibration {calibration}: expected the .yaml file that `proprio calibrate --output` wrote"
-        )
+        raise RobotError(f"{given}: expected the .yaml file that `proprio calibrate --output` wrote")
     robot = robot_named(calibration, overrides)
     if robot.calibration is None and robot.motion_calibration is None and robot.joint_calibration is None:
-        raise RobotError(
-            f"--calibration {calibration}: holds no calibration; write it with `proprio calibrate --output`"
-        )
+        raise RobotError(f"{given}: holds no calibration; write it with `proprio calibrate --output`")
     if name is not None:
         asked = robot_named(name, with_recorded_torque(name, {}))
         if asked.model.fingerprint() != robot.model.fingerprint():
-            raise RobotError(
-                f"--calibration {calibration} is of {robot.name}, whose URDF is not that of --robot {name}: calibrate that robot"
-            )
+            other = f"whose URDF is not that of --robot {name}: calibrate that robot"
+            raise RobotError(f"{given} is of {robot.name}, {other}")
     return robot
