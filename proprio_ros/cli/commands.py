@@ -17,18 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from proprio_ros import schema
-from proprio_ros.cli.terminal import (
-    EXIT_INTERRUPTED,
-    EXIT_NO_ANSWER,
-    EXIT_OK,
-    calibration_as_text,
-    estimate_as_text,
-    plan_as_text,
-    say,
-    say_progress,
-    show,
-    show_json,
-)
+from proprio_ros.cli import terminal
+from proprio_ros.cli.terminal import EXIT_INTERRUPTED, EXIT_NO_ANSWER, EXIT_OK, say, say_progress
 from proprio_ros.errors import ConfigurationError, one_line, printable
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.settings import parse_settings
@@ -47,8 +37,7 @@ def _command(given: Sequence[str]) -> str:
 
 def _refuse_unwritable(report: str | None) -> None:
     """Before the work, and before anything is printed."""
-    problem = path_problem(report or ".")
-    if problem:
+    if problem := path_problem(report or "."):
         raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
     folder = Path(report or ".").resolve().parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
@@ -65,23 +54,21 @@ def _settings(pairs: Sequence[str]) -> dict[str, Any]:
 
 def _asked(options: argparse.Namespace, **read: Any) -> Options:
     """What the options of a command state; some were read already."""
+    settings = _settings(options.set)
     from proprio_ros.pipeline.request import Options
 
     given = {entry.name: getattr(options, entry.name) for entry in fields(Options) if hasattr(options, entry.name)}
-    return Options(**{**given, **read})
+    return Options(**{**given, "settings": settings, **read})
 
 
 def replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio replay``: an estimate; returns the exit code."""
     _refuse_unwritable(options.report)
-    settings = _settings(options.set)
+    asked = _asked(options, span=_span(options.span))
     from proprio_ros.pipeline.replay import replay, write_report
 
-    estimate = replay(options.bags, _asked(options, settings=settings, span=_span(options.span)))
-    if options.json:
-        show_json(estimate.as_json())
-    else:
-        show(estimate_as_text(estimate))
+    estimate = replay(options.bags, asked)
+    terminal.show(options.json, estimate.as_json(), terminal.estimate_as_text(estimate))
     if options.report:
         write_report(estimate, Path(options.report), command=_command(given), sources=options.bags)
         say(f"report written to {printable(options.report)}")
@@ -91,23 +78,19 @@ def replay(options: argparse.Namespace, given: Sequence[str]) -> int:
 def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio calibrate``: a calibration file; returns the exit code."""
     _refuse_unwritable(options.report)
-    settings = _settings(options.set)
     references = _references(options.reference)
-    from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
-
-    about = _asked(options, settings=settings, calibration=options.refresh)
     if options.refresh is not None and references:
         raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
-    how = (about, options.output, say_progress, options.force)
+    how = (_asked(options, calibration=options.refresh), options.output, say_progress, options.force)
+    from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
+
     if options.refresh is not None:
         estimate = refresh_from_bags(options.bags, *how)
     else:
         estimate = calibrate_from_bags(options.bags, references, *how)
     accepted = estimate.verdict.value == "accepted"
-    if options.json:
-        show_json({**estimate.as_json(), "output": str(options.output) if accepted else None})
-    else:
-        show(calibration_as_text(estimate))
+    written = {**estimate.as_json(), "output": str(options.output) if accepted else None}
+    terminal.show(options.json, written, terminal.calibration_as_text(estimate))
     if options.report:
         from proprio_ros.report import write_calibration_report
 
@@ -121,14 +104,12 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def check(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio check``: what is in bags; returns the exit code."""
+    asked = _asked(options)
     from proprio_ros.pipeline.check import check_bags
     from proprio_ros.pipeline.looked_into import as_json
 
-    robot, checks = check_bags(options.bags, _asked(options, settings=_settings(options.set)))
-    if options.json:
-        show_json(as_json(robot, checks))
-    else:
-        show("\n".join(check.as_text() for check in checks))
+    robot, checks = check_bags(options.bags, asked)
+    terminal.show(options.json, as_json(robot, checks), "\n".join(check.as_text() for check in checks))
     return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
 
 
@@ -137,20 +118,15 @@ def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     masses = _masses(options.mass)
     if options.count < 1:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
-    settings = _settings(options.set)
+    asked = _asked(options)
     from proprio_ros.pipeline.api import Plans
     from proprio_ros.pipeline.calibrate import plan_excitations
 
-    asked = _asked(options, settings=settings)
     plans = Plans(*plan_excitations(masses, asked, options.count, say_progress), masses)
-    robot = plans.robot
-    if options.json:
-        show_json(plans.as_json())
-        return EXIT_OK
-    if not robot.is_calibrated():
-        print("the robot has not been calibrated: the intervals carry what its file leaves open")
-    for number, plan in enumerate(plans, start=1):
-        print(f"{number:2d}. " + plan_as_text(plan))
+    open_yet = "the robot has not been calibrated: the intervals carry what its file leaves open"
+    lines = [] if plans.robot.is_calibrated() else [open_yet]
+    lines += [f"{number:2d}. {terminal.plan_as_text(plan)}" for number, plan in enumerate(plans, start=1)]
+    terminal.show(options.json, plans.as_json(), "\n".join(lines))
     return EXIT_OK
 
 
@@ -164,15 +140,13 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
     check_new_yaml(output, options.force)
     new = new_robot_file(options.urdf, output, description_of)
     write_in_one_step(output, new.text, "--output")
-    if options.json:
-        show_json(
-            {**schema.header("robot"), "robot": new.name, "output": str(output), "joints": list(new.joints),
-             "payload_frame": new.payload_frame, "to_state": list(new.to_state)}
-        )  # fmt: skip
-        return EXIT_OK
-    show(f"{output}: {new.name}, joints {', '.join(new.joints)}")
-    show(f"  state: {', '.join(dict.fromkeys(key.rpartition('.')[2] for key in new.to_state))} (marked in the file)")
-    show(f"  check: payload_frame, {new.payload_frame} is a guess")
+    about = {"robot": new.name, "output": str(output), "joints": list(new.joints), "payload_frame": new.payload_frame}
+    stated = ", ".join(dict.fromkeys(key.rpartition(".")[2] for key in new.to_state))
+    text = (
+        f"{output}: {new.name}, joints {', '.join(new.joints)}\n  state: {stated} (marked in the file)\n"
+        f"  check: payload_frame, {new.payload_frame} is a guess"
+    )
+    terminal.show(options.json, {**schema.header("robot"), **about, "to_state": list(new.to_state)}, text)
     return EXIT_OK
 
 
@@ -185,20 +159,17 @@ def table(options: argparse.Namespace, given: Sequence[str]) -> int:
     probe: HasTable[Any] = probe_that(HasTable)
     content, text = probe.rebuild_table(facts_of(probe.facts, settings))
     elapsed = time.monotonic() - started
-    if options.json:
-        show_json({**schema.header("table"), **content, "elapsed_s": elapsed})
-    else:
-        print(f"{text}\n{content['file']}, {elapsed:.1f} s")
+    whole = {**schema.header("table"), **content, "elapsed_s": elapsed}
+    terminal.show(options.json, whole, f"{text}\n{content['file']}, {elapsed:.1f} s")
     return EXIT_OK
 
 
 def warmup(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio warmup``: compiled kernels; returns the exit code."""
-    settings = parse_settings(options.set)
     from proprio_ros.pipeline.replay import compile_for
 
     for name in [options.probe] if options.probe else [probe.name for probe in all_probes()]:
-        compile_for(_asked(options, settings=settings, probe=name))
+        compile_for(_asked(options, probe=name))
         print(f"{name}: ready")
     return EXIT_OK
 
@@ -209,8 +180,7 @@ def paper(options: argparse.Namespace, given: Sequence[str]) -> int:
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
             raise ConfigurationError(f"--{name} {value}: choose {least} to {most}")
-    problem = path_problem(options.out)
-    if problem:
+    if problem := path_problem(options.out):
         raise ConfigurationError(f"--out {one_line(options.out, 60)}: {problem}")
     from proprio_ros.paper.experiments import published
     from proprio_ros.paper.page import write_paper_page
@@ -233,12 +203,11 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     for flag, engine in (("address", "ray"), ("jobs", "local")):
         if getattr(options, flag) is not None and options.engine != engine:
             raise ConfigurationError(f"--{flag} goes with --engine {engine}: add that, or leave it out")
-    settings = _settings(options.set)
+    asked = _asked(options)
     from proprio_ros.batch.job import refuse_device, run_batch
     from proprio_ros.batch.rows import Job
 
     refuse_device(options.device)
-    asked = _asked(options, settings=settings)
     outcome = run_batch(
         options.sources,
         Job(asked, options.grasps),
@@ -252,26 +221,21 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
         empty=options.empty,
         empty_first_s=options.empty_first,
     )
-    if options.json:
-        show_json(
-            {**schema.header("batch"), "folder": str(outcome.folder), "episodes": outcome.episodes,
-             "done_before": outcome.before, "verdicts": outcome.verdicts}
-        )  # fmt: skip
-        return EXIT_OK
-    show(f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items()))
-    show(f"rows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}")
+    done = {"episodes": outcome.episodes, "done_before": outcome.before, "verdicts": outcome.verdicts}
+    text = f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items())
+    text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
+    terminal.show(options.json, {**schema.header("batch"), "folder": str(outcome.folder), **done}, text)
     return EXIT_OK
 
 
 def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio demo``: a virtual robot, live; returns the exit code."""
-    examples = [probe.example for probe in all_probes() if probe.example is not None]
     probe = probe_named(options.probe)
     example = probe.example
     assert example is not None
-    for other in examples:
-        if other.flag != example.flag and getattr(options, other.flag) is not None:
-            raise ConfigurationError(f"--{other.flag} says nothing about --probe {options.probe}; leave it out")
+    for other in (each.example.flag for each in all_probes() if each.example is not None):
+        if other != example.flag and getattr(options, other) is not None:
+            raise ConfigurationError(f"--{other} says nothing about --probe {options.probe}; leave it out")
     stated = getattr(options, example.flag)
     truth = example.truth if stated is None else stated
     if not example.lowest <= truth <= example.highest:
@@ -284,15 +248,9 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
         raise ConfigurationError(
             f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
         ) from error
-    result = demo(
-        probe,
-        truth,
-        folder=Path(options.output),
-        seed=options.seed,
-        robot=options.robot or "open_manipulator_x",
-        full=options.full,
-        tell=say,
-    )
+    robot = options.robot or "open_manipulator_x"
+    how = {"folder": Path(options.output), "seed": options.seed, "robot": robot, "full": options.full}
+    result = demo(probe, truth, **how, tell=say)
     print(result.sentence)
     if result.value is not None:
         truth_shown = shown(probe.answer[1], result.truth, spec=".1f")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 from proprio_ros.cli import commands as obey
@@ -14,9 +14,39 @@ from proprio_ros.probes import all_probes, probe_that
 from proprio_ros.probes.base import Carries, HasSolvers
 from proprio_ros.version import __version__
 
-Commands = Any
-"""What a command is added to; argparse has no public name for it."""
 EXIT_CODES = "Exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide."
+EXIT_WRITTEN = "Exit code: 0 written, 2 bad input."
+GOES_ON = f"{EXIT_WRITTEN} Ctrl-C stops; the same command goes on."
+SHARED: dict[str, dict[str, Any]] = {
+    "robot": {
+        "metavar": "NAME|FILE|URDF",
+        "help": "robot of config/robots, a robot file, or a URDF alone (default open_manipulator_x)",
+    },
+    "calibration": {"metavar": "FILE", "help": "what `proprio calibrate` wrote"},
+    "set": {
+        "action": "append",
+        "default": [],
+        "metavar": "KEY=VALUE",
+        "help": "a fact about the object or a setting, VALUE in JSON: payload.com=[0,0,0.01], payload.shape=cube, "
+        "payload.size=0.03, held.joint1=0.2, robot.joints.joint3.drive_train.coulomb_N_m=0.05",
+    },
+    "driver": {
+        "metavar": "NAME|FILE",
+        "help": "which driver published, and so where what stands and what its effort is: a profile of config/drivers, such as "
+        "ros2_control, or one of your own; the next three win over it",
+    },
+    "state-topic": {"metavar": "T"},
+    "command-topic": {"metavar": "T"},
+    "effort-unit": {
+        "choices": ("N.m", "A", "mA", "raw"),
+        "help": "what `effort` of the joint states means; never guessed",
+    },
+    "force": {"action": "store_true", "help": "replace an older file of that name"},
+    "json": {"action": "store_true", "help": "print one JSON object"},
+    "report": {"metavar": "FILE.html", "help": "write a page with plots"},
+}
+"""Options that several commands have."""
+TOPICS = ("driver", "state-topic", "command-topic", "effort-unit")
 
 
 class UsageError(SystemExit):
@@ -39,9 +69,15 @@ class _Once(argparse.Action):
 
 
 class _Parser(argparse.ArgumentParser):
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, *arguments: Any, command: Any = None, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.register("action", None, _Once)
+        self.set_defaults(command=command)
+
+    def share(self, *names: str) -> None:
+        """Take options that other commands have, too."""
+        for name in names:
+            self.add_argument(f"--{name}", **SHARED[name])
 
     def error(self, message: str) -> NoReturn:
         message = one_line(message)
@@ -55,24 +91,23 @@ def make_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="proprio", description="A robot arm's sense of weight and softness.")
     parser.add_argument("--version", action="version", version=f"proprio {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (_replay, _calibrate, _check, _plan, _robot, _table, _warmup, _paper, _batch, _demo):
-        add(commands)
+    for make in (_replay, _calibrate, _check, _plan, _robot, _table, _warmup, _paper, _batch, _demo):
+        make(commands.add_parser)
     return parser
 
 
-def _replay(commands: Commands) -> None:
-    it = commands.add_parser(
+def _replay(add: Callable[..., _Parser]) -> None:
+    it = add(
         "replay",
+        command=obey.replay,
         help="identify from recorded bags",
         description="Identify what the hand holds from recorded bags (sqlite3 or MCAP). Several bags give one pooled estimate.",
         epilog=EXIT_CODES,
     )
-    it.add_argument(
-        "bags", nargs="+", metavar="BAG", help="bag folder or file, or a folder with trajectory.csv, setting.json"
-    )
+    folders = "bag folder or file, or a folder with trajectory.csv, setting.json"
+    it.add_argument("bags", nargs="+", metavar="BAG", help=folders)
     it.add_argument("--probe", required=True, choices=_names(), help="what to identify")
-    _add_robot(it)
-    _add_calibration(it)
+    it.share("robot", "calibration")
     it.add_argument(
         "--baseline",
         nargs="+",
@@ -82,40 +117,32 @@ def _replay(commands: Commands) -> None:
         help="runs made with the others and fitted together with them: with an empty hand, to check whether the robot has changed "
         "since its calibration; for --probe container with the empty container",
     )
-    _add_set(it)
-    it.add_argument(
-        "--solver",
-        default="lm",
-        choices=_choices(probe.solvers for probe in all_probes() if isinstance(probe, HasSolvers)),
-    )
-    it.add_argument(
-        "--profile",
-        default="default",
-        choices=_choices(probe.profiles for probe in all_probes() if isinstance(probe, HasSolvers)),
-        help="paper: the paper's own method",
-    )
-    _add_topics(it)
+    it.share("set")
+    solving = [probe for probe in all_probes() if isinstance(probe, HasSolvers)]
+    it.add_argument("--solver", default="lm", choices=_choices(probe.solvers for probe in solving))
+    profiles = _choices(probe.profiles for probe in solving)
+    it.add_argument("--profile", default="default", choices=profiles, help="paper: the paper's own method")
+    it.share(*TOPICS)
     it.add_argument(
         "--span",
         metavar="FROM:TO",
         help="only this part of each recording, in seconds since its first joint state was recorded (FROM: to the end)",
     )
-    _add_output(it)
-    it.set_defaults(command=obey.replay)
+    it.share("json", "report")
 
 
-def _calibrate(commands: Commands) -> None:
-    it = commands.add_parser(
+def _calibrate(add: Callable[..., _Parser]) -> None:
+    it = add(
         "calibrate",
+        command=obey.calibrate,
         help="calibrate the robot from empty-hand runs",
         description="Learn torque constants, friction, armature and the arm's weight from runs with nothing in the hand, and "
         "optionally with a weighed reference. Lift, lower and drive each joint; `proprio plan` and the result say which runs help. "
         "Bags in which several joints moved at once do, too: they calibrate the arm for weighing in motion.",
         epilog=EXIT_CODES,
     )
-    it.add_argument(
-        "bags", nargs="*", metavar="BAG", help="runs, or motions of several joints, with nothing in the hand"
-    )
+    empty = "runs, or motions of several joints, with nothing in the hand"
+    it.add_argument("bags", nargs="*", metavar="BAG", help=empty)
     it.add_argument(
         "--reference",
         nargs="+",
@@ -130,137 +157,112 @@ def _calibrate(commands: Commands) -> None:
         metavar="OLD.yaml",
         help="bring this calibration up to date: what drift has left of it is the prior, so that a few empty-hand runs are enough",
     )
-    _add_force(it)
-    _add_robot(it)
-    _add_set(it)
-    _add_topics(it)
-    _add_output(it)
-    it.set_defaults(command=obey.calibrate)
+    it.share("force", "robot", "set", *TOPICS, "json", "report")
 
 
-def _check(commands: Commands) -> None:
-    it = commands.add_parser(
+def _check(add: Callable[..., _Parser]) -> None:
+    it = add(
         "check",
+        command=obey.check,
         help="what is in a bag, and which runs of it could be used",
         description="Joints, rate, gaps and topics of each bag, the input that would be used, and the runs in it: before any fit.",
         epilog="Exit code: 0 at least one run is usable, 2 bad input, 3 none is.",
     )
     it.add_argument("bags", nargs="+", metavar="BAG", help="as for replay")
-    _add_robot(it)
-    _add_set(it)
-    _add_topics(it)
-    _add_json(it)
-    it.set_defaults(command=obey.check)
+    it.share("robot", "set", *TOPICS, "json")
 
 
-def _plan(commands: Commands) -> None:
-    it = commands.add_parser(
+def _plan(add: Callable[..., _Parser]) -> None:
+    it = add(
         "plan",
+        command=obey.plan,
         help="which run to make for an object of about this mass",
         description="Rank start poses and currents by the interval that a weighing from there would give.",
     )
     planned = probe_that(Carries).name
     it.add_argument("--probe", default=planned, choices=(planned,), help="what is to be identified")
-    it.add_argument(
-        "--mass", required=True, metavar="KG|KG..KG", help="mass, or lightest and heaviest, of what the hand will hold"
-    )
+    masses = "mass, or lightest and heaviest, of what the hand will hold"
+    it.add_argument("--mass", required=True, metavar="KG|KG..KG", help=masses)
     it.add_argument("--count", type=int, default=10, metavar="N", help="at most so many plans (default 10)")
-    _add_robot(it)
-    _add_calibration(it)
-    _add_set(it)
-    _add_json(it)
-    it.set_defaults(command=obey.plan)
+    it.share("robot", "calibration", "set", "json")
 
 
-def _robot(commands: Commands) -> None:
-    it = commands.add_parser(
+def _robot(add: Callable[..., _Parser]) -> None:
+    it = add(
         "robot",
         help="a robot file for another arm",
         description="Robot files say what an arm's motors are, and how well each number is known.",
     )
-    robot_commands = it.add_subparsers(required=True, metavar="COMMAND")
-    new = robot_commands.add_parser(
+    new = it.add_subparsers(required=True, metavar="COMMAND").add_parser(
         "new",
+        command=obey.robot_new,
         help="write a robot file to fill in, from a URDF",
         description="Write a robot file with every joint of a URDF that a motor could drive, and every key with its default, its "
         "unit and what it is for. What must be stated says so; everything else has a wide default.",
-        epilog="Exit code: 0 written, 2 bad input.",
+        epilog=EXIT_WRITTEN,
     )
-    new.add_argument(
-        "urdf",
-        metavar="URDF",
-        help="URDF file, a bag that holds /robot_description, or robot_descriptions:NAME of the package of that name",
-    )
+    sources = "URDF file, a bag that holds /robot_description, or robot_descriptions:NAME of the package of that name"
+    new.add_argument("urdf", metavar="URDF", help=sources)
     new.add_argument("--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`")
-    _add_force(new)
-    _add_json(new)
-    new.set_defaults(command=obey.robot_new)
+    new.share("force", "json")
 
 
-def _table(commands: Commands) -> None:
-    it = commands.add_parser(
+def _table(add: Callable[..., _Parser]) -> None:
+    it = add(
         "table",
+        command=obey.table,
         help="compute anew how a soft block answers a squeeze",
         description="The softness probe reads a block's force from a table that finite elements made. It is made when it is first "
         "needed, and again when the code or the block has changed; this makes it now. `--set block...` as for `replay`.",
     )
-    _add_set(it)
-    _add_json(it)
-    it.set_defaults(command=obey.table)
+    it.share("set", "json")
 
 
-def _warmup(commands: Commands) -> None:
-    it = commands.add_parser(
+def _warmup(add: Callable[..., _Parser]) -> None:
+    it = add(
         "warmup",
+        command=obey.warmup,
         help="compile now what the first call would wait for",
         description="Simulations run in kernels that are compiled where they run, once on each computer. The first call waits for "
         "that, and so does the identifier when it starts; this does it now, for instance after an installation.",
     )
     it.add_argument("--probe", choices=_names(), help="only what this one needs (default all)")
-    _add_robot(it)
-    _add_set(it)
-    it.set_defaults(command=obey.warmup)
+    it.share("robot", "set")
 
 
-def _paper(commands: Commands) -> None:
-    it = commands.add_parser(
+def _paper(add: Callable[..., _Parser]) -> None:
+    it = add(
         "paper",
+        command=obey.paper,
         help="run the paper's experiments again and write one page",
         description="Run the experiments of the paper that this package follows, in its way and in ours, on recordings of a "
         "simulated arm (extra sim), and write DIR/paper.html with its tables and figures. Rows are kept in DIR/rows: a run that "
         "was stopped goes on.",
-        epilog="Exit code: 0 written, 2 bad input. Ctrl-C stops; the same command goes on.",
+        epilog=GOES_ON,
     )
     it.add_argument("--out", required=True, metavar="DIR", help="for the page and its rows")
     it.add_argument("--seeds", type=int, default=5, metavar="N", help="robots that are drawn (default 5)")
     it.add_argument("--only", nargs="+", action="extend", default=[], metavar="NAME", help="experiments (default all)")
     it.add_argument("--jobs", type=int, metavar="N", help="processes (default one per processor, 2 at most)")
-    it.add_argument(
-        "--recording",
-        metavar="FOLDER",
-        help="the paper's public recording (trajectory.csv and setting.json), for a section of its own",
-    )
-    it.set_defaults(command=obey.paper)
+    public = "the paper's public recording (trajectory.csv and setting.json), for a section of its own"
+    it.add_argument("--recording", metavar="FOLDER", help=public)
 
 
-def _batch(commands: Commands) -> None:
-    it = commands.add_parser(
+def _batch(add: Callable[..., _Parser]) -> None:
+    it = add(
         "batch",
+        command=obey.batch,
         help="the same over many recordings and data sets",
         description="Identify what the hand held in every recording of folders and LeRobot data sets (extra batch), each as "
         "`proprio replay` would, and write a row per episode to DIR/rows (parquet) and a page, DIR/batch.html. A run that was "
         "stopped goes on. An episode that cannot be read is a row with its reason.",
-        epilog="Exit code: 0 written, 2 bad input. Ctrl-C stops; the same command goes on.",
+        epilog=GOES_ON,
     )
-    it.add_argument(
-        "sources", nargs="+", metavar="SOURCE", help="bags, LeRobot data sets (2.1 and 3), folders of them, or globs"
-    )
+    sources = "bags, LeRobot data sets (2.1 and 3), folders of them, or globs"
+    it.add_argument("sources", nargs="+", metavar="SOURCE", help=sources)
     it.add_argument("--out", required=True, metavar="DIR", help="for rows and page")
     it.add_argument("--probe", default="payload", choices=_names(), help="default payload")
-    _add_robot(it)
-    _add_calibration(it)
-    _add_set(it)
-    _add_topics(it)
+    it.share("robot", "calibration", "set", *TOPICS)
     it.add_argument(
         "--grasps",
         action="store_true",
@@ -278,22 +280,18 @@ def _batch(commands: Commands) -> None:
         help="calibrate the arm with the first seconds of episodes: the hand is known to be empty then, and what it holds later is "
         "asked",
     )
-    it.add_argument(
-        "--engine",
-        default="local",
-        choices=("local", "ray"),
-        help="local: processes of this machine (default); ray: a Ray cluster (extra ray)",
-    )
+    engines = "local: processes of this machine (default); ray: a Ray cluster (extra ray)"
+    it.add_argument("--engine", default="local", choices=("local", "ray"), help=engines)
     it.add_argument("--jobs", type=int, metavar="N", help="processes of the local engine (default one per core)")
     it.add_argument("--address", metavar="HOST:PORT", help="of the Ray cluster (default the one that runs here)")
     it.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="cuda is refused for now")
-    _add_json(it)
-    it.set_defaults(command=obey.batch)
+    it.share("json")
 
 
-def _demo(commands: Commands) -> None:
-    it = commands.add_parser(
+def _demo(add: Callable[..., _Parser]) -> None:
+    it = add(
         "demo",
+        command=obey.demo,
         help="a virtual robot weighs itself and an object, live",
         description="Start a virtual robot and the three nodes as processes, calibrate the robot, weigh an object or a sphere, or "
         "squeeze a block.",
@@ -306,17 +304,11 @@ def _demo(commands: Commands) -> None:
         stated = [example for example in examples.values() if example.flag == flag]
         words = ", ".join(f"{example.help} ({example.truth:g})" for example in stated)
         it.add_argument(f"--{flag}", type=float, metavar=stated[0].metavar, help=words)
-    it.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="draws the arm's hidden friction, torque constants .."
-    )
-    it.add_argument(
-        "--full",
-        action="store_true",
-        help="calibrate all joints, as on a real arm (a minute more)",
-    )
+    hidden = "draws the arm's hidden friction, torque constants .."
+    it.add_argument("--seed", type=int, default=1, metavar="N", help=hidden)
+    it.add_argument("--full", action="store_true", help="calibrate all joints, as on a real arm (a minute more)")
     it.add_argument("--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs")
-    _add_robot(it)
-    it.set_defaults(command=obey.demo)
+    it.share("robot")
 
 
 def _names() -> list[str]:
@@ -326,55 +318,3 @@ def _names() -> list[str]:
 def _choices(groups: Iterable[Sequence[str]]) -> tuple[str, ...]:
     """Each once, in the order in which they come."""
     return tuple(dict.fromkeys(choice for group in groups for choice in group))
-
-
-def _add_robot(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--robot",
-        metavar="NAME|FILE|URDF",
-        help="robot of config/robots, a robot file, or a URDF alone (default open_manipulator_x)",
-    )
-
-
-def _add_set(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="a fact about the object or a setting, VALUE in JSON: payload.com=[0,0,0.01], payload.shape=cube, payload.size=0.03, "
-        "held.joint1=0.2, robot.joints.joint3.drive_train.coulomb_N_m=0.05",
-    )
-
-
-def _add_topics(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--driver",
-        metavar="NAME|FILE",
-        help="which driver published, and so where what stands and what its effort is: a profile of config/drivers, such as "
-        "ros2_control, or one of your own; the next three win over it",
-    )
-    parser.add_argument("--state-topic", metavar="T")
-    parser.add_argument("--command-topic", metavar="T")
-    parser.add_argument(
-        "--effort-unit",
-        choices=("N.m", "A", "mA", "raw"),
-        help="what `effort` of the joint states means; never guessed",
-    )
-
-
-def _add_calibration(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--calibration", metavar="FILE", help="what `proprio calibrate` wrote")
-
-
-def _add_force(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--force", action="store_true", help="replace an older file of that name")
-
-
-def _add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-
-
-def _add_output(parser: argparse.ArgumentParser) -> None:
-    _add_json(parser)
-    parser.add_argument("--report", metavar="FILE.html", help="write a page with plots")

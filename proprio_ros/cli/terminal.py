@@ -17,18 +17,13 @@ EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
     """With ``--json``, stdout always gets one object; returns the exit code."""
     if "--json" in given:
-        show_json(schema.error(sentence, exit_code))
+        show(True, schema.error(sentence, exit_code))
     return exit_code
 
 
-def show_json(content: Mapping[str, Any]) -> None:
-    """The one object of ``--json``."""
-    print(json.dumps(content, indent=1))
-
-
-def show(text: str) -> None:
-    """Lines of a result; whatever else moves a cursor is escaped (names in notes and reasons are others')."""
-    print("\n".join(printable(line) for line in text.split("\n")))
+def show(as_json: bool, content: Mapping[str, Any], text: str = "") -> None:
+    """A result: the one object of ``--json``, or its lines; what else moves a cursor is escaped (names in notes are others')."""
+    print(json.dumps(content, indent=1) if as_json else "\n".join(printable(line) for line in text.split("\n")))
 
 
 def say(message: str) -> None:
@@ -45,21 +40,13 @@ def say_progress(message: str) -> None:
 
 def estimate_as_text(estimate: Any) -> str:
     """An answer, line by line."""
-    lines = [
-        f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {estimate.runs} run{'s' * (estimate.runs != 1)})"
-    ]
-    for value in estimate.values:
-        lines.append("  " + _value_text(value, estimate.interval_first))
-    for reason in estimate.reasons:
-        lines.append(f"  - {reason}")
-    if estimate.fit is not None:
-        fit = estimate.fit
-        lines.append(
-            f"  fit: rms {shown(fit.unit, fit.rms)}, expected {shown(fit.unit, fit.expected_rms)}, "
-            f"reduced chi-square {fit.reduced_chi2:.2f}"
-        )
-    if estimate.solver is not None:
-        solver = estimate.solver
+    runs = f"{estimate.runs} run{'s' * (estimate.runs != 1)}"
+    lines = [f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {runs})"]
+    lines += ["  " + _value_text(value, estimate.interval_first) for value in estimate.values]
+    lines += [f"  - {reason}" for reason in estimate.reasons]
+    if (fit := estimate.fit) is not None:
+        lines.append(f"{_fit_text(fit)}, reduced chi-square {fit.reduced_chi2:.2f}")
+    if (solver := estimate.solver) is not None:
         lines.append(f"  solver: {solver.name}, {solver.starts_agreeing} of {len(solver.paths)} starts agree")
     lines += [f"  assumed: {assumption}" for assumption in estimate.assumptions]
     lines += [f"  note: {note}" for note in estimate.notes]
@@ -79,28 +66,20 @@ def calibration_as_text(estimate: Any) -> str:
     listed = [row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"]
     for row in listed:
         unit = "" if row.unit == "1" else " " + row.unit
-        lines.append(
-            f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   ({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
-        )
-    if len(listed) < len(estimate.unknowns):
-        lines.append(
-            f"  and {len(estimate.unknowns) - len(listed)} more: zeros, encoder errors and links (see --json, --report)"
-            if of_runs
-            else f"  {len(estimate.unknowns)} numbers of bodies, rotors and friction (see --json, --report)"
-        )
+        before = f"({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
+        lines.append(f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   {before}")
+    if more := len(estimate.unknowns) - len(listed):
+        what = "more: zeros, encoder errors and links" if of_runs else "numbers of bodies, rotors and friction"
+        lines.append(f"  {'and ' * of_runs}{more} {what} (see --json, --report)")
     if estimate.fit is not None:
-        fit = estimate.fit
-        lines.append(f"  fit: rms {shown(fit.unit, fit.rms)}, expected {shown(fit.unit, fit.expected_rms)}")
-    lines += [
-        f"  {each.name}, weighed by the others: {shown('kg', each.mass_kg, spec='.1f')} +- "
-        f"{shown('kg', each.half_width, spec='.1f')} (95 %)"
-        for each in estimate.weighed_empty
-    ]
+        lines.append(_fit_text(estimate.fit))
+    for each in estimate.weighed_empty:
+        mass, half_width = (shown("kg", kg, spec=".1f") for kg in (each.mass_kg, each.half_width))
+        lines.append(f"  {each.name}, weighed by the others: {mass} +- {half_width} (95 %)")
     if estimate.held_out:
         worst = max(estimate.held_out, key=lambda run: run.reduced_chi2)
-        lines.append(
-            f"  held-out prediction of each run: reduced chi-square at most {worst.reduced_chi2:.2f} ({worst.name})"
-        )
+        at_most = f"reduced chi-square at most {worst.reduced_chi2:.2f} ({worst.name})"
+        lines.append(f"  held-out prediction of each run: {at_most}")
     lines += [f"  not separated: {sentence}" for sentence in estimate.not_separated]
     lines += [f"  next run: {plan_as_text(plan)}" for plan in estimate.advice]
     lines += [f"  note: {note}" for note in estimate.notes]
@@ -114,6 +93,10 @@ def plan_as_text(plan: Any) -> str:
         f"{plan.joint} {shown('A', plan.current_A, spec='+.0f')} for {plan.duration_s:g} s from ({start}), "
         f"{plan.kind}: {plan.reason}; {100 * plan.clearance_m:.0f} cm above the table"
     )
+
+
+def _fit_text(fit: Any) -> str:
+    return f"  fit: rms {shown(fit.unit, fit.rms)}, expected {shown(fit.unit, fit.expected_rms)}"
 
 
 def _value_text(value: Any, interval_first: bool = False) -> str:
