@@ -33,10 +33,8 @@ def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
                 row = rows.get((term, joint))
                 if row is None:
                     continue
-                for value, std, height, color in (
-                    (row.prior, row.prior_std, 0.62, PALE),
-                    (row.value, row.std, 0.26, ACCENT),
-                ):
+                before, now = (row.prior, row.prior_std, 0.62, PALE), (row.value, row.std, 0.26, ACCENT)
+                for value, std, height, color in (before, now):
                     low = value - Z95 * std if term == "torque_constant" else max(value - Z95 * std, 0.0)
                     axis.barh(place, value + Z95 * std - low, left=low, height=height, color=color, linewidth=0)
                 axis.plot(row.value, place, "|", color=INK, markersize=9, markeredgewidth=1.6)
@@ -73,19 +71,15 @@ def correlation_figure(calibration: Calibration) -> str:
 def residuals_figure(fits: tuple[RunFit, ...]) -> str:
     """Measured less simulated of every run, on one scale."""
     rows = -(-len(fits) // RUNS_A_ROW)
-    columns = min(len(fits), RUNS_A_ROW)
-    with drawn(9.2, 0.5 + 1.35 * rows, nrows=rows, ncols=columns, sharex=True, sharey=True, squeeze=False) as (
-        figure,
-        axes,
-    ):
+    grid = {"nrows": rows, "ncols": min(len(fits), RUNS_A_ROW), "sharex": True, "sharey": True, "squeeze": False}
+    with drawn(9.2, 0.5 + 1.35 * rows, **grid) as (figure, axes):
         for axis in axes.ravel()[len(fits) :]:
             axis.set_visible(False)
         for axis, fit in zip(axes.ravel(), fits, strict=False):
             axis.fill_between(fit.times_s, -2e3 * fit.sigma, 2e3 * fit.sigma, color=ACCENT, alpha=0.16, linewidth=0)
             axis.axhline(0.0, color=MUTED, linewidth=0.7)
-            axis.plot(
-                fit.times_s, 1e3 * (fit.measured - fit.simulated), "o-", color=SIMULATED, markersize=2, linewidth=0.7
-            )
+            residual = 1e3 * (fit.measured - fit.simulated)
+            axis.plot(fit.times_s, residual, "o-", color=SIMULATED, markersize=2, linewidth=0.7)
             for left_out in fit.left_out_times_s:
                 axis.axvline(left_out, color=MUTED, linewidth=0.8, linestyle=":")
             axis.set_title(plain(_short(fit.name, 32)), fontsize=7.5, loc="left")

@@ -24,21 +24,7 @@ _WORDS = {
 def write_calibration_report(
     estimate: CalibrationEstimate, path: Path, *, command: str = "", sources: Sequence[str] = ()
 ) -> None:
-    """Write the page for one calibration; an older page of that name is replaced in one step.
-
-    Args:
-        estimate: What to show.
-        path: The HTML file.
-        command: The command line that gives the same result again.
-        sources: The recordings it came from.
-
-    Raises:
-        ConfigurationError: The file cannot be written.
-    """
-    write_in_one_step(Path(path), _page(estimate, command, sources), "--report")
-
-
-def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -> str:
+    """Write the page for one calibration; all is as for `write_page`."""
     parts = _headline(estimate)
     if figures.joints_of(estimate.unknowns):
         parts += plotted(
@@ -75,7 +61,8 @@ def _page(estimate: CalibrationEstimate, command: str, sources: Sequence[str]) -
     parts += _unknowns(estimate)
     parts += listed("Notes on the runs", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
-    return document(f"proprio: calibration {estimate.verdict.value.replace('_', ' ')}", parts)
+    title = f"proprio: calibration {estimate.verdict.value.replace('_', ' ')}"
+    write_in_one_step(Path(path), document(title, parts), "--report")
 
 
 def _motions(estimate: CalibrationEstimate) -> list[str]:
@@ -96,21 +83,17 @@ def _motions(estimate: CalibrationEstimate) -> list[str]:
         table(["joint", "rms over windows of 0.5 s", "windows that share an error"], joints, numbers=(1, 2)),
     ]
     if estimate.weighed_empty:
+        parts.append("<h3>Each motion, weighed by the calibration of the others</h3>")
         rows = [
             [each.name, shown("kg", each.mass_kg, spec=".1f"), "± " + shown("kg", each.half_width, spec=".1f")]
             for each in estimate.weighed_empty
         ]
-        parts += [
-            "<h3>Each motion, weighed by the calibration of the others</h3>",
-            table(["", "weighs", "95 %"], rows, numbers=(1, 2)),
-        ]
+        parts.append(table(["", "weighs", "95 %"], rows, numbers=(1, 2)))
     return parts
 
 
 def _unused(estimate: CalibrationEstimate) -> list[str]:
-    if not estimate.unused:
-        return []
-    parts = ["<h2>Runs that were not used</h2>"]
+    parts = ["<h2>Runs that were not used</h2>"] * bool(estimate.unused)
     for n, run in enumerate(estimate.unused, start=1):
         parts += [f"<h3>{escape(run.name)}</h3>", framed(pictures.run_figure(None, run, n))]
     return parts
@@ -122,8 +105,7 @@ def _headline(estimate: CalibrationEstimate) -> list[str]:
     parts = titled(f"calibration of {estimate.robot}, {used}", estimate.verdict.value, verdict)
     if estimate.weighable is not None:
         parts.append(f"<p class=value>{escape(estimate.weighable.sentence())}</p>")
-    if estimate.fit is not None:
-        fit = estimate.fit
+    if (fit := estimate.fit) is not None:
         parts.append(
             f"<p class=interval>{shown(fit.unit, fit.rms)} rms of the residuals over all runs; "
             f"{shown(fit.unit, fit.expected_rms)} expected of encoder and stamps as they were learnt</p>"
@@ -150,17 +132,11 @@ def _noise(estimate: CalibrationEstimate) -> list[str]:
 def _advice(estimate: CalibrationEstimate) -> list[str]:
     if not estimate.advice:
         return []
-    rows = [
-        [
-            plan.joint,
-            plan.kind,
-            ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items()),
-            f"{shown('A', plan.current_A, spec='+.0f')}, {plan.duration_s:g} s",
-            f"{100 * plan.clearance_m:.0f} cm",
-            plan.reason,
-        ]
-        for plan in estimate.advice
-    ]
+    rows = []
+    for plan in estimate.advice:
+        start = ", ".join(f"{name} {position:+.2f}" for name, position in plan.start.items())
+        current = f"{shown('A', plan.current_A, spec='+.0f')}, {plan.duration_s:g} s"
+        rows.append([plan.joint, plan.kind, start, current, f"{100 * plan.clearance_m:.0f} cm", plan.reason])
     header = ["joint", "kind", "start (rad)", "current", "clearance", ""]
     return ["<h2>Runs that would help most</h2>", table(header, rows, numbers=())]
 
@@ -168,15 +144,10 @@ def _advice(estimate: CalibrationEstimate) -> list[str]:
 def _unknowns(estimate: CalibrationEstimate) -> list[str]:
     if not estimate.unknowns:
         return []
-    rows = [
-        [
-            row.label,
-            f"{row.prior:.6g} ± {row.prior_std:.3g}",
-            f"{row.value:.6g} ± {row.std:.3g}",
-            f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-",
-            row.unit,
-        ]
-        for row in estimate.unknowns
-    ]
+    rows = []
+    for row in estimate.unknowns:
+        left = f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-"
+        prior, now = f"{row.prior:.6g} ± {row.prior_std:.3g}", f"{row.value:.6g} ± {row.std:.3g}"
+        rows.append([row.label, prior, now, left, row.unit])
     header = ["unknown", "robot file", "now", "left of its uncertainty", "unit"]
     return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3))]

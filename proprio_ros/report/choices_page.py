@@ -46,47 +46,35 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
     Raises:
         ConfigurationError: It cannot be written.
     """
-    write_in_one_step(path, _page(choices, sought, target), "the page of the choices")
-
-
-def _page(choices: Sequence[Choice], sought: Sought, target: float) -> str:
     parts = ["<h1>Pushes, one by one</h1>", f"<p>{escape(choices[-1].chosen)}</p>"]
-    known = list(enumerate(choices))[1:]  # before the first nothing is
-    if known:
-        pushes = np.array([number for number, _ in known], dtype=float)
-        factor, unit = shown_unit(sought.unit)
-        as_shown, unit_of_half = (100.0, "%") if sought.share else (factor, unit)
-        value = factor * np.array([choice.value for _, choice in known])
-        half = as_shown * np.array([choice.half for _, choice in known])
-        promised = as_shown * np.array([before.promised for (_, _), before in zip(known, choices, strict=False)])
-        width = half * (0.01 * value if sought.share else 1.0)
-        panels = [
-            Panel(
-                f"{sought.label} ({unit})", unit, [Series(sought.label, pushes, value, "measured")],
-                band=(pushes, value - width, value + width),
-            ),
-            Panel(
-                f"half 95 % interval ({unit_of_half})", unit_of_half,
-                [Series("promised", pushes, promised, "simulated", "dots"), Series("reached", pushes, half, "measured")],
-                rules=[as_shown * target], log=True,
-            ),
-        ]  # fmt: skip
-        words = (
-            f"Above: {sought.label} and 95 % interval after each push. Below: half of it, what the push promised, what was "
-            "asked for."
-        )
-        parts.append(framed(chart(panels, Axis("pushes", ""), "Interval after each push"), words, "large"))
-    rows = [
-        [
-            str(number),
-            sought.said(choice.half) if number > 1 else "",
-            choice.chosen,
-            sought.said(choice.promised) if number < len(choices) else "",
-            "; ".join(choice.others),
-            f"{1e3 * choice.decided_s:.0f} ms",
-        ]
-        for number, choice in enumerate(choices, 1)
-    ]
+    if len(choices) > 1:  # before the first nothing is known
+        parts.append(_figure(choices, sought, target))
+    rows = []
+    for number, choice in enumerate(choices, 1):
+        known = sought.said(choice.half) if number > 1 else ""
+        promised = sought.said(choice.promised) if number < len(choices) else ""
+        took = f"{1e3 * choice.decided_s:.0f} ms"
+        rows.append([str(number), known, choice.chosen, promised, "; ".join(choice.others), took])
     header = ["", "known before", "chosen", "promises", "not chosen", "decided in"]
     parts += ["<h2>What was chosen, and what was not</h2>", table(header, rows, (0, 1, 3, 5))]
-    return document("Pushes, one by one", parts)
+    write_in_one_step(path, document("Pushes, one by one", parts), "the page of the choices")
+
+
+def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:
+    pushes, name = np.arange(1.0, len(choices)), sought.label
+    factor, unit = shown_unit(sought.unit)
+    as_shown, unit_of_half = (100.0, "%") if sought.share else (factor, unit)
+    value = factor * np.array([choice.value for choice in choices[1:]])
+    half = as_shown * np.array([choice.half for choice in choices[1:]])
+    width = half * (0.01 * value if sought.share else 1.0)
+    known = Series(name, pushes, value, "measured")
+    promises = as_shown * np.array([choice.promised for choice in choices[:-1]])
+    promised = Series("promised", pushes, promises, "simulated", "dots")
+    halves = [promised, Series("reached", pushes, half, "measured")]
+    rules = [as_shown * target]
+    panels = [
+        Panel(f"{name} ({unit})", unit, [known], band=(pushes, value - width, value + width)),
+        Panel(f"half 95 % interval ({unit_of_half})", unit_of_half, halves, rules=rules, log=True),
+    ]
+    about = f"{name} and 95 % interval after each push. Below: half of it, what the push promised, what was asked for."
+    return framed(chart(panels, Axis("pushes", ""), "Interval after each push"), f"Above: {about}", "large")

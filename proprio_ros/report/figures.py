@@ -31,17 +31,11 @@ def drawn(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]
         "font.sans-serif": ["DejaVu Sans"],
         # words stay words: they can be searched and read aloud, and the page is half as large as with drawn letters
         "svg.fonttype": "none",
-        "text.color": INK,
+        **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
+        **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
+        **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
         "axes.edgecolor": MUTED,
-        "axes.labelcolor": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
         "grid.color": LINE,
-        "axes.axisbelow": True,
-        "legend.frameon": False,
     }
     with matplotlib.rc_context(style):
         figure = Figure(figsize=(width, height), layout="constrained")
@@ -67,8 +61,8 @@ def svg(figure: Any, description: str) -> str:
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     # the page scales it, so the size in points goes; ids of several figures must not meet in one document
-    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
-    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    for size in ("height", "width"):
+        text = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", text, count=1)
     text = _leaner(text)
     prefix = f"f{zlib.crc32(description.encode()):x}-"
     # groups have names that nothing points to; what is pointed to is named by its place
@@ -83,29 +77,25 @@ def _leaner(text: str) -> str:
     """The same picture in fewer letters: matplotlib writes a millionth of a point, and a line per corner."""
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
     # hundredths of a point, but not in words, nor in a scale, which is a small number
-    text = re.sub(
-        r">[^<]*<|scale\([^)]*\)|\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}" if m[0][0].isdigit() else m[0], text
-    )
-    text = text.replace(
-        "font-family: 'DejaVu Sans';", "font-family: 'DejaVu Sans', sans-serif;"
-    )  # powers of ten lack it
-    text = re.sub(r">\s+<", "><", text)
-    return re.sub(r"\s+", " ", text)
+    kept = r">[^<]*<|scale\([^)]*\)"
+    text = re.sub(rf"{kept}|\d+\.\d{{3,}}", lambda m: f"{float(m[0]):.2f}" if m[0][0].isdigit() else m[0], text)
+    # powers of ten lack it
+    text = text.replace("font-family: 'DejaVu Sans';", "font-family: 'DejaVu Sans', sans-serif;")
+    return re.sub(r"\s+", " ", re.sub(r">\s+<", "><", text))
 
 
 def runs_figure(fits: Sequence[RunFit]) -> Any:
     """The same for every run, one below the other, as a matplotlib ``Figure``."""
     count = len(fits)
     with drawn(7.4, 4.4 * count, nrows=2 * count, squeeze=False, height_ratios=[2.2, 1.0] * count) as (figure, axes):
-        for n, fit in enumerate(fits):
-            above, below = axes[2 * n, 0], axes[2 * n + 1, 0]
-            below.sharex(above)
+        for fit, above, below in zip(fits, axes[::2, 0], axes[1::2, 0], strict=True):
             _draw_run(above, below, fit)
-            above.set_title(plain(f"{fit.name}: {fit.joint}, {fit.current_A:+.3f} A"), loc="left", fontsize=9.5)
         return figure
 
 
 def _draw_run(above: Any, below: Any, fit: RunFit) -> None:
+    below.sharex(above)
+    above.set_title(plain(f"{fit.name}: {fit.joint}, {fit.current_A:+.3f} A"), loc="left", fontsize=9.5)
     above.plot(fit.times_s, fit.simulated, color=SIMULATED, linewidth=1.6, label="simulated")
     above.plot(fit.times_s, fit.measured, "o", color=MEASURED, markersize=3.4, label="measured")
     if len(fit.left_out_times_s):

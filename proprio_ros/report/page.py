@@ -42,24 +42,21 @@ def write_page(
     Raises:
         ConfigurationError: The file cannot be written.
     """
-    write_in_one_step(Path(path), _page(estimate, own, command, sources), "--report")
-
-
-def _page(estimate: Estimate, own: Sequence[str], command: str, sources: Sequence[str]) -> str:
     parts = [*_headline(estimate), *_runs(estimate), *own]
     if estimate.scan is not None and len(estimate.scan.values) > 1:
         parts += _scan(estimate)
     if estimate.solver is not None:
         parts += _convergence(estimate)
     if estimate.budget:
-        about = f"Standard deviations that each puts on the {pictures.searched_in_words(estimate)}."
+        about = f"Standard deviations that each puts on the {estimate.values[0].label}."
         parts += ["<h2>Where the uncertainty comes from</h2>", f"<p class=small>{escape(about)}</p>"]
         parts.append(pictures.budget_figure(estimate))
     parts += _values(estimate)
     parts += listed("What was assumed", estimate.assumptions)
     parts += listed("Notes on the recording", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
-    return document(f"proprio: {estimate.probe} {estimate.verdict.value.replace('_', ' ')}", parts)
+    title = f"proprio: {estimate.probe} {estimate.verdict.value.replace('_', ' ')}"
+    write_in_one_step(Path(path), document(title, parts), "--report")
 
 
 def _runs(estimate: Estimate) -> list[str]:
@@ -98,8 +95,8 @@ def _scan(estimate: Estimate) -> list[str]:
             " At each value everything else that is open was fitted again: the 95 % interval ends where the curve crosses the "
             "dashed line (3.84), unless more than this fit counts as uncertainty."
         )
-    name = escape(pictures.searched_in_words(estimate))
-    return [f"<h2>Misfit over {name}</h2>", framed(pictures.scan_figure(estimate), caption)]
+    title = f"<h2>Misfit over {escape(estimate.values[0].label)}</h2>"
+    return [title, framed(pictures.scan_figure(estimate), caption)]
 
 
 def _headline(estimate: Estimate) -> list[str]:
@@ -160,67 +157,44 @@ def _convergence(estimate: Estimate) -> list[str]:
         )
     if isinstance(estimate.values[0].value, float):
         about += " Dashed: the answer."
-    parts = [
+    refined, scheduled = bool(solver.refined), any(path.scheduled is not None for path in solver.paths)
+    factor, unit = shown_unit(estimate.values[0].unit)
+    end = f"least error ({unit})" if scheduled else f"end ({unit})"
+    stops = [f"where the schedule stops ({unit})"] * scheduled
+    header = [*["fit"] * refined, f"start ({unit})", *stops, end, "cost"]
+    rows = []
+    for stage, paths in (("robot as stated", solver.paths), ("all open", solver.refined)):
+        for path in paths:
+            stops = [f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled
+            end = f"{factor * path.end:.3f}"
+            rows.append([*[stage] * refined, f"{factor * path.start:.3g}", *stops, end, f"{path.cost:.3g}"])
+    return [
         "<h2>Convergence of every start</h2>",
         f"<p class=small>{escape(about)}</p>",
         framed(pictures.convergence_figure(estimate)),
+        table(header, rows, numbers=range(refined, len(header))),
     ]
-    scheduled = any(path.scheduled is not None for path in solver.paths)
-    factor, unit = shown_unit(estimate.values[0].unit)
-    header = [
-        *(["fit"] * bool(solver.refined)),
-        f"start ({unit})",
-        *([f"where the schedule stops ({unit})"] * scheduled),
-        f"least error ({unit})" if scheduled else f"end ({unit})",
-        "cost",
-    ]
-    stages = [("robot as stated", path) for path in solver.paths] + [("all open", path) for path in solver.refined]
-    rows = [
-        [
-            *([stage] * bool(solver.refined)),
-            f"{factor * path.start:.3g}",
-            *([f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled),
-            f"{factor * path.end:.3f}",
-            f"{path.cost:.3g}",
-        ]
-        for stage, path in stages
-    ]
-    return [*parts, table(header, rows, numbers=range(bool(solver.refined), len(header)))]
 
 
 def _values(estimate: Estimate) -> list[str]:
     parts = ["<h2>Values and intervals</h2>"]
-    rows = [
-        [
-            value.label,
-            number(value.value, value.std),
-            number(value.std, value.std),
-            _interval(value.ci95, value.std),
-            value.unit,
-            value.reason,
-        ]
-        for value in estimate.values
-    ]
+    rows = []
+    for value in estimate.values:
+        numbers = (number(value.value, value.std), number(value.std, value.std), _interval(value.ci95, value.std))
+        rows.append([value.label, *numbers, value.unit, value.reason])
     parts.append(table(["estimate", "value", "std", "95 % interval", "unit", ""], rows, numbers=(1, 2, 3)))
     if estimate.unknowns:
         parts.append("<h3>Every unknown: what the robot file says, and what the recording adds</h3>")
-        rows = [
-            [
-                row.label,
-                _ROLES.get(row.role, row.role),
-                "none"
-                if row.prior_std == float("inf")
-                else f"{number(row.prior, row.prior_std)} ± {row.prior_std:.2g}",
-                f"{number(row.value, row.std)} ± {row.std:.2g}",
-                "-" if row.pull is None else f"{row.pull:+.1f}",
-                row.unit,
-            ]
-            for row in estimate.unknowns
-        ]
+        rows = []
+        for row in estimate.unknowns:
+            known = f"{number(row.prior, row.prior_std)} ± {row.prior_std:.2g}"
+            prior = "none" if row.prior_std == float("inf") else known
+            pull = "-" if row.pull is None else f"{row.pull:+.1f}"
+            fitted = f"{number(row.value, row.std)} ± {row.std:.2g}"
+            rows.append([row.label, _ROLES.get(row.role, row.role), prior, fitted, pull, row.unit])
         header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
         parts.append(table(header, rows, numbers=(2, 3, 4)))
-    if estimate.fit is not None:
-        fit = estimate.fit
+    if (fit := estimate.fit) is not None:
         rows = [
             ["rms residual", shown(fit.unit, fit.rms)],
             ["expected from encoder and stamps", shown(fit.unit, fit.expected_rms)],

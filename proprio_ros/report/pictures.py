@@ -21,22 +21,20 @@ HIGHEST_CHI2 = 15.0
 def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) -> str:
     """Position, current, and where there is a fit its residual, below each other over time."""
     unit = "rad" if recorded is None or fit is not None else recorded.unit
-    traces: list[Series] = []
-    panels: list[Panel] = []
     if fit is None:
         assert recorded is not None
-        traces.append(Series("recorded", recorded.times_s, recorded.position, "measured", "dots"))
+        traces = [Series("recorded", recorded.times_s, recorded.position, "measured", "dots")]
     else:
         times, places = fit.left_out_times_s, fit.left_out
         if recorded is not None and recorded.unit == unit:
             early = recorded.times_s < 0.0
             times, places = np.append(recorded.times_s[early], times), np.append(recorded.position[early], places)
-        traces += [
+        traces = [
             Series("not fitted", times, places, "left-out", "dots", bool(len(times))),
             Series("measured", fit.times_s, fit.measured, "measured", "dots"),
             Series("simulated", fit.times_s, fit.simulated, "simulated"),
         ]
-    panels.append(Panel(f"position ({unit})", unit, traces, 170.0))
+    panels = [Panel(f"position ({unit})", unit, traces, 170.0)]
     if recorded is not None:
         panels.append(Panel("input current (A)", "A", [_current(recorded)], 70.0, rules=[0.0]))
     if fit is not None:
@@ -44,19 +42,16 @@ def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) ->
         off = Series("simulated less measured", fit.times_s, residual, "simulated", listed=False)
         title = "residual (mrad); band: two standard deviations"
         panels.append(Panel(title, "mrad", [off], 90.0, (fit.times_s, -sigma, sigma), rules=[0.0]))
-    words = (
-        "measured and simulated position, input current and residual" if fit else "recorded position and input current"
-    )
-    return chart(panels, Axis(TIME, "s"), f"Run {number}: {words} over time")
+    fitted, alone = "measured and simulated position, input current and residual", "recorded position and input current"
+    return chart(panels, Axis(TIME, "s"), f"Run {number}: {fitted if fit else alone} over time")
 
 
 def _current(run: RecordedRun) -> Series:
     """From before it came on until after it went off."""
     inside = run.input_times_s < run.duration_s
-    times = [min(float(run.times_s.min(initial=0.0)), 0.0), *run.input_times_s[inside], run.duration_s]
-    return Series(
-        "current", np.array(times), np.array([0.0, *run.input_current_A[inside], 0.0]), "current", "steps", False
-    )
+    times = np.array([run.times_s.min(initial=0.0), *run.input_times_s[inside], run.duration_s])
+    current = np.array([0.0, *run.input_current_A[inside], 0.0])
+    return Series("current", times, current, "current", "steps", False)
 
 
 def arm_figure(run: RecordedRun, number: int) -> str:
@@ -115,12 +110,10 @@ def convergence_figure(estimate: Estimate) -> str:
         at, values = np.full(len(stops), solver.iterations), factor * np.array(stops)
         series.append(Series("where the schedule stops", at, values, "answer", "dots"))
         verticals = [solver.iterations]
-    answer = estimate.values[0].value
+    answer, name = estimate.values[0].value, estimate.values[0].label
     rules = [factor * answer] if isinstance(answer, float) and answer > 0.0 else []
-    panel = Panel(
-        f"{searched_in_words(estimate)} ({unit})", unit, series, 210.0, rules=rules, verticals=verticals, log=True
-    )
-    return chart([panel], Axis("iteration", "iterations"), f"Iterations of the search: {searched_in_words(estimate)}")
+    panel = Panel(f"{name} ({unit})", unit, series, 210.0, rules=rules, verticals=verticals, log=True)
+    return chart([panel], Axis("iteration", "iterations"), f"Iterations of the search: {name}")
 
 
 def scan_figure(estimate: Estimate) -> str:
@@ -135,16 +128,12 @@ def scan_figure(estimate: Estimate) -> str:
         verticals = [factor * value.value]
         if value.ci95 is not None:
             spans = [(factor * max(value.ci95[0], scan.values[0]), factor * min(value.ci95[1], scan.values[-1]))]
-    name = searched_in_words(estimate)
     cost = np.maximum(scan.cost, 1e-4) if log else scan.cost
     series = [Series(scan.measure, x, cost, "measured", listed=False)]
-    rules = [] if scan.level is None else [scan.level]
-    panel = Panel(
-        scan.measure, "", series, 190.0, spans=spans, rules=rules, verticals=verticals, log=log,
-        highest=np.inf if log else HIGHEST_CHI2,
-    )  # fmt: skip
-    axis = Axis(f"{name} ({unit})", unit, log=log)
-    return chart([panel], axis, f"Misfit of the simulation over the {name}")
+    rules, highest = ([], np.inf) if scan.level is None else ([scan.level], HIGHEST_CHI2)
+    panel = Panel(scan.measure, "", series, 190.0, None, spans, rules, verticals, log, highest)
+    axis = Axis(f"{value.label} ({unit})", unit, log=log)
+    return chart([panel], axis, f"Misfit of the simulation over the {value.label}")
 
 
 def budget_figure(estimate: Estimate) -> str:
@@ -156,19 +145,13 @@ def budget_figure(estimate: Estimate) -> str:
     return bars([(label, std, shown(unit, std)) for label, std in sources])
 
 
-def searched_in_words(estimate: Estimate) -> str:
-    """What was searched for: "payload mass", "sphere mass", "Young's modulus"."""
-    return estimate.values[0].label
-
-
 def paired(estimate: Estimate) -> Sequence[tuple[RunFit | None, RecordedRun | None]]:
     """Every recorded run with its fit, None where no fit could use it; fits come in the order of their runs."""
     fits, pairs = list(estimate.run_fits), []
     for run in estimate.recorded:
         used = bool(fits) and (fits[0].name, fits[0].joint) == (run.name, run.joint)
-        # bags in folders of one name are of one name
-        used = used and np.array_equal(
-            run.times_s[run.times_s >= 0.0], np.append(fits[0].times_s, fits[0].left_out_times_s)
-        )
+        if used:  # bags in folders of one name are of one name
+            fitted = np.append(fits[0].times_s, fits[0].left_out_times_s)
+            used = np.array_equal(run.times_s[run.times_s >= 0.0], fitted)
         pairs.append((fits.pop(0) if used else None, run))
     return [*pairs, *((fit, None) for fit in fits)]
