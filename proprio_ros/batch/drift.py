@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -73,20 +74,14 @@ def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]
         size = max(1, -(-len(stamps) // MOST_GROUPS))
         groups = [list(range(at, min(at + size, len(stamps)))) for at in range(0, len(stamps), size)]
         return [(f"{group[0]} to {group[-1]}", float(group[0]), group) for group in groups]
-    known = [int(stamp or 0) for stamp in stamps]
-    first = min(known) // DAY_NS
-    length = 1 if max(known) // DAY_NS - first < LONGEST_DAYS else 7
+    days = [int(stamp or 0) // DAY_NS for stamp in stamps]
+    first = min(days)
+    length = 1 if max(days) - first < LONGEST_DAYS else 7
     found: dict[int, list[int]] = {}
-    for place, stamp in enumerate(known):
-        found.setdefault((stamp // DAY_NS - first) // length, []).append(place)
-    return [
-        (
-            datetime.fromtimestamp((first + length * at) * 86400, timezone.utc).strftime("%Y-%m-%d"),
-            float(length * at),
-            found[at],
-        )
-        for at in sorted(found)
-    ]
+    for place, day in enumerate(days):
+        found.setdefault((day - first) // length * length, []).append(place)
+    begin = datetime.fromtimestamp(first * 86400, timezone.utc)
+    return [(f"{begin + timedelta(days=at):%Y-%m-%d}", float(at), found[at]) for at in sorted(found)]
 
 
 @one_blas_thread
@@ -112,12 +107,9 @@ def drift_of(
         tell(f"drift over {len(periods)} periods")
     for name, at, own in periods:
         motions = readable([episodes[place] for place in own], MOST_OF_PERIOD, request)
-        try:
-            arm = fit_empty(request.robot, motions) if motions else None
-        except RecordingError:  # too little motion in all of them
-            arm = None
-        if arm is not None:
-            found.append(Period(name, at, len(motions), arm))
+        with suppress(RecordingError):  # too little motion in all of them
+            if motions:
+                found.append(Period(name, at, len(motions), fit_empty(request.robot, motions)))
     return found
 
 
@@ -125,10 +117,8 @@ def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[M
     """Motions of at most so many episodes, evenly over those there are; what cannot be read is left out."""
     found = []
     for episode in evenly(episodes, most):
-        try:
+        with suppress(ProprioError):  # its row says why
             found.append(bag_motion(Path(episode.path), request))
-        except ProprioError:  # its row says why
-            continue
     return found
 
 
@@ -161,22 +151,18 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
     axis = Axis("since the first [days]", "days") if dated else Axis("episode", "")
     terms = [period.term("coulomb") for period in periods]
     over = np.array([period.arm.arm_over_urdf for period in periods])
-    panels = [
-        Panel(
-            "what the arm weighs by its torques, over its URDF", "", [Series("arm", at, over, "measured", "dots")], 90.0
-        )
-    ]
+    weight = Series("arm", at, over, "measured", "dots")
+    panels = [Panel("what the arm weighs by its torques, over its URDF", "", [weight], 90.0)]
     for row, joint in enumerate(joints):
         value, std = (np.array([term[part][row] for term in terms]) for part in (0, 1))
         band = at, value - Z95 * std, value + Z95 * std
         series = Series(joint, at, value, "measured", "dots")
         panels.append(Panel(f"Coulomb friction of {joint} [N m]", "N m", [series], 90.0, band))
     header = ["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in joints)]
-    rows = [
-        [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}",
-         *(f"{number(v, s)} +- {s:.2g}" for v, s in zip(*term, strict=True))]
-        for period, term in zip(periods, terms, strict=True)
-    ]  # fmt: skip
+    rows = []
+    for period, term in zip(periods, terms, strict=True):
+        friction = [f"{number(v, s)} +- {s:.2g}" for v, s in zip(*term, strict=True)]
+        rows.append([period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}", *friction])
     first, last = terms[0], terms[-1]
     sigmas = np.abs(last[0] - first[0]) / np.maximum(np.hypot(first[1], last[1]), 1e-12)
     most = int(np.argmax(sigmas))

@@ -7,6 +7,7 @@ what was put down from what fell. Which way it opens need not be known.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,12 +88,7 @@ class Grasps:
         self._begin = 0.0, 0
 
     def add(self, motion: Motion, start_s: float = 0.0) -> None:
-        """A part, later than those before.
-
-        Args:
-            motion: The part.
-            start_s: When it begins; where both have stamps, these say how long after the first.
-        """
+        """A part, later than those before; it begins at ``start_s``, or where both have stamps, when these say."""
         if not self._times:
             self._begin = start_s, motion.begin_ns
         if motion.begin_ns and self._begin[1]:
@@ -116,39 +112,25 @@ class Grasps:
         """The stretches in the order of time; those with an empty hand among them."""
         times_s = np.concatenate(self._times)
         gripper = np.concatenate(self._positions) if self._positions else None
-        grasps = []
+        grasps: list[Grasp] = []
+        before: OnlineEstimate | None = None
         starts = sorted(self._last)
-        for number, start in enumerate(starts):
-            end = starts[number + 1] if number + 1 < len(starts) else float(times_s[-1])
-            estimate = self._last[start]
-            before = self._last[starts[number - 1]] if number else None
+        for start, end in itertools.pairwise([*starts, float(times_s[-1])]):
+            now = self._last[start]
             within = (times_s >= start) & (times_s < end)
             moved, stands = None, None
             if gripper is not None:
                 moved = self._moved(gripper, (times_s >= start - BEFORE_S) & (times_s <= start + AFTER_S))
                 stands = float(gripper[within].mean()) if within.any() else None
-            code, what = _said(before, estimate, moved)
-            grasps.append(
-                Grasp(
-                    start,
-                    end,
-                    int(within.sum()),
-                    estimate.mass_kg,
-                    estimate.std_kg,
-                    estimate.ci95_kg,
-                    estimate.known,
-                    code,
-                    what,
-                    stands,
-                )
-            )
+            what = _said(before, now, moved)
+            mass = (now.mass_kg, now.std_kg, now.ci95_kg, now.known)
+            grasps.append(Grasp(start, end, int(within.sum()), *mass, *what, stands))
+            before = now
         return grasps
 
     def _moved(self, gripper: FloatArray, near: np.ndarray) -> bool:
         """Whether the gripper moved where the load changed."""
-        name = self._gripper
-        assert name is not None
-        reach = 0.0
+        name, reach = str(self._gripper), 0.0
         if name in self.robot.model.independent_joints:
             joint = self.robot.model.joint(name)
             reach = joint.upper - joint.lower
@@ -167,17 +149,12 @@ def _said(before: OnlineEstimate | None, now: OnlineEstimate, gripper_moved: boo
     """
     empty = now.ci95_kg[0] <= 0.0
     heavy = f"{1e3 * now.mass_kg:.0f} g ({1e3 * now.ci95_kg[0]:.0f} to {1e3 * now.ci95_kg[1]:.0f})"
-    if before is not None and before.ci95_kg[0] > 0.0 and now.mass_kg < before.mass_kg:
-        less = f"{heavy} after {1e3 * before.mass_kg:.0f} g"
-        if empty and gripper_moved is None:
-            return "released", f"put down or lost: {less}"
-        if empty:
-            return (
-                ("released", f"put down, the gripper moved: {less}")
-                if gripper_moved
-                else ("dropped", f"lost, the gripper stood still: {less}")
-            )
-        if gripper_moved:
-            return "held", f"less is held after the gripper moved: {less}"
-        return "slipped", f"slipped in part: {less}"
-    return ("empty", f"nothing that can be told from zero: {heavy}") if empty else ("held", f"held: {heavy}")
+    if before is None or before.ci95_kg[0] <= 0.0 or now.mass_kg >= before.mass_kg:
+        return ("empty", f"nothing that can be told from zero: {heavy}") if empty else ("held", f"held: {heavy}")
+    code, words = {
+        (True, None): ("released", "put down or lost"),
+        (True, True): ("released", "put down, the gripper moved"),
+        (True, False): ("dropped", "lost, the gripper stood still"),
+        (False, True): ("held", "less is held after the gripper moved"),
+    }.get((empty, gripper_moved), ("slipped", "slipped in part"))
+    return code, f"{words}: {heavy} after {1e3 * before.mass_kg:.0f} g"

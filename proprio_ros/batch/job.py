@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -96,8 +96,7 @@ def run_batch(
         plain = replace(plain, span=(0, round(1e9 * empty_first_s)))
         options = self_calibrated(empties, plain, "--empty-first", Path(out), tell)
         job = replace(job, options=options, empty_first_s=empty_first_s)
-    store = Store(Path(out), job)
-    try:
+    with closing(Store(Path(out), job)) as store:
         done = store.done()
         missing = [each for each in episodes if (each.source, each.name) not in done]
         before = len(episodes) - len(missing)
@@ -111,8 +110,6 @@ def run_batch(
             write_drift(periods, store.folder / "drift.csv")
         write_batch_page(store, store.folder / "batch.html", command, _reports(store, job), periods)
         return Outcome(len(episodes), before, store.verdicts(), store.folder)
-    finally:
-        store.close()
 
 
 def _check_options(engine: str, options: Options, empty: str | None, empty_first_s: float | None) -> None:
@@ -147,17 +144,14 @@ def _check_units(episodes: Sequence[Episode], options: Options) -> None:
 def self_calibrated(
     empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]
 ) -> Options:
-    """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
+    """Options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
     Args:
         empty: Those episodes.
-        options: Without a calibration; their span is what of each is empty.
+        options: Without a calibration; their span is what of each is empty. What comes back is for all of each.
         option: Of the command line, for what is said.
         out: The calibration becomes ``calibration.yaml`` there.
         tell: Hears with how many.
-
-    Returns:
-        Options for all of each episode.
 
     Raises:
         ConfigurationError: They do not calibrate the arm.
@@ -174,9 +168,8 @@ def self_calibrated(
         path.parent.mkdir(parents=True, exist_ok=True)
         estimate = calibrate_from_bags([each.path for each in chosen], {}, options, path, lambda words: None)
         if estimate.verdict.value != "accepted":
-            raise ConfigurationError(
-                f"{option}: {next(iter(estimate.reasons), 'the arm cannot be calibrated with them')}"
-            )
+            why = next(iter(estimate.reasons), "the arm cannot be calibrated with them")
+            raise ConfigurationError(f"{option}: {why}")
     return replace(options, calibration=str(path), robot=None, span=None)
 
 
@@ -198,9 +191,8 @@ def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
             continue
         data = open_data_set(episode.source)
         if column not in data.features:
-            raise ConfigurationError(
-                f"--empty {column}: {data.folder} has no such column; it has: {', '.join(data.features)}"
-            )
+            there = ", ".join(data.features)
+            raise ConfigurationError(f"--empty {column}: {data.folder} has no such column; it has: {there}")
         with suppress(RecordingError):  # its row will say why
             if marked(data, episode.index, column):
                 found.append(episode)
@@ -230,22 +222,13 @@ def _located(options: Options) -> Options:
     def absolute(name: str | Path | None) -> str | None:
         return None if name is None else str(Path(name).resolve()) if Path(name).is_file() else str(name)
 
-    return replace(
-        options,
-        robot=absolute(options.robot),
-        calibration=absolute(options.calibration),
-        driver=absolute(options.driver),
-    )
+    robot, calibration, driver = map(absolute, (options.robot, options.calibration, options.driver))
+    return replace(options, robot=robot, calibration=calibration, driver=driver)
 
 
 def refuse_device(device: str) -> None:
-    """Refuse what the engines do not have.
-
-    Raises:
-        ConfigurationError: It is anything but the processor.
-    """
-    if device == "cpu":
-        return
-    if not any(Path("/dev").glob("nvidia[0-9]*")):
-        raise ConfigurationError(f"--device {device}: there is no NVIDIA GPU on this machine; leave it out")
-    raise ConfigurationError(f"--device {device}: a batch runs on the processor only for now; leave it out")
+    """Raises: ConfigurationError: It is anything but the processor, which is all that the engines have."""
+    if device != "cpu":
+        there = any(Path("/dev").glob("nvidia[0-9]*"))
+        why = "a batch runs on the processor only for now" if there else "there is no NVIDIA GPU on this machine"
+        raise ConfigurationError(f"--device {device}: {why}; leave it out")

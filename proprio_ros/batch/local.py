@@ -54,16 +54,7 @@ def compute(episodes: Sequence[Episode], job: Job, folder: str) -> int:
 def run_local(
     episodes: Sequence[Episode], job: Job, store: Store, processes: int, tell: Callable[[str], Any], most: int = CHUNK
 ) -> None:
-    """Do episodes.
-
-    Args:
-        episodes: That are not done.
-        job: What is asked.
-        store: Where the rows go.
-        processes: At a time.
-        tell: Hears how far it is.
-        most: Episodes per file.
-    """
+    """Answer episodes in so many processes at a time, at most so many episodes per file; ``tell`` hears how far it is."""
     waiting = deque(_Chunk(group) for group in chunks_of(episodes, chunk_size(len(episodes), processes, most)))
     began, finished, failed, told = time.monotonic(), 0, 0, time.monotonic()
     while waiting:
@@ -83,9 +74,8 @@ def run_local(
                 if time.monotonic() - told > TELL_S:
                     told = time.monotonic()
                     left = (told - began) / max(finished, 1) * (len(episodes) - finished)
-                    tell(
-                        f"{finished} of {len(episodes)} episodes, {failed} failed ({told - began:.0f} s, about {left:.0f} s left)"
-                    )
+                    took = f"{told - began:.0f} s, about {left:.0f} s left"
+                    tell(f"{finished} of {len(episodes)} episodes, {failed} failed ({took})")
             pool.shutdown()  # its processes end, and their locks with them
         except BrokenProcessPool:
             tell("a process died; its episodes are done again")
@@ -105,9 +95,8 @@ def _again(chunks: Sequence[_Chunk]) -> list[_Chunk]:
     """What was under way when a process died; from the second time on one episode at a time, and these count."""
     found = []
     for chunk in chunks:
-        if len(chunk.episodes) > 1:
-            parts = [[episode] for episode in chunk.episodes] if chunk.tries else [chunk.episodes]
-            found += [_Chunk(part, 0 if len(part) == 1 else chunk.tries + 1) for part in parts]
+        if len(chunk.episodes) > 1 and chunk.tries:
+            found += [_Chunk([episode]) for episode in chunk.episodes]
         else:
             found.append(_Chunk(chunk.episodes, chunk.tries + 1))
     return found

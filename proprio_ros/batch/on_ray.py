@@ -18,11 +18,7 @@ from proprio_ros.errors import ConfigurationError
 
 
 def ray_or_refuse() -> Any:
-    """The module ray.
-
-    Raises:
-        ConfigurationError: It is not installed.
-    """
+    """The module ray; ConfigurationError: it is not installed."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
@@ -43,16 +39,10 @@ def run_ray(
     most: int = CHUNK,
     quiet: bool = True,
 ) -> None:
-    """Do episodes on a Ray cluster.
+    """Answer episodes on a Ray cluster, at most so many per file.
 
-    Args:
-        episodes: That are not done.
-        job: What is asked.
-        store: Where the rows go.
-        address: Of the cluster, as for ``ray.init``; None: the one that runs here, else a new one on this machine.
-        tell: Hears what is done.
-        most: Episodes per file.
-        quiet: Whether Ray's own progress bars are left out.
+    Its ``address`` is as for ``ray.init``; None: the one that runs here, else a new one on this machine. ``quiet`` leaves Ray's own
+    progress bars out.
 
     Raises:
         ConfigurationError: Ray is missing, or its cluster cannot be reached.
@@ -68,15 +58,13 @@ def run_ray(
     cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
     size = chunk_size(len(episodes), cores, most)
     tell(f"Ray: {cores} cores, {-(-len(episodes) // size)} tasks of {size} episodes")
-    context = ray.data.DataContext.get_current()
-    context.enable_progress_bars = not quiet
+    ray.data.DataContext.get_current().enable_progress_bars = not quiet
     listed = [asdict(episode) for episode in episodes]
 
     def answered(batch: Any) -> Any:
         return table_of(rows_of_all([Episode(**each) for each in batch.to_pylist()], job))
 
     # the same needs for both, so that one task answers and writes; Ray tries a task again whose worker or machine dies
-    rows = ray.data.from_items(listed, override_num_blocks=-(-len(listed) // size)).map_batches(
-        answered, batch_format="pyarrow", batch_size=None
-    )
+    blocks = ray.data.from_items(listed, override_num_blocks=-(-len(listed) // size))
+    rows = blocks.map_batches(answered, batch_format="pyarrow", batch_size=None)
     rows.write_parquet(str(store.rows), partition_cols=[PARTITION], schema=schema())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -46,12 +46,12 @@ def write_batch_page(
         ConfigurationError: The file cannot be written.
     """
     rows = store.table(COLUMNS).to_pylist()
-    rows.sort(key=lambda row: (row["source"], _order(row), row["segment"]))
+    rows.sort(key=lambda row: (row["source"], *_order(row), row["segment"]))
     whole = [row for row in rows if row["kind"] != GRASP]
     parts = ["<h1>Many recordings</h1>", *_summary(whole), *_masses(whole), *_refused(whole), *_odd(whole, reports)]
-    grasps = [row for row in rows if row["kind"] == GRASP]
-    if grasps:
-        parts += _grasps(grasps)
+    if grasps := Counter(row["reason_codes"][0] for row in rows if row["kind"] == GRASP):
+        counts = [(code, float(count), str(count)) for code, count in grasps.most_common()]
+        parts += ["<h2>Grasps</h2>", bars(counts)]
     parts += drift_parts(drift)
     parts += provenance(command, sorted({row["source"] for row in whole}), {})
     write_in_one_step(path, document("Many recordings", parts), "--out")
@@ -95,66 +95,60 @@ def _summary(whole: Sequence[Mapping[str, Any]]) -> list[str]:
         found.append((source, robot, calibration, str(count), str(len(accepted)), middle))
     episodes = len({(row["source"], row["episode"]) for row in whole})
     parts = "" if episodes == len(whole) else f" in {len(whole)} parts"
-    return [
-        f"<p>{episodes} episodes{parts}: "
-        + escape(", ".join(f"{count} {name}" for name, count in verdicts.most_common()))
-        + "</p>",
-        table(("source", "robot", "calibration", "episodes", "accepted", "median"), found, (3, 4, 5)),
-    ]
+    said = escape(", ".join(f"{count} {name}" for name, count in verdicts.most_common()))
+    header = ("source", "robot", "calibration", "episodes", "accepted", "median")
+    return [f"<p>{episodes} episodes{parts}: {said}</p>", table(header, found, (3, 4, 5))]
 
 
 def _masses(whole: Sequence[Mapping[str, Any]]) -> list[str]:
     """One plot per source, over time where the stamps say it, else over episodes."""
     parts = ["<h2>What was held</h2>"]
-    by_source: dict[str, list[Mapping[str, Any]]] = {}
-    for row in whole:
-        if row["value"] is not None:
-            by_source.setdefault(row["source_name"], []).append(row)
+    by_source = _by_source(row for row in whole if row["value"] is not None)
     for number, (source, own) in enumerate(by_source.items()):
         own = own[:: -(-len(own) // MOST_POINTS)]
         stamps = np.array([row["recorded_ns"] or 0 for row in own])
         dated = bool(stamps.all()) and stamps.max() > stamps.min()
         x = (stamps - stamps.min()) / 86400e9 if dated else np.arange(len(own), dtype=float)
-        values = (1e3 if own[0]["unit"] == "kg" else 1.0) * np.array([row["value"] for row in own])
+        factor, unit = (1e3, "g") if own[0]["unit"] == "kg" else (1.0, own[0]["unit"])
+        values = factor * np.array([row["value"] for row in own])
+        accepted = np.array([row["verdict"] == "accepted" for row in own])
         series = [
-            Series(words, x[np.array(mask)], values[np.array(mask)], color, "dots")
-            for words, color, mask in (
-                ("accepted", "measured", [row["verdict"] == "accepted" for row in own]),
-                ("too wide", "apart", [row["verdict"] != "accepted" for row in own]),
-            )
-            if any(mask)
+            Series(words, x[mask], values[mask], color, "dots")
+            for words, color, mask in (("accepted", "measured", accepted), ("too wide", "apart", ~accepted))
+            if mask.any()
         ]
-        unit = "g" if own[0]["unit"] == "kg" else own[0]["unit"]
         axis = Axis("since the first [days]", "days") if dated else Axis("episode", "")
         panel = Panel(f"{own[0]['quantity']} [{unit}]", unit, series, 220.0)
         parts.append(framed(chart([panel], axis, f"masses{number}"), source))
     return parts if len(parts) > 1 else []
 
 
+def _by_source(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(row["source_name"], []).append(row)
+    return found
+
+
 def _refused(whole: Sequence[Mapping[str, Any]]) -> list[str]:
     refused = [row for row in whole if row["verdict"] != "accepted"]
     if not refused:
         return []
-    codes = Counter(code for row in refused for code in (row["reason_codes"] or ["other"])[:1])
-    example: dict[str, str] = {}
-    for row in refused:
-        example.setdefault((row["reason_codes"] or ["other"])[0], (row["reasons"] or [""])[0])
-    share = f"{100.0 * len(refused) / len(whole):.1f}"
+    first = [((row["reason_codes"] or ["other"])[0], (row["reasons"] or [""])[0]) for row in refused]
+    codes, example = Counter(code for code, _ in first), dict(reversed(first))
     listed = [(code, float(count), f"{count}, such as {example[code]}") for code, count in codes.most_common()]
-    return [f"<h2>Refused: {share} %</h2>", bars(listed)]
+    return [f"<h2>Refused: {100.0 * len(refused) / len(whole):.1f} %</h2>", bars(listed)]
 
 
 def odd(whole: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Rows that a person should look at: far from the rest of their source first, then the refused."""
     found: list[tuple[float, Mapping[str, Any]]] = []
-    by_source: dict[str, list[Mapping[str, Any]]] = {}
-    for row in whole:
-        if row["kind"] in (EPISODE, PART) and row["value"] is not None and row["verdict"] == "accepted":
-            by_source.setdefault(row["source_name"], []).append(row)
-    for own in by_source.values():
+    accepted = [row for row in whole if row["verdict"] == "accepted" and row["value"] is not None]
+    for own in _by_source(row for row in accepted if row["kind"] in (EPISODE, PART)).values():
         values = np.array([row["value"] for row in own])
-        spread = 1.4826 * float(np.median(np.abs(values - np.median(values))))
-        for row, far in zip(own, np.abs(values - np.median(values)), strict=True):
+        off = np.abs(values - np.median(values))
+        spread = 1.4826 * float(np.median(off))
+        for row, far in zip(own, off, strict=True):
             sigmas = far / max(float(np.hypot(spread, row["std"] or 0.0)), 1e-12)
             if sigmas > ODD_SIGMAS:
                 found.append((-sigmas, row))
@@ -178,11 +172,3 @@ def _odd(whole: Sequence[Mapping[str, Any]], reports: Mapping[str, str]) -> list
         why = f": {(row['reasons'] or [''])[0]}" if row["reasons"] else ""
         parts.append(f"<li><code>{escape(path)}</code> {escape(said + why)}{link}</li>")
     return [*parts, "</ul>"]
-
-
-def _grasps(grasps: Sequence[Mapping[str, Any]]) -> list[str]:
-    counts = Counter(row["reason_codes"][0] for row in grasps)
-    return [
-        "<h2>Grasps</h2>",
-        bars([(code, float(count), str(count)) for code, count in counts.most_common()]),
-    ]

@@ -12,7 +12,7 @@ from typing import Any
 
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.batch.grasps import Grasp, Grasps
-from proprio_ros.errors import ProprioError, one_line
+from proprio_ros.errors import ProprioError, RecordingError, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.pipeline.replay import identify, read_for
 from proprio_ros.pipeline.request import Options, Request, request_of
@@ -79,17 +79,18 @@ def rows_of(episode: Episode, job: Job) -> list[Row]:
     started = time.perf_counter()
     try:
         if episode.problem:
-            return _finished([failed_row(episode, job, episode.problem, "unreadable")], started)
+            raise RecordingError(episode.problem)
         request = _request(job)
-        spans = spans_of(episode, job, request)
-        rows = _answered(episode, job, request, spans)
+        rows = _answered(episode, job, request, spans_of(episode, job, request))
         # a cut may go through a push: only motions are answered in parts
-        return _finished(rows or _answered(episode, job, request, [_later(None, job)]), started)
+        rows = rows or _answered(episode, job, request, [_later(None, job)])
     except ProprioError as error:
-        return _finished([failed_row(episode, job, str(error), "unreadable")], started)
+        rows = [failed_row(episode, job, str(error), "unreadable")]
     except Exception as error:  # whatever an episode holds, the job goes on
         reason = one_line(f"unexpected: {type(error).__name__}: {error}")
-        return _finished([failed_row(episode, job, reason, "unexpected")], started)
+        rows = [failed_row(episode, job, reason, "unexpected")]
+    elapsed = time.perf_counter() - started
+    return [{**row, "segment": number, "segments": len(rows), "elapsed_s": elapsed} for number, row in enumerate(rows)]
 
 
 @one_blas_thread
@@ -104,13 +105,12 @@ def spans_of(episode: Episode, job: Job, request: Request) -> list[Span | None]:
     Raises:
         RecordingError: It cannot be read.
     """
-    options, index = job.options, episode.index
-    if index is not None:
-        parts = parts_of_episode(episode.source, index, MOST_SAMPLES)
-    elif is_text_recording(episode.path) or _bytes_of(Path(episode.path)) < LEAST_BYTES:
-        parts = []
-    else:
-        parts = parts_of(episode.path, MOST_SAMPLES, state_topic=options.state_topic, conventions=request.conventions)
+    parts: Sequence[Span] = []
+    if episode.index is not None:
+        parts = parts_of_episode(episode.source, episode.index, MOST_SAMPLES)
+    elif not is_text_recording(episode.path) and _bytes_of(Path(episode.path)) >= LEAST_BYTES:
+        conventions, state_topic = request.conventions, job.options.state_topic
+        parts = parts_of(episode.path, MOST_SAMPLES, state_topic=state_topic, conventions=conventions)
     if len(parts) < 2:
         return [_later(None, job)]
     return [later for part in parts if (later := _later(part, job)) is not None]
@@ -183,59 +183,39 @@ def _request(job: Job) -> Request:
 _READ: dict[str, Request] = {}
 
 
-def _finished(rows: list[Row], started: float) -> list[Row]:
-    elapsed = time.perf_counter() - started
-    return [{**row, "segment": number, "segments": len(rows), "elapsed_s": elapsed} for number, row in enumerate(rows)]
-
-
-def _base(episode: Episode, probe: str) -> Row:
+def _row(episode: Episode, probe: str, kind: str, verdict: str, used: Mapping[str, str], **known: Any) -> Row:
     """All columns; those of which nothing is known are empty."""
     empty: Row = {"text": "", "texts": [], "integer": None, "number": None}
-    return {name: empty[kind] for name, kind in COLUMNS.items()} | {
+    return {name: empty[form] for name, form in COLUMNS.items()} | {
         "source_name": source_name(episode.source),
         "source": episode.source,
         "episode": episode.name,
         "episode_index": episode.index,
+        "kind": kind,
         "samples": 0,
         "probe": probe,
-        "calibration": None,
-        "calibration_sha256": None,
+        "verdict": verdict,
+        "calibration": used.get("name"),
+        "calibration_sha256": used.get("fingerprint"),
         "version": __version__,
+        **known,
     }
 
 
 def failed_row(episode: Episode, job: Job, reason: str, code: str) -> Row:
     """The row of an episode that has no answer."""
-    robot = job.options.robot
-    return {
-        **_base(episode, job.options.probe),
-        "kind": FAILED,
-        "verdict": "failed",
-        "reasons": [reason],
-        "reason_codes": [code],
-        "robot": "" if robot is None else Path(robot).stem,
-        "segment": 0,
-        "segments": 1,
-        "elapsed_s": 0.0,
-    }
+    robot = "" if job.options.robot is None else Path(job.options.robot).stem
+    why = {"reasons": [reason], "reason_codes": [code], "robot": robot}
+    alone = {"segment": 0, "segments": 1, "elapsed_s": 0.0}
+    return _row(episode, job.options.probe, FAILED, "failed", {}, **why, **alone)
 
 
 def _whole(episode: Episode, request: Request, read: Recorded, estimate: Estimate) -> Row:
     answer = next((value for value in estimate.values if value.name == request.probe.answer[0]), estimate.values[0])
-    used: Mapping[str, str] = estimate.origin["calibration"] or {}
-    return {
-        **_base(episode, estimate.probe),
-        **_span(episode, read),
-        **_numbers(answer),
-        "kind": EPISODE,
-        "verdict": estimate.verdict.value,
-        "reasons": [str(reason) for reason in estimate.reasons],
-        "reason_codes": reason_codes(estimate.reasons),
-        "notes": list(estimate.notes),
-        "robot": estimate.robot,
-        "calibration": used.get("name"),
-        "calibration_sha256": used.get("fingerprint"),
-    }
+    why = {"reasons": [str(reason) for reason in estimate.reasons], "reason_codes": reason_codes(estimate.reasons)}
+    about = {**_span(episode, read), **_numbers(answer), "notes": list(estimate.notes), "robot": estimate.robot}
+    used = estimate.origin["calibration"] or {}
+    return _row(episode, estimate.probe, EPISODE, estimate.verdict.value, used, **about, **why)
 
 
 def _numbers(value: Value) -> Row:
@@ -249,50 +229,26 @@ def _span(episode: Episode, read: Recorded) -> Row:
     """When, and which joints: of a motion since its first sample, of runs since the first onset."""
     if read.motions:
         motion = read.motions[0]
-        return {
-            "recorded_ns": motion.begin_ns if episode.index is None and motion.begin_ns else None,
-            "start_s": 0.0,
-            "end_s": float(motion.times_s[-1]),
-            "samples": len(motion.times_s),
-            "joints": list(motion.moved),
-        }
-    if not read.runs:
+        recorded_ns = motion.begin_ns if episode.index is None else 0
+        end_s, samples, joints = motion.times_s[-1], len(motion.times_s), list(motion.moved)
+    elif read.runs:
+        recorded_ns = min(run.onset_ns for run in read.runs)
+        end_s = max(1e-9 * (run.onset_ns - recorded_ns) + run.duration_s for run in read.runs)
+        samples = sum(len(run.times_s) for run in read.runs)
+        joints = list(dict.fromkeys(run.joint for run in read.runs))
+    else:
         return {}
-    first = min(run.onset_ns for run in read.runs)
-    ends = [1e-9 * (run.onset_ns - first) + run.duration_s for run in read.runs]
-    return {
-        "recorded_ns": first or None,
-        "start_s": 0.0,
-        "end_s": float(max(ends)),
-        "samples": sum(len(run.times_s) for run in read.runs),
-        "joints": list(dict.fromkeys(run.joint for run in read.runs)),
-    }
+    when = {"recorded_ns": recorded_ns or None, "start_s": 0.0, "end_s": float(end_s)}
+    return {**when, "samples": samples, "joints": joints}
 
 
 def _of_grasp(episode: Episode, whole: Row, grasp: Grasp, used: Mapping[str, str]) -> Row:
-    known = grasp.known
-    return {
-        **_base(episode, whole["probe"]),
-        "kind": GRASP,
-        "recorded_ns": whole["recorded_ns"],
-        "start_s": grasp.start_s,
-        "end_s": grasp.end_s,
-        "samples": grasp.samples,
-        "joints": whole["joints"],
-        "quantity": whole["quantity"],
-        "unit": whole["unit"],
-        "value": grasp.mass_kg,
-        "std": grasp.std_kg,
-        "low": grasp.ci95_kg[0],
-        "high": grasp.ci95_kg[1],
-        "verdict": "accepted" if known else "too_wide",
-        "reasons": [grasp.what],
-        "reason_codes": [grasp.code],
-        "gripper": grasp.gripper,
-        "robot": whole["robot"],
-        "calibration": used["name"],
-        "calibration_sha256": used["fingerprint"],
-    }
+    verdict, (low, high) = "accepted" if grasp.known else "too_wide", grasp.ci95_kg
+    as_whole = {name: whole[name] for name in ("recorded_ns", "joints", "quantity", "unit", "robot")}
+    when = {name: getattr(grasp, name) for name in ("start_s", "end_s", "samples", "gripper")}
+    held = {"value": grasp.mass_kg, "std": grasp.std_kg, "low": low, "high": high}
+    why = {"reasons": [grasp.what], "reason_codes": [grasp.code]}
+    return _row(episode, whole["probe"], GRASP, verdict, used, **as_whole, **when, **held, **why)
 
 
 def source_name(source: str) -> str:

@@ -10,7 +10,9 @@ import fcntl
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -75,27 +77,22 @@ class Store:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise ConfigurationError(
-                f"--out {folder}: another job writes there now; wait for it, or name another"
-            ) from error
+            busy = f"--out {folder}: another job writes there now; wait for it, or name another"
+            raise ConfigurationError(busy) from error
         self._check(job)
 
     def _check(self, job: Job) -> None:
-        path, mine = self.folder / "job.json", job.fingerprint()
-        if path.exists():
-            try:
-                theirs = json.loads(path.read_text())["fingerprint"]
-            except (OSError, ValueError, KeyError, TypeError):
-                theirs = None
-            if theirs != mine:
-                raise ConfigurationError(
-                    f"--out {self.folder}: holds rows of a job with other options, files or another version; name another folder, "
-                    "or delete it"
-                )
-            return
-        write_in_one_step(
-            path, json.dumps({"fingerprint": mine, "job": json.loads(job.as_text())}, indent=1) + "\n", "--out"
-        )
+        path, mine, theirs = self.folder / "job.json", job.fingerprint(), None
+        if not path.exists():
+            content = {"fingerprint": mine, "job": json.loads(job.as_text())}
+            return write_in_one_step(path, json.dumps(content, indent=1) + "\n", "--out")
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            theirs = json.loads(path.read_text())["fingerprint"]
+        if theirs != mine:
+            raise ConfigurationError(
+                f"--out {self.folder}: holds rows of a job with other options, files or another version; name another folder, "
+                "or delete it"
+            )
 
     def close(self) -> None:
         """Let another process write."""
@@ -122,12 +119,7 @@ class Store:
         return found
 
     def write(self, rows: Sequence[Row], name: str) -> None:
-        """Write the rows of a chunk in one step.
-
-        Args:
-            rows: Of one source.
-            name: Of the chunk; a file of that name is replaced.
-        """
+        """Write the rows of a chunk, all of one source, in one step; a file of that name is replaced."""
         folder = self.rows / f"{PARTITION}={rows[0][PARTITION]}"
         folder.mkdir(exist_ok=True)
         write_rows(folder / f"part-{name}.parquet", rows)
@@ -137,22 +129,15 @@ class Store:
         from pyarrow import dataset
 
         pa = arrow()
-        whole = dataset.dataset(
-            [str(file) for file in self.files()],
-            schema=schema(),
-            partitioning=dataset.partitioning(pa.schema([(PARTITION, pa.string())]), flavor="hive"),
-            partition_base_dir=str(self.rows),
-        ).to_table(columns=None if columns is None else [*columns])
-        return whole
+        hive = dataset.partitioning(pa.schema([(PARTITION, pa.string())]), flavor="hive")
+        place = {"partitioning": hive, "partition_base_dir": str(self.rows)}
+        whole = dataset.dataset([str(file) for file in self.files()], schema=schema(), **place)
+        return whole.to_table(columns=None if columns is None else [*columns])
 
     def verdicts(self) -> dict[str, int]:
         """How many rows of episodes, or of their parts, have which verdict."""
-        table = self.table(["verdict", "kind"])
-        found: dict[str, int] = {}
-        for verdict, kind in zip(table["verdict"].to_pylist(), table["kind"].to_pylist(), strict=True):
-            if kind != GRASP:
-                found[verdict] = found.get(verdict, 0) + 1
-        return dict(sorted(found.items()))
+        rows = self.table(["verdict", "kind"]).to_pylist()
+        return dict(sorted(Counter(row["verdict"] for row in rows if row["kind"] != GRASP).items()))
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -174,9 +159,8 @@ def _whole_episodes(file: Path) -> set[tuple[str, str]] | None:
         return None
     seen: dict[tuple[str, str], list[int]] = {}
     wanted: dict[tuple[str, str], int] = {}
-    for source, episode, segment, segments in zip(*(column.to_pylist() for column in table.columns), strict=True):
-        seen.setdefault((source, episode), []).append(segment)
-        wanted[source, episode] = segments
-    if any(sorted(seen[key]) != list(range(count)) for key, count in wanted.items()):
-        return None
-    return set(seen)
+    for row in table.to_pylist():
+        key = row["source"], row["episode"]
+        seen.setdefault(key, []).append(row["segment"])
+        wanted[key] = row["segments"]
+    return set(seen) if all(sorted(seen[key]) == list(range(count)) for key, count in wanted.items()) else None
