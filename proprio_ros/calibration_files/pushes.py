@@ -269,10 +269,7 @@ class Calibration:
 
 
 def check_complete(
-    calibration: Calibration,
-    links: Sequence[str],
-    drive_trains: Mapping[str, Any],
-    spreads: Mapping[str, float],
+    calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], spreads: Mapping[str, float]
 ) -> None:
     """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
 

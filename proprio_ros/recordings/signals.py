@@ -374,10 +374,7 @@ def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> I
 
 
 def read_drive_signals(
-    path: str | Path,
-    state_topic: str | None = None,
-    conventions: Conventions = OUR_DRIVER,
-    span: Span | None = None,
+    path: str | Path, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER, span: Span | None = None
 ) -> DriveSignals:
     """Read goals (positions of /joint_command) and supply voltage (/battery_state), as far as they are there.
 

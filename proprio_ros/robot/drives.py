@@ -94,7 +94,7 @@ class DutyCycle(Drive):
     kind: ClassVar[str] = "duty_cycle"
     takes: ClassVar[str] = MEASURED
     forms: ClassVar[Mapping[str, Form]] = {
-        "per_count": Number("duty cycle, 0 to 1, of one count of the published effort", "", -1.0, 1.0),
+        "per_count": Number("duty cycle, 0 to 1, of one count of the published effort", "", -1.0, 1.0)
     }
 
     per_count: float

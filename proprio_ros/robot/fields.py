@@ -156,10 +156,7 @@ ROBOT: dict[str, Field] = {
     "friction_velocity_rad_s": Field(
         Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
     ),
-    "drift": Field(
-        Part("how fast a calibration ages: four relative standard deviations", by=_drift),
-        Drift(),
-    ),
+    "drift": Field(Part("how fast a calibration ages: four relative standard deviations", by=_drift), Drift()),
     "calibrated": Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": Field(Text("of the URDF that a calibration was made with"), None),
     "calibration": Field(Part("what `proprio calibrate` identified", by=Calibration.from_settings), None),
@@ -168,8 +165,7 @@ ROBOT: dict[str, Field] = {
         None,
     ),
     "joint_calibration": Field(
-        Part("what `proprio calibrate` identified from motions of one joint", by=JointCalibration.from_settings),
-        None,
+        Part("what `proprio calibrate` identified from motions of one joint", by=JointCalibration.from_settings), None
     ),
 }
 ELSEWHERE = dict.fromkeys(("urdf", "joints", "extends"), Field(Text(longest=LONGEST_PATH), None))

@@ -500,9 +500,7 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
 
 
 def load_robot(
-    name_or_path: str | Path,
-    overrides: Mapping[str, Any] | None = None,
-    of_bag: Callable[[Path], str] | None = None,
+    name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, of_bag: Callable[[Path], str] | None = None
 ) -> Robot:
     """Read a robot.
 
