@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -46,8 +45,7 @@ class Finding:
     """One thing that a reader should know.
 
     Attributes:
-        code: What it is, for programs.
-        sentence: The same for people.
+        code: What it is, for programs; sentence: The same for people.
         joints: That it is about.
         values: Its numbers by joint, in the unit that the sentence names.
     """
@@ -56,9 +54,7 @@ class Finding:
     sentence: str
     joints: tuple[str, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, Any]:
-        return {"code": self.code, "sentence": self.sentence, "joints": list(self.joints), "values": dict(self.values)}
+    as_json = asdict
 
 
 @dataclass(frozen=True)
@@ -74,9 +70,7 @@ class EffortUnit:
     unit: str
     ratio: Mapping[str, float]
     plausible: bool
-
-    def as_json(self) -> dict[str, Any]:
-        return {"unit": self.unit, "ratio": dict(self.ratio), "plausible": self.plausible}
+    as_json = asdict
 
 
 def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
@@ -87,41 +81,27 @@ def moving(record: JointRecord, slides: Sequence[str] = ()) -> tuple[str, ...]:
 
 
 def findings(recording: Recording, slides: Sequence[str] = ()) -> tuple[Finding, ...]:
-    """All that a recording shows of itself without a robot.
-
-    Args:
-        recording: As it was read; its ``reported_effort`` is in whatever unit the publisher used.
-        slides: Names of joints that slide.
-    """
+    """All that a recording shows of itself without a robot, efforts in whatever unit the publisher used."""
     moved = moving(recording.joints, slides)
-    return (
-        *_held(recording, moved),
-        *_still_columns(recording.joints, moved),
-        *_velocity(recording.joints, moved),
-        *_registers(recording.joints, moved),
-        *_stale(recording.joints, moved),
-        *_command_as_effort(recording),
-    )
-
-
-# --- each by itself ---------------------------------------------------------------------------------------------------
+    each = (_still_columns, _velocity, _registers, _stale)
+    by_column = (finding for of in each for finding in of(recording.joints, moved))
+    return (*_held(recording, moved), *by_column, *_command_as_effort(recording))
 
 
 def _held(recording: Recording, moved: Sequence[str]) -> Iterator[Finding]:
-    """Joints that stand still while a current is recorded for them: it holds them, and drives nothing."""
+    """Joints that a current holds."""
     inputs = recording.inputs
     if inputs is None or not moved:
         return
     largest = dict(zip(inputs.names, np.abs(inputs.current_A).max(axis=0), strict=True))
-    names = recording.joints.names
-    held = tuple(name for name in names if name not in moved and largest.get(name, 0.0) > ZERO_CURRENT_A)
-    if held:
+    still = [name for name in recording.joints.names if name not in moved]
+    if held := tuple(name for name in still if largest.get(name, 0.0) > ZERO_CURRENT_A):
         whose = "its motor gave held it" if len(held) == 1 else "their motors gave held them"
         yield Finding("held", f"{some(held)} stood still: what {whose} and drove nothing", held)
 
 
 def _still_columns(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
-    """Columns that never change although their joint moves: a driver that has no such reading."""
+    """Columns of a driver that has no such reading."""
     for quantity in ("velocity", "reported_effort"):
         values = getattr(record, quantity)
         if values is None:
@@ -139,12 +119,7 @@ def _still_columns(record: JointRecord, moved: Sequence[str]) -> Iterator[Findin
 
 
 def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times and values at equal distances, by interpolation; of a recording with gaps its longest stretch without.
-
-    Args:
-        times_s: Increasing, shape (T,).
-        values: Shape (T, ...).
-    """
+    """Times, shape (T,), and values, shape (T, ...), at equal distances, by interpolation; between gaps the longest stretch."""
     period_s = float(np.median(np.diff(times_s)))
     cuts = [0, *(np.flatnonzero(np.diff(times_s) > max(0.1, 5.0 * period_s)) + 1), len(times_s)]
     start, end = max(itertools.pairwise(cuts), key=lambda part: part[1] - part[0])
@@ -155,12 +130,7 @@ def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def velocity_lag_s(times_s: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[float, float] | None:
-    """How far a recorded velocity is behind the derivative of its position, and how many times as large it is.
-
-    Args:
-        times_s: Shape (T,).
-        position: [rad or m], shape (T,).
-        velocity: As recorded, shape (T,).
+    """How far a recorded velocity is behind the derivative of its position, and how many times as large it is; all of shape (T,).
 
     Returns:
         Lag [s] (ahead is negative) and ratio; None where the two hardly agree at any lag.
@@ -213,25 +183,18 @@ def _velocity(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
         if seen is not None:
             lags[name], ratios[name] = seen
     period_s = float(np.median(np.diff(times_s)))
-    late = {name: 1e3 * lag for name, lag in lags.items() if lag > max(LAG_S, 1.2 * period_s)}
-    if late:
-        span = _span(late, ".0f")
-        yield Finding(
-            "velocity_lags",
-            f"the velocity of {some(late)} lags its position by {span} ms: a filter of the driver or the servo; "
-            "positions alone are used",
-            tuple(late),
-            late,
+    if late := {name: 1e3 * lag for name, lag in lags.items() if lag > max(LAG_S, 1.2 * period_s)}:
+        sentence = (
+            f"the velocity of {some(late)} lags its position by {_span(late, '.0f')} ms: a filter of the driver or the servo; "
+            "positions alone are used"
         )
-    other = {name: ratio for name, ratio in ratios.items() if not 0.8 < ratio < 1.25}
-    if other:
-        yield Finding(
-            "velocity_scale",
+        yield Finding("velocity_lags", sentence, tuple(late), late)
+    if other := {name: ratio for name, ratio in ratios.items() if not 0.8 < ratio < 1.25}:
+        sentence = (
             f"the velocity of {some(other)} is {_span(other, '.3g')} times the derivative of its position: "
-            "another unit (rpm are 9.55 times rad/s, degrees/s 57.3 times), or another joint's; positions alone are used",
-            tuple(other),
-            other,
+            "another unit (rpm are 9.55 times rad/s, degrees/s 57.3 times), or another joint's; positions alone are used"
         )
+        yield Finding("velocity_scale", sentence, tuple(other), other)
 
 
 def _span(values: Mapping[str, float], spec: str) -> str:
@@ -263,20 +226,17 @@ def _registers(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
                 unsigned.append(name)
     if wrapped:
         value = min(wrapped.values())
-        yield Finding(
-            "unsigned_register",
+        sentence = (
             f"the effort of {some(wrapped)} holds numbers from {value:.0f} to {highest:.0f}, as an unsigned register "
-            f"of 16 bits does below zero ({value:.0f} is {value - 65536.0:.0f}): let the driver read it as signed",
-            tuple(wrapped),
-            wrapped,
+            f"of 16 bits does below zero ({value:.0f} is {value - 65536.0:.0f}): let the driver read it as signed"
         )
+        yield Finding("unsigned_register", sentence, tuple(wrapped), wrapped)
     if unsigned:
-        yield Finding(
-            "effort_without_sign",
+        sentence = (
             f"the effort of {some(unsigned)} is never negative although it moves both ways: it may be a magnitude without "
-            "its sign, of which no torque can be made",
-            tuple(unsigned),
+            "its sign, of which no torque can be made"
         )
+        yield Finding("effort_without_sign", sentence, tuple(unsigned))
 
 
 def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
@@ -302,17 +262,16 @@ def _stale(record: JointRecord, moved: Sequence[str]) -> Iterator[Finding]:
         if len(seen) < FEW_LEVELS:  # an excitation's constant current, read without noise
             continue
         lengths, places = np.array(seen).T
-        typical = int(np.repeat(lengths, lengths)[np.argsort(np.repeat(lengths, lengths))][lengths.sum() // 2])
+        typical = int(np.sort(np.repeat(lengths, lengths))[lengths.sum() // 2])
         # as long as it moves on meanwhile
         if typical >= STALE_SAMPLES and places[lengths >= typical].mean() > 0.5 * STALE_SAMPLES:
             slow[name] = typical * float(np.median(np.diff(times_s)))
-    if not slow:
-        return
-    sentence = (
-        f"the effort of {some(slow)} stays the same for {_span(slow, '.2g')} s at a time while it moves, at "
-        f"{1.0 / float(np.median(np.diff(times_s))):.0f} joint states a second: old readings are repeated"
-    )
-    yield Finding("effort_stale", sentence, tuple(slow), slow)
+    if slow:
+        sentence = (
+            f"the effort of {some(slow)} stays the same for {_span(slow, '.2g')} s at a time while it moves, at "
+            f"{1.0 / float(np.median(np.diff(times_s))):.0f} joint states a second: old readings are repeated"
+        )
+        yield Finding("effort_stale", sentence, tuple(slow), slow)
 
 
 def _command_as_effort(recording: Recording) -> Iterator[Finding]:
@@ -320,6 +279,7 @@ def _command_as_effort(recording: Recording) -> Iterator[Finding]:
     record, inputs = recording.joints, recording.inputs
     if inputs is None or inputs.measured or record.reported_effort is None:
         return
+    row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
     same = []
     for name in record.names:
         if name not in inputs.names:
@@ -327,35 +287,24 @@ def _command_as_effort(recording: Recording) -> Iterator[Finding]:
         effort, command = record.reported_effort[:, record.column(name)], inputs.current_A[:, inputs.column(name)]
         if not np.isfinite(effort).all() or np.ptp(command) == 0.0 or len(np.unique(command)) < 10:
             continue
-        row = np.clip(np.searchsorted(inputs.times_ns, record.times_ns, side="right") - 1, 0, None)
-        for late in (0, 1):
-            given = command[np.clip(row - late, 0, None)]
+        for given in (command[row], command[np.clip(row - 1, 0, None)]):
             factor = float(given @ effort) / max(float(given @ given), 1e-300)
             if np.abs(effort - factor * given).max() < 1e-5 * np.abs(effort).max():
                 same.append(name)
                 break
     if same:
-        yield Finding(
-            "effort_is_command",
+        sentence = (
             f"the effort of {some(same)} is the command again: it was not measured, and a motor follows its "
-            "command late and not quite",
-            tuple(same),
+            "command late and not quite"
         )
+        yield Finding("effort_is_command", sentence, tuple(same))
 
 
 # --- effort against gravity ------------------------------------------------------------------------------------------
 
 
 def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
-    """Torque at each joint that holds the arm where it is [N m].
-
-    Args:
-        model: With n revolute joints.
-        position: [rad], shape (T, n).
-
-    Returns:
-        Shape (T, n).
-    """
+    """Torque at each revolute joint that holds the arm at positions [rad]; both of shape (T, n) [N m]."""
     motion = kinematics(model, position, np.zeros_like(position))
     torque = np.zeros_like(position)
     for body in range(position.shape[1]):
@@ -377,10 +326,9 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     """
     record = recording.joints
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
-    turning = [name for name in robot.model.independent_joints if name in record.names and name not in slides]
-    # as far as its joints were recorded; what is behind a joint that was not would be somewhere else
-    missing = [name for name in robot.model.independent_joints if name not in record.names and name not in slides]
-    if record.reported_effort is None or not turning or missing:
+    turning = [name for name in robot.model.independent_joints if name not in slides]
+    # what is behind a joint that was not recorded would be somewhere else
+    if record.reported_effort is None or not turning or not set(turning) <= set(record.names):
         return {}
     held = {name: float(record.position[:, record.column(name)].mean()) for name in slides if name in record.names}
     model = robot.model.lock(turning, {**dict.fromkeys(slides, 0.0), **held}, robot.gravity)
@@ -404,23 +352,17 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     found = {}
     moved = moving(record)
     for column, name in enumerate(model.joint_names):
-        if name not in moved or np.ptp(effort[:, column]) == 0.0:
+        load, speed, seen = torque[:, column], velocity[:, column], effort[:, column]
+        if name not in moved or np.ptp(seen) == 0.0:
             continue
-        matrix = np.column_stack(
-            [
-                torque[:, column],
-                np.tanh(velocity[:, column] / 0.02),
-                velocity[:, column],
-                acceleration[:, column],
-                np.ones(count),
-            ]
-        )
+        matrix = np.column_stack([load, np.tanh(speed / 0.02), speed, acceleration[:, column], np.ones(count)])
         size = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-        solution, _, rank, _ = np.linalg.lstsq(matrix / size, effort[:, column], rcond=1e-8)
-        if rank < matrix.shape[1] or np.ptp(torque[:, column]) < LEAST_LOAD * np.ptp(torque, axis=0).max():
+        matrix /= size
+        solution, _, rank, _ = np.linalg.lstsq(matrix, seen, rcond=1e-8)
+        if rank < matrix.shape[1] or np.ptp(load) < LEAST_LOAD * np.ptp(torque, axis=0).max():
             continue
-        residual = effort[:, column] - matrix / size @ solution
-        inverse = np.linalg.inv((matrix / size).T @ (matrix / size))
+        residual = seen - matrix @ solution
+        inverse = np.linalg.inv(matrix.T @ matrix)
         error = float(np.sqrt(residual @ residual / (count - matrix.shape[1]) * inverse[0, 0]))
         if abs(solution[0]) > LEAST_T * error:
             found[name] = float(solution[0] / size[0])
@@ -439,12 +381,10 @@ def effort_units(
     """
     result = []
     for unit in EFFORT_UNITS:
-        torque = unit == "N.m"
-        ratio = {
-            name: value * (1.0 if torque else ampere(unit, per_count_A) * constants[name])
-            for name, value in per_torque.items()
-            if torque or name in constants
-        }
+        ratio = dict(per_torque)
+        if unit != "N.m":
+            of_one_A = {name: value for name, value in per_torque.items() if name in constants}
+            ratio = {name: value * (ampere(unit, per_count_A) * constants[name]) for name, value in of_one_A.items()}
         if ratio:
             middle = float(np.median(list(ratio.values())))
             result.append(EffortUnit(unit, ratio, PLAUSIBLE[0] <= middle <= PLAUSIBLE[1]))
