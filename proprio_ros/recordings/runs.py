@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
@@ -27,49 +28,35 @@ from proprio_ros.records import (
 
 MEASURED_CURRENT_FLOOR_A = 0.015
 """Measured currents scatter by 8-15 mA around the command on a real OpenManipulator-X; less is rest [A]."""
-
 REST_S = 0.2
 """A measured rest level is taken over the opening of the recording [s]."""
-
 SETTLING_S = 0.3
 """After a run ends the joint is braked; what it does meanwhile is no rest [s]."""
-
 BEFORE_S = 1.0
 """Rest before the onset that a run carries along [s]."""
-
 AFTER_S = 0.3
 """Of what the joint does after its run, so much is carried along: it shows when the current truly ended [s]."""
-
 MOVING_SPAN = 0.02
 """A joint that a position controller holds gives way by less than this [rad or m]."""
-
 REPEATED_SHARE = 0.2
 """Of the joint states in a run may repeat the one before while the joint moves, before it is taken for a publisher's doing."""
-
 STEADY_SHARE, STEADY_WITHIN = 0.8, 0.25
 """The current of an excitation is constant: so much of it lies so close to its median, once single samples are smoothed. Of 194
 simulated ones 0.82 to 1 of it does even unsmoothed; under the controllers of real servos mostly 0 to 0.75."""
 AT_REST_S = 0.3
 """An excitation begins at rest: for so long before it the joint has not moved."""
-
 MIN_SAMPLES = 5
 """Fewer samples than this say nothing about a motion that starts at rest."""
-
-
 RELEASE_S = 0.05
 """A servo that was told to let go may take so long; what it does meanwhile is no free response. Torque that comes back may come so
 long before it is said [s]."""
-
 LET_GO_S, CAUGHT_S = 0.2, 0.2
 """A current that ends so shortly before a free response lets go of the joint, and one that begins so shortly after it catches it:
 neither is an excitation [s]."""
-
 FELL_SPAN = 0.1
 """Where torque is off, a joint that moves more than this swings, and one that moves less is held by its friction [rad]."""
-
 LONGEST_SWING_S = 5.0
 """Of a free response: what comes later is told by friction more than by weight, and costs computing time [s]."""
-
 STANDS_STILL = 0.005
 """A joint that stays this close to where it ends has come to rest [rad]."""
 
@@ -105,12 +92,9 @@ def cut_runs(
     the joint at rest then.
 
     Args:
-        recording: The recording.
+        recording: As it was read.
         held: Positions of joints that are held but not recorded, or that replace recorded ones [rad or m].
-        joints: Joints that may be driven: those of the robot that have a motor.
-
-    Returns:
-        The runs, at least one.
+        joints: Those of the robot that have a motor.
 
     Raises:
         DrivenAtOnce: Several joints were, or one under a controller.
@@ -126,21 +110,23 @@ def cut_runs(
         )
     record = recording.joints
     intervals = _intervals(recording.name, record, inputs, tuple(joints))
-    runs: list[Run] = []
-    too_short: list[RecordingError] = []
-    previous_end_ns: int | None = None
-    nexts_ns = [interval.onset_ns for interval in intervals[1:]] + [None]
-    for number, (interval, next_ns) in enumerate(zip(intervals, nexts_ns, strict=True), start=1):
+    runs, too_short = [], []
+    before = [None, *(interval.end_ns for interval in intervals)]
+    after = [*(interval.onset_ns for interval in intervals[1:]), None]
+    for number, (interval, end_ns, next_ns) in enumerate(zip(intervals, before, after, strict=False), start=1):
         name = recording.name if len(intervals) == 1 else f"{recording.name}#{number}"
         try:
-            runs.append(_run(name, record, inputs, interval, previous_end_ns, next_ns, dict(held or {})))
+            runs.append(_run(name, record, inputs, interval, end_ns, next_ns, dict(held or {})))
         except RecordingError as error:
-            too_short.append(error)
-        previous_end_ns = interval.end_ns
+            too_short.append(str(error))
+    return _without(too_short, runs)
+
+
+def _without(left_out: Sequence[str], runs: Sequence[Run]) -> tuple[Run, ...]:
+    """An excitation that was broken off at once says nothing, and must not cost the others; raises where there are none."""
     if not runs:
-        raise too_short[0]
-    # a push that was broken off at once says nothing, and must not cost the others
-    return tuple(replace(run, notes=(*run.notes, *(f"left out: {error}" for error in too_short))) for run in runs)
+        raise RecordingError(left_out[0])
+    return tuple(replace(run, notes=(*run.notes, *(f"left out: {why}" for why in left_out))) for run in runs)
 
 
 def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
@@ -148,16 +134,13 @@ def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
     record = recording.joints
     if inputs.measured:
         return False
+    off_ns = [(begin - int(LET_GO_S * 1e9), end + int(CAUGHT_S * 1e9)) for begin, end in recording.torque_off_ns]
     for column, joint in enumerate(inputs.names):
         active = np.abs(inputs.current_A[:, column]) > ZERO_CURRENT_A
         if joint not in record.names or not active.any():
             continue
         for interval in _intervals_of_joint(record, inputs, joint, active):
-            begins = [
-                begin - int(LET_GO_S * 1e9)
-                for begin, end in recording.torque_off_ns
-                if begin - int(LET_GO_S * 1e9) < interval.end_ns and end + int(CAUGHT_S * 1e9) > interval.onset_ns
-            ]
+            begins = [begin for begin, end in off_ns if begin < interval.end_ns and end > interval.onset_ns]
             end_ns = min([interval.end_ns, *begins])
             if _span(record, joint, interval._replace(end_ns=end_ns)) > MOVING_SPAN:
                 return True
@@ -177,28 +160,22 @@ def _free_responses(recording: Recording, held: dict[str, float], joints: tuple[
         name = recording.name if len(recording.torque_off_ns) == 1 else f"{recording.name}#{number}"
         off_s = 1e-9 * (off_ns - int(record.times_ns[0]))
         said = f"{name}: torque goes off {off_s:.2f} s after the first joint state, but"
-        inside = (record.times_ns >= off_ns + int(RELEASE_S * 1e9)) & (record.times_ns < on_ns)
+        end_ns = on_ns - int(RELEASE_S * 1e9) if on_ns < record.times_ns[-1] else on_ns
+        inside = (record.times_ns >= off_ns + int(RELEASE_S * 1e9)) & (record.times_ns < end_ns)
         inside &= record.times_ns <= off_ns + int(LONGEST_SWING_S * 1e9)
-        if on_ns < record.times_ns[-1]:
-            inside &= record.times_ns < on_ns - int(RELEASE_S * 1e9)
-        if int(inside.sum()) < MIN_SAMPLES:
-            problems.append(
-                f"{said} only {int(inside.sum())} joint states come while it is off: record on until it hangs still"
-            )
+        count = int(inside.sum())
+        if count < MIN_SAMPLES:
+            problems.append(f"{said} only {count} joint states come while it is off: record on until it hangs still")
             continue
         spans = np.ptp(record.position[inside], axis=0)
         fell = [record.names[column] for column in columns if spans[column] > FELL_SPAN]
-        if len(fell) != 1:
-            problems.append(
-                f"{said} {', '.join(fell)} fall at once: hold all joints but one"
-                if fell
-                else f"{said} no joint falls by {FELL_SPAN:g} rad: let go of it where gravity pulls at it"
-            )
-            continue
-        runs.append(_free_response(name, record, fell[0], inside, held))
-    if not runs:
-        raise RecordingError(problems[0])
-    return tuple(replace(run, notes=(*run.notes, *(f"left out: {problem}" for problem in problems))) for run in runs)
+        if not fell:
+            problems.append(f"{said} no joint falls by {FELL_SPAN:g} rad: let go of it where gravity pulls at it")
+        elif len(fell) > 1:
+            problems.append(f"{said} {', '.join(fell)} fall at once: hold all joints but one")
+        else:
+            runs.append(_free_response(name, record, fell[0], inside, held))
+    return _without(problems, runs)
 
 
 def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray, held: dict[str, float]) -> Run:
@@ -217,7 +194,8 @@ def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray
     away = np.flatnonzero(np.abs(position - end) > STANDS_STILL)
     rows = rows[: min(int(away[-1]) + 3, len(rows))] if len(away) else rows
     times_s = (record.times_ns[rows] - record.times_ns[rows[0]]) / 1e9
-    others = {other: record.position[rows, record.column(other)] for other in record.names if other != joint}
+    others = _others(record, rows, joint, held)
+    others["held_span"] |= {other: 0.0 for other in held if other != joint}
     return Run(
         name=name,
         joint=joint,
@@ -226,17 +204,24 @@ def _free_response(name: str, record: JointRecord, joint: str, inside: BoolArray
         position=record.position[rows, column],
         before_times_s=np.zeros(0),
         before_position=np.zeros(0),
-        held={other: float(values.mean()) for other, values in others.items()}
-        | {other: float(value) for other, value in held.items() if other != joint},
-        held_span={other: 0.0 for other in held if other != joint}
-        | {other: float(np.ptp(values)) for other, values in others.items() if other not in held},
         input_times_s=np.zeros(1),
         input_current_A=np.zeros(1),
         duration_s=float(times_s[-1]),
         source=TORQUE_OFF,
         notes=tuple(notes),
-        held_position={other: values for other, values in others.items() if other not in held},
+        **others,
     )
+
+
+def _others(record: JointRecord, rows: NDArray[Any], joint: str, held: Mapping[str, float]) -> dict[str, Any]:
+    """What a `Run` says of all joints but that which moves, by name."""
+    positions = {other: record.position[rows, record.column(other)] for other in record.names if other != joint}
+    stated = {other: float(value) for other, value in held.items() if other != joint}
+    return {
+        "held": {other: float(values.mean()) for other, values in positions.items()} | stated,
+        "held_span": dict.fromkeys(stated, 0.0) | {other: float(np.ptp(v)) for other, v in positions.items()},
+        "held_position": {other: values for other, values in positions.items() if other not in held},
+    }
 
 
 def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> list[_Interval]:
@@ -248,9 +233,9 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
         if joint not in joints:
             raise RecordingError(f"{name}: joint {joint!r} was driven, but the robot drives {', '.join(joints)}")
         if joint not in record.names:
+            recorded = ", ".join(record.names)
             raise RecordingError(
-                f"{name}: joint {joint!r} was driven but its position was not recorded;"
-                f" recorded: {', '.join(record.names)}"
+                f"{name}: joint {joint!r} was driven but its position was not recorded; recorded: {recorded}"
             )
         intervals += _intervals_of_joint(record, inputs, joint, active[:, column])
     if inputs.measured:
@@ -264,9 +249,9 @@ def _intervals(name: str, record: JointRecord, inputs: InputRecord, joints: tupl
                 f"{name}: joints {earlier.joint!r} and {later.joint!r} were driven at once; drive one joint at a time, or give this"
                 " motion, and one with an empty hand as --baseline, to `replay --probe payload`"
             )
-    if not intervals and inputs.measured:
-        _refuse_controlled(name, record, inputs, joints)
     if not intervals:
+        if inputs.measured:
+            _refuse_controlled(name, record, inputs, joints)
         stays = "never leaves its rest level for long" if inputs.measured else "is zero throughout"
         raise RecordingError(
             f"{name}: no joint was driven: {inputs.source} {stays} ({len(inputs.times_ns)} rows);"
@@ -285,18 +270,13 @@ def _under_controller(name: str, joint: str) -> UnderController:
 
 
 def _refuse_controlled(name: str, record: JointRecord, inputs: InputRecord, joints: tuple[str, ...]) -> None:
-    """Where a current that alternates from the first sample on has no rest level, but moves a joint.
-
-    Raises:
-        UnderController: There is such a joint.
-    """
+    """Raises: UnderController: A current that alternates from the first sample on has no rest level, but moves a joint."""
     for joint in joints:
-        if joint not in inputs.names or joint not in record.names:
-            continue
-        smooth = median_filter(inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest")
-        loud = float(np.mean(np.abs(smooth - np.median(smooth)) > MEASURED_CURRENT_FLOOR_A))
-        if loud > 0.5 and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:
-            raise _under_controller(name, joint)
+        if joint in inputs.names and joint in record.names:
+            smooth = median_filter(inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest")
+            loud = float(np.mean(np.abs(smooth - np.median(smooth)) > MEASURED_CURRENT_FLOOR_A))
+            if loud > 0.5 and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:
+                raise _under_controller(name, joint)
 
 
 def _is_excitation(record: JointRecord, inputs: InputRecord, interval: _Interval) -> bool:
@@ -351,10 +331,8 @@ def _intervals_of_joint(record: JointRecord, inputs: InputRecord, joint: str, ac
     for first, last in stretches:
         notes = []
         onset_ns = int(times[first])
-        if last + 1 < len(times):
-            end_ns = int(times[last + 1])
-        else:
-            end_ns = max(int(record.times_ns[-1]), onset_ns)
+        end_ns = int(times[last + 1]) if last + 1 < len(times) else max(int(record.times_ns[-1]), onset_ns)
+        if last + 1 == len(times):
             notes.append(
                 f"the input ends while {joint} is still driven: its last current is held until the last joint state"
             )
@@ -383,18 +361,13 @@ def _between_samples(times: TimeArray, first: int, last: int, end_ns: int) -> tu
 
 def _without_holding_joints(record: JointRecord, intervals: list[_Interval]) -> list[_Interval]:
     """Drop the joints whose motors answer a moving neighbour: their current changes, but they stay where they are."""
-    kept = []
-    for interval in intervals:
-        moving = [
-            other
-            for other in intervals
-            if other.onset_ns < interval.end_ns
-            and interval.onset_ns < other.end_ns
-            and _span(record, other.joint, interval) > max(MOVING_SPAN, 5.0 * _span(record, interval.joint, interval))
-        ]
-        if not moving:
-            kept.append(interval)
-    return kept
+
+    def holds(interval: _Interval) -> bool:
+        least = max(MOVING_SPAN, 5.0 * _span(record, interval.joint, interval))
+        beside = [each for each in intervals if each.onset_ns < interval.end_ns and interval.onset_ns < each.end_ns]
+        return any(_span(record, other.joint, interval) > least for other in beside)
+
+    return [interval for interval in intervals if not holds(interval)]
 
 
 def _span(record: JointRecord, joint: str, interval: _Interval) -> float:
@@ -438,13 +411,8 @@ def _run(
     before_position = record.position[before, column]
     if not before.any():
         notes.append(f"no joint state at rest was recorded before {interval.joint} was driven")
-    elif np.ptp(before_position) > MOVING_SPAN:
-        notes.append(
-            f"{interval.joint} moved by {np.ptp(before_position):.3g} before it was driven: it was not at rest"
-        )
-    whole = before | inside
-    positions = dict(zip(record.names, record.position[whole].T, strict=True))
-    others = {joint: values for joint, values in positions.items() if joint != interval.joint}
+    elif (moved := np.ptp(before_position)) > MOVING_SPAN:
+        notes.append(f"{interval.joint} moved by {moved:.3g} before it was driven: it was not at rest")
     input_times_s, input_current_A = _piecewise(inputs, interval)
     return Run(
         name=name,
@@ -454,19 +422,15 @@ def _run(
         position=record.position[inside, column],
         before_times_s=times_s[before],
         before_position=before_position,
-        held={joint: float(values.mean()) for joint, values in others.items()}
-        | {joint: float(value) for joint, value in held.items() if joint != interval.joint},
-        held_span={joint: 0.0 for joint in held if joint != interval.joint}
-        | {joint: float(np.ptp(values)) for joint, values in others.items()},
         input_times_s=input_times_s,
         input_current_A=input_current_A,
         duration_s=duration_s,
         source=inputs.source,
         notes=tuple(notes),
         reported_effort=None if record.reported_effort is None else record.reported_effort[inside, column],
-        held_position={joint: values for joint, values in others.items() if joint not in held},
         after_times_s=times_s[after],
         after_position=record.position[after, column],
+        **_others(record, before | inside, interval.joint, held),
     )
 
 
@@ -499,12 +463,9 @@ def _piecewise(inputs: InputRecord, interval: _Interval) -> tuple[FloatArray, Fl
 
     A command holds from its stamp on; a measured current is what flowed since the sample before.
     """
-    rows = slice(interval.first, interval.last + 1)
-    current = inputs.current_A[rows, inputs.column(interval.joint)]
-    begins = (
-        rows if not inputs.measured else slice(max(interval.first - 1, 0), max(interval.first - 1, 0) + len(current))
-    )
-    times_s = (inputs.times_ns[begins] - interval.onset_ns) / 1e9
+    current = inputs.current_A[interval.first : interval.last + 1, inputs.column(interval.joint)]
+    begin = max(interval.first - 1, 0) if inputs.measured else interval.first
+    times_s = (inputs.times_ns[begin : begin + len(current)] - interval.onset_ns) / 1e9
     times_s[0] = 0.0
     changes = np.concatenate(([True], np.diff(current) != 0.0))
     return times_s[changes], current[changes]
