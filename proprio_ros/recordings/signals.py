@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,16 +49,12 @@ from proprio_ros.records import (
 
 REGISTER, LARGEST_COUNT = 65536, 4096
 """Values of a register of 16 bits, and what no motor's current, duty or load in counts exceeds."""
-
 IMPLAUSIBLE_SPEED = 10.0
 """rad/s or m/s: no joint of an arm gets that fast there and back between a few samples; a damaged number does."""
-
 LONGEST_JUMP = 3
 """Samples in a row that may be damaged: more that agree with each other are a slipped encoder."""
-
 GARBAGE_SHARE = 0.05
 """Fewer messages than this with impossible numbers are left out; more have another unit."""
-
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
 
@@ -87,19 +84,19 @@ def read_recording(
 ) -> Recording:
     """Read joint states and input currents from a ROS 2 bag.
 
-    The input comes from /applied_effort, else from /current_command, else from measured effort; of another driver from the topics
-    that its conventions name, else from measured effort.
+    The input comes from the topics that the driver's conventions name (ours: /applied_effort, else /current_command), else from
+    measured effort.
 
     Args:
-        path: Bag folder (with or without metadata.yaml), or one .mcap or .db3 file.
+        path: As for `open_bag`.
         state_topic: Topic of the joint states; None takes /joint_states, also under a namespace, else the only one.
         command_topic: Topic of the input: sensor_msgs/JointState with effort = commanded current x nominal torque
             constant [N m or N], or std_msgs/Float64MultiArray of currents [A]; None looks for the usual ones. Where the conventions
             have an input of that type, its unit and its order of joints hold.
         effort_unit: What effort of the joint states means: 'N.m', 'A', 'mA' or 'raw'; None: not stated, never guessed.
         nominal_torque_constants: By joint; the ones with which effort was published [N m/A or N/A].
-        joint_order: Joints in the order of an unlabelled current command.
-        current_per_count_A: Current of one raw count [A].
+        joint_order: Of an unlabelled current command.
+        current_per_count_A: Of a raw count [A].
         states_only: Whether to leave the input out, whatever there is of it.
         conventions: Of the driver that published.
         span: The part that is read, by the recorder's times; None: all. A command that was given before it is not known.
@@ -137,10 +134,9 @@ def read_recording(
 def _joint_record(
     path: Path, topic: Topic, columns: JointColumns, inputs: InputRecord | None, asked: _Asked, notes: list[str]
 ) -> JointRecord:
-    """What the joints did, out of the columns of their states."""
     driven: list[str] = []
     if inputs is not None:
-        used = _any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
+        used = np.any(np.abs(inputs.current_A) > ZERO_CURRENT_A, axis=0)
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     expected = [*asked.joint_order, *driven]
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
@@ -162,55 +158,34 @@ def _torque_off(bag: Bag, state: Topic, columns: JointColumns, notes: list[str])
     ahead_ns = columns.ahead_ns()
     clock_ns = int(ahead_ns.max()) if ahead_ns.size else 0
     shift_ns = clock_ns if abs(clock_ns) > FOREIGN_CLOCK_NS else 0
-    stretches: list[tuple[int, int]] = []
-    off_ns: int | None = None
-    for time_ns, message in messages:
-        if not message.data and off_ns is None:
-            off_ns = time_ns + shift_ns
-        elif message.data and off_ns is not None:
-            stretches.append((off_ns, time_ns + shift_ns))
-            off_ns = None
-    if off_ns is not None and off_ns < last_ns:
-        stretches.append((off_ns, last_ns))
-    return tuple(stretches)
-
-
-def _any(mask: BoolArray, axis: int) -> BoolArray:
-    return np.asarray(mask.any(axis=axis))
-
-
-def _all(mask: BoolArray, axis: int) -> BoolArray:
-    return np.asarray(mask.all(axis=axis))
+    changes = [(next(alike)[0] + shift_ns, on) for on, alike in groupby(messages, lambda timed: bool(timed[1].data))]
+    if changes and changes[-1][0] < last_ns:
+        changes.append((last_ns, True))
+    return tuple((off_ns, on_ns) for (off_ns, on), (on_ns, _) in pairwise(changes) if not on)
 
 
 def _of(mask: BoolArray) -> str:
     return f"{int(mask.sum())} of {mask.size}"
 
 
+def _note(notes: list[str], topic: Topic, mask: BoolArray, what: str) -> None:
+    """Say how many of a topic's rows were repaired or left out, where there are any."""
+    if mask.any():
+        notes.append(f"{topic.name}: {_of(mask)} {what}.")
+
+
 def _times(columns: JointColumns, topic: Topic, notes: list[str]) -> TimeArray:
     """Header stamps; where there are none, the recorder's time on the same clock."""
     missing = columns.stamp_ns == 0
-    if missing.any():
-        notes.append(f"{topic.name}: {_of(missing)} messages have no header stamp; their time of recording was used.")
+    _note(notes, topic, missing, "messages have no header stamp; their time of recording was used")
     return np.where(missing, columns.bag_ns + columns.clock_ns(), columns.stamp_ns)
 
 
 def _sorted(times: TimeArray, topic: Topic, notes: list[str]) -> TimeArray:
     """Order of the rows in time."""
     late = np.diff(times, prepend=times[:1]) < 0
-    if late.any():
-        notes.append(f"{topic.name}: {_of(late)} stamps go back in time; the messages were sorted.")
+    _note(notes, topic, late, "stamps go back in time; the messages were sorted")
     return np.argsort(times, kind="stable")
-
-
-def _note_gaps(times: TimeArray, topic: Topic, notes: list[str]) -> None:
-    gaps = np.diff(times)
-    lost = gaps > LOST_AFTER_PERIODS * np.median(gaps) if gaps.size else np.zeros(0, dtype=bool)
-    if lost.any():
-        notes.append(
-            f"{topic.name}: messages were lost: {int(lost.sum())} gaps of more than {LOST_AFTER_PERIODS:g} periods"
-            f" ({np.median(gaps) / 1e6:.1f} ms), the longest {gaps.max() / 1e6:.0f} ms."
-        )
 
 
 def _state_rows(
@@ -225,17 +200,15 @@ def _state_rows(
     times = _times(columns, topic, notes)
     order = _sorted(times, topic, notes)
     times = times[order]
-    usable = _any(np.isfinite(columns.values["position"]), axis=0)
-    never = [name for name, column in zip(columns.names, usable, strict=True) if not column]
-    if never:
-        notes.append(f"{topic.name}: {', '.join(never)} never has a finite position and was left out.")
+    usable = np.any(np.isfinite(columns.values["position"]), axis=0)
     names = tuple(name for name, column in zip(columns.names, usable, strict=True) if column)
+    if never := [name for name in columns.names if name not in names]:
+        notes.append(f"{topic.name}: {', '.join(never)} never has a finite position and was left out.")
     values = {quantity: table[np.ix_(order, usable)] for quantity, table in columns.values.items()}
     position = values["position"]
     garbage = _garbage(values, np.isin(names, expected))
-    if garbage.any():
-        position[garbage] = np.nan
-        notes.append(f"{topic.name}: {_of(garbage)} messages hold numbers that no joint can have and were left out.")
+    position[garbage] = np.nan
+    _note(notes, topic, garbage, "messages hold numbers that no joint can have and were left out")
     given = np.isfinite(position)
     if not names:
         raise RecordingError(f"{path}: {topic.name} has no finite position in {len(times)} messages; check the driver")
@@ -243,48 +216,42 @@ def _state_rows(
     needed = np.isin(names, driven)
     if not needed.any():
         needed[int(np.argmax(given.sum(axis=0)))] = True
-    base = _all(given[:, needed], axis=1)
+    base = given[:, needed].all(axis=1)
     if base.any():
         needed |= given[base].mean(axis=0) > 0.5
-    rows = _all(given[:, needed], axis=1)
-    broken = ~rows & _any(np.isinf(position[:, needed]), axis=1)
-    if broken.any():
-        notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite positions and were left out.")
-    partial = ~rows & ~broken & _any(given[:, needed], axis=1)
-    if partial.any():
-        notes.append(f"{topic.name}: {_of(partial)} messages lack some of the joints and were left out.")
-    for column in np.flatnonzero(~_all(given[rows], axis=0)):
+    rows = given[:, needed].all(axis=1)
+    broken = ~rows & np.isinf(position[:, needed]).any(axis=1)
+    _note(notes, topic, broken, "messages have NaN or infinite positions and were left out")
+    partial = ~rows & ~broken & given[:, needed].any(axis=1)
+    _note(notes, topic, partial, "messages lack some of the joints and were left out")
+    for column in np.flatnonzero(~given[rows].all(axis=0)):
         known = given[:, column]
         known_times, first = np.unique(times[known] - times[0], return_index=True)
         position[rows, column] = np.interp(times[rows] - times[0], known_times, position[known, column][first])
         notes.append(f"{topic.name}: {names[column]} is in {_of(known)} messages; between them it was interpolated.")
-    rows[rows] = _first_of_equal(times[rows], topic, notes)
+    repeated = np.diff(times[rows], prepend=times[rows][:1] - 1) == 0
+    _note(notes, topic, repeated, "stamps are repeated; the first message of each was kept")
+    rows[rows] = ~repeated
     if int(rows.sum()) < MIN_SAMPLES:
         raise RecordingError(
             f"{path}: only {_of(rows)} messages of {topic.name} are usable, at least {MIN_SAMPLES} are needed"
             f" ({' '.join(notes) or 'the recording is too short'})"
         )
-    _note_gaps(times[rows], topic, notes)
+    gaps = np.diff(times[rows])
+    if lost := int(np.sum(gaps > LOST_AFTER_PERIODS * np.median(gaps))):
+        notes.append(
+            f"{topic.name}: messages were lost: {lost} gaps of more than {LOST_AFTER_PERIODS:g} periods"
+            f" ({np.median(gaps) / 1e6:.1f} ms), the longest {gaps.max() / 1e6:.0f} ms."
+        )
     return times[rows], names, {quantity: table[rows] for quantity, table in values.items()}
 
 
 def _garbage(values: Mapping[str, FloatArray], joints: BoolArray) -> BoolArray:
-    """Messages with numbers from unwritten memory in one of the joints' columns, shape (T,); none where they are not few.
-
-    Where many are far off, the unit is wrong instead, and the reader has to be told that.
-    """
+    """Messages with numbers from unwritten memory in one of the joints' columns, shape (T,); where many are, the unit is wrong."""
     bad = np.zeros(len(values["position"]), dtype=bool)
     for quantity, limit in (("position", IMPLAUSIBLE_POSITION), ("velocity", 1e6), ("effort", 1e9)):
-        if quantity in values:
-            bad |= _any(np.abs(values[quantity][:, joints]) > limit, axis=1)
+        bad |= (np.abs(values[quantity][:, joints]) > limit).any(axis=1)
     return bad if bad.mean() < GARBAGE_SHARE else np.zeros_like(bad)
-
-
-def _first_of_equal(times: TimeArray, topic: Topic, notes: list[str]) -> BoolArray:
-    repeated: BoolArray = np.diff(times, prepend=times[:1] - 1) == 0
-    if repeated.any():
-        notes.append(f"{topic.name}: {_of(repeated)} stamps are repeated; the first message of each was kept.")
-    return ~repeated
 
 
 def _check_positions(path: Path, names: Sequence[str], position: FloatArray, expected: Sequence[str]) -> None:
@@ -311,7 +278,7 @@ def _commands(
     effort, clock_ns = columns.values["effort"], states.clock_ns()
     if means.unit == "N.m":
         constants = asked.effort.constants(columns.names)
-        unknown = np.flatnonzero(np.isnan(constants) & _any(np.nan_to_num(effort) != 0.0, axis=0))
+        unknown = np.flatnonzero(np.isnan(constants) & (np.nan_to_num(effort) != 0.0).any(axis=0))
         if unknown.size:
             raise RecordingError(
                 f"{bag.path}: {topic.name} has effort on {columns.names[unknown[0]]}, whose nominal torque constant is"
@@ -327,14 +294,12 @@ def _commands(
             " from another clock than the recorder's."
         )
     notes += columns.notes
-    broken = _any(np.isinf(current), axis=1)
-    if broken.any():
-        notes.append(f"{topic.name}: {_of(broken)} messages have NaN or infinite values; the last finite one was held.")
+    broken = np.any(np.isinf(current), axis=1)
+    _note(notes, topic, broken, "messages have NaN or infinite values; the last finite one was held")
     order = _sorted(times, topic, notes)
     times, current = times[order], held(current[order])
     latest = np.diff(times, append=times[-1] + 1) > 0
-    if not latest.all():
-        notes.append(f"{topic.name}: {_of(~latest)} stamps are repeated; the last message of each was kept.")
+    _note(notes, topic, ~latest, "stamps are repeated; the last message of each was kept")
     return InputRecord(times[latest], columns.names, current[latest], printable(topic.name), means.unit)
 
 
@@ -344,7 +309,7 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
     with np.errstate(invalid="ignore"):
         others = np.abs(np.where(negative, 0.0, effort))
         whole = np.isnan(effort) | (effort == np.round(effort))
-    columns = _any(negative, axis=0) & _all(np.isnan(others) | (others <= LARGEST_COUNT), axis=0) & _all(whole, axis=0)
+    columns = negative.any(axis=0) & (whole & (np.isnan(others) | (others <= LARGEST_COUNT))).all(axis=0)
     if not columns.any():
         return effort
     which = ", ".join(name for name, column in zip(names, columns, strict=True) if column)
@@ -357,7 +322,7 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
 
 
 def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> InputRecord:
-    """Input from what the motors reported, when no command was recorded."""
+    """Input from what the motors reported."""
     inputs = asked.effort.measured(record)
     if asked.effort.unit is None:
         usual = " or ".join(f"/{each.topic}" for each in asked.conventions.inputs) or "input"
@@ -376,13 +341,9 @@ def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> I
 def read_drive_signals(
     path: str | Path, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER, span: Span | None = None
 ) -> DriveSignals:
-    """Read goals (positions of /joint_command) and supply voltage (/battery_state), as far as they are there.
+    """Read goals (positions of /joint_command, named as joint states are) and supply voltage (/battery_state), as far as there.
 
-    Args:
-        path: The bag.
-        state_topic: As for `read_recording`.
-        conventions: As for `read_recording`; goals have the names and units of the joint states.
-        span: As for `read_recording`.
+    The arguments are those of `read_recording`.
 
     Raises:
         RecordingError: The bag cannot be read, or several topics may be meant.
@@ -411,7 +372,7 @@ def read_drive_signals(
         volts = [
             (stamp_ns(message) or time_ns + ahead_ns, float(message.voltage))
             for time_ns, message in ([] if battery is None else bag.messages(battery))
-            if np.isfinite(message.voltage) and message.voltage > 0.0
+            if 0.0 < message.voltage < np.inf
         ]
     volts.sort(key=lambda sample: sample[0])
     voltage_ns = np.array([time_ns for time_ns, _ in volts], dtype=np.int64)
@@ -419,13 +380,9 @@ def read_drive_signals(
 
 
 def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
-    """Leave out, with a note, joint states in which a joint jumps away and back, as damaged numbers would.
+    """Leave out, with a note, joint states in which one of the robot's joints jumps away and back, as damaged numbers would.
 
     That is all that can be seen of damage in a file without checksums (sqlite3): smaller errors, and those at the ends, cannot.
-
-    Args:
-        recording: As it was read.
-        joints: Those of the robot; others may be wheels.
     """
     record = recording.joints
     position = record.position[:, np.isin(record.names, joints)]
@@ -438,23 +395,16 @@ def without_jumps(recording: Recording, joints: Sequence[str]) -> Recording:
     jumped = np.zeros(position.shape, dtype=bool)
     for count in range(1, LONGEST_JUMP + 1):
         # it leaves, and after that many samples it is where it was, as far as it can have moved meanwhile
-        returned = np.abs(position[count + 1 :] - position[: -count - 1]) <= allowed[: len(allowed) - count] * (
-            count + 1
-        )
-        gone = far[: len(far) - count] & far[count:] & returned
+        back = (count + 1) * allowed[: len(allowed) - count]
+        gone = far[:-count] & far[count:] & (np.abs(position[count + 1 :] - position[: -count - 1]) <= back)
         for number in range(1, count + 1):
             jumped[number : number + len(gone)] |= gone
-    kept = ~_any(jumped, axis=1)
+    kept = ~np.any(jumped, axis=1)
     if kept.all():
         return recording
     note = (
         f"in {_of(~kept)} joint states a joint jumps there and back faster than {IMPLAUSIBLE_SPEED:g} rad/s; they were left "
         "out: is the file damaged?"
     )
-    columns: dict[str, Any] = {
-        quantity: None if values is None else values[kept]
-        for quantity in ("position", "velocity", "effort", "current", "reported_effort")
-        for values in [getattr(record, quantity)]
-    }
-    joint_states = replace(record, times_ns=record.times_ns[kept], **columns)
-    return replace(recording, joints=joint_states, notes=(*recording.notes, note))
+    columns: Any = {name: values[kept] for name, values in vars(record).items() if isinstance(values, np.ndarray)}
+    return replace(recording, joints=replace(record, **columns), notes=(*recording.notes, note))
