@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,17 +65,9 @@ class Columns:
     percent: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Episode:
-    """Where one episode lies.
+class Episode(NamedTuple):
+    """Length of an episode in frames, and its file below the data set's folder."""
 
-    Attributes:
-        index: Of the data set.
-        length: In frames.
-        file: Below the data set's folder.
-    """
-
-    index: int
     length: int
     file: str
 
@@ -88,7 +80,6 @@ class DataSet:
         folder: Of the data set.
         version: Of its layout, as it states it.
         rate_hz: Frames per second.
-        robot_type: As it states it; empty: it does not.
         features: By column: type, shape, names.
         episodes: In the order of their indices.
     """
@@ -96,7 +87,6 @@ class DataSet:
     folder: Path
     version: str
     rate_hz: float
-    robot_type: str
     features: Mapping[str, Mapping[str, Any]]
     episodes: Mapping[int, Episode]
 
@@ -162,34 +152,26 @@ def _opened(folder: Path, _changed_ns: int) -> DataSet:
             raise RecordingError(
                 f"{folder}: a LeRobot data set of version {version}; 2.1 and 3 are read: convert it with lerobot"
             )
-        read = _episodes_3 if version.startswith("v3.") else _episodes_2
-        episodes = read(folder, info)
+        episodes = dict((_episodes_3 if version.startswith("v3.") else _episodes_2)(folder, info))
         features = {str(key): value for key, value in info["features"].items()}
-        rate_hz = float(info["fps"])
-    return DataSet(folder, version, rate_hz, str(info.get("robot_type") or ""), features, episodes)
+        return DataSet(folder, version, float(info["fps"]), features, dict(sorted(episodes.items())))
 
 
-def _episodes_2(folder: Path, info: Mapping[str, Any]) -> dict[int, Episode]:
+def _episodes_2(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Episode]]:
     pattern, each = str(info["data_path"]), int(info.get("chunks_size", 1000))
     lines = text_of(folder / "meta" / "episodes.jsonl", RecordingError, _LONGEST_META).splitlines()
-    found = {}
     for row in (json_of(line) for line in lines if line.strip()):
         index = int(row["episode_index"])
-        file = pattern.format(episode_chunk=index // each, episode_index=index)
-        found[index] = Episode(index, int(row["length"]), file)
-    return dict(sorted(found.items()))
+        yield index, Episode(int(row["length"]), pattern.format(episode_chunk=index // each, episode_index=index))
 
 
-def _episodes_3(folder: Path, info: Mapping[str, Any]) -> dict[int, Episode]:
-    pq, pattern = arrow().parquet, str(info["data_path"])
+def _episodes_3(folder: Path, info: Mapping[str, Any]) -> Iterator[tuple[int, Episode]]:
+    pattern = str(info["data_path"])
     columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
-    found = {}
     for file in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
-        table = pq.ParquetFile(file).read(columns=columns).to_pydict()
+        table = arrow().parquet.ParquetFile(file).read(columns=columns).to_pydict()
         for index, length, chunk, number in zip(*(table[column] for column in columns), strict=True):
-            path = pattern.format(chunk_index=chunk, file_index=number)
-            found[index] = Episode(int(index), int(length), path)
-    return dict(sorted(found.items()))
+            yield int(index), Episode(int(length), pattern.format(chunk_index=chunk, file_index=number))
 
 
 @contextmanager
@@ -220,16 +202,13 @@ def _groups(file: Path, _changed_ns: int) -> tuple[Any, FloatArray, FloatArray]:
 
 
 def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span | None = None) -> dict[str, FloatArray]:
-    """Columns of one episode.
+    """Columns of one episode by name: numbers, shape (T,) or (T, K).
 
     Args:
         data: The data set.
         index: Of the episode.
         columns: Their names; one that the data set lacks is left out.
         span: The part that is read, since the first frame; for one, `CLOCK` must be among the columns.
-
-    Returns:
-        By name: numbers, shape (T,) or (T, K).
 
     Raises:
         RecordingError: There is no such episode, or its file cannot be read.
@@ -244,11 +223,10 @@ def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span |
             raise RecordingError(f"{name}: {episode.file} is missing: download the data set again")
         opened, low, high = _groups(file, file.stat().st_mtime_ns)
         there = [column for column in columns if column in opened.schema_arrow.names]
-        groups = [int(group) for group in np.flatnonzero((low <= index) & (high >= index))]
+        groups = np.flatnonzero((low <= index) & (high >= index)).tolist()
         if span is None:
             table = opened.read_row_groups(groups, columns=[*there, "episode_index"], use_threads=False)
-            table = table.filter(arrow().compute.equal(table["episode_index"], index))
-            found, count = {column: _numbers(table[column], len(table)) for column in there}, len(table)
+            found, count = _of_episode(table, index, there)
         else:
             found, count = _columns_within(groups, there, data, index, span)
             if not all(map(len, found.values())):
@@ -258,6 +236,12 @@ def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span |
             f"{name}: {episode.length} frames by meta, {count} in {episode.file}: the data set is not whole"
         )
     return found
+
+
+def _of_episode(table: Any, index: int, columns: Sequence[str]) -> tuple[dict[str, FloatArray], int]:
+    """Columns of the rows that belong to an episode, and how many these are."""
+    table = table.filter(arrow().compute.equal(table["episode_index"], index))
+    return {column: _numbers(table[column], len(table)) for column in columns}, len(table)
 
 
 def _columns_within(
@@ -271,16 +255,15 @@ def _columns_within(
     opened = arrow().parquet.ParquetFile(data.folder / data.episodes[index].file, buffer_size=BUFFER)
     batches = opened.iter_batches(FRAMES, row_groups=groups, columns=[*columns, "episode_index"], use_threads=False)
     for table in batches:
-        table = table.filter(arrow().compute.equal(table["episode_index"], index))
-        if not len(table):
+        read, rows = _of_episode(table, index, columns)
+        if not rows:
             continue
-        read = {column: _numbers(table[column], len(table)) for column in columns}
         first = first or {column: read[column][:1].copy() for column in CLOCK if column in read}
         times_ns = _times(data, read, first.get("timestamp"), count)
         within = (times_ns >= span[0]) & (times_ns < (np.inf if span[1] is None else span[1]))
         for column in columns:
             parts[column].append(read[column][within])
-        count += len(table)
+        count += rows
     return {column: np.concatenate(found) if found else np.empty(0) for column, found in parts.items()}, count
 
 
@@ -291,8 +274,7 @@ def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
         RecordingError: It cannot be read.
     """
     data = open_data_set(folder)
-    known = data.episodes.get(index)
-    count = 1 if known is None else -(-known.length // most)
+    count = -(-data.episodes[index].length // most) if index in data.episodes else 1
     if count < 2:
         return [(0, None)]
     times_ns = _times(data, read_columns(data, index, CLOCK, (0, None)))
@@ -305,11 +287,8 @@ def _numbers(column: Any, count: int) -> FloatArray:
     whole = column.combine_chunks() if hasattr(column, "combine_chunks") else column
     if not count:
         return np.empty(0)
-    if (
-        arrow().types.is_list(whole.type)
-        or arrow().types.is_fixed_size_list(whole.type)
-        or arrow().types.is_large_list(whole.type)
-    ):
+    types = arrow().types
+    if any(is_one(whole.type) for is_one in (types.is_list, types.is_fixed_size_list, types.is_large_list)):
         values = whole.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
         if len(values) % count or len(set(arrow().compute.list_value_length(whole).to_pylist())) != 1:
             raise RecordingError("the vectors of a column are of different lengths")
@@ -329,18 +308,18 @@ def read_episode(
     limits: Mapping[str, tuple[float, float]],
     span: Span | None = None,
 ) -> Recording:
-    """One episode as a recording; times count from its first frame.
+    """One episode as a recording; times count from its first frame, or that of the part that is read.
 
     Args:
         folder: Of the data set.
         index: Of the episode.
         columns: Which column is what.
-        names: The robot's names by the data set's, where they differ.
-        prefix: Before the names of this robot's joints; it is taken off.
-        effort_unit: What the effort is, one of `EFFORT_UNITS`; None: nobody says it, and it is left out.
+        names: The robot's names by the data set's, where they differ, once the prefix is off.
+        prefix: As of `Conventions`.
+        effort_unit: One of `EFFORT_UNITS`; None: nobody says it, and the effort is left out.
         nominal_torque_constants: By joint [N m/A or N/A].
         limits: Lowest and highest position of each joint [rad or m], for those in percent.
-        span: The part that is read, since the first frame; None: all. Times then count from the first frame of the part.
+        span: The part that is read, since the first frame; None: all.
 
     Raises:
         RecordingError: It cannot be read, or lacks positions.
@@ -353,8 +332,10 @@ def read_episode(
     if columns.position not in read:
         raise RecordingError(f"{called}: no column {columns.position}; there are: {', '.join(data.features)}")
     states = _by_name(data, columns.position, read[columns.position], called)
-    position = _positions(states)
-    measured = _effort(data, columns, read, states, tuple(position), called)
+    position = _ending(states, "", "pos")
+    measured = _ending(states, "torque", "effort", "current")
+    if columns.effort in read:
+        measured = _effort(data, columns.effort, read[columns.effort], tuple(position), called)
     goals = _by_name(data, columns.goal, read[columns.goal], called) if columns.goal in read else {}
 
     def in_si(by_name: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -368,7 +349,7 @@ def read_episode(
             found[ours] = low + 0.01 * (high - low) * values if name in columns.percent else scale * values
         return found
 
-    times_ns, joints, sent = _times(data, read), in_si(position), in_si(_positions(goals))
+    times_ns, joints, sent = _times(data, read), in_si(position), in_si(_ending(goals, "", "pos"))
     if len(joints) != len(position):
         raise RecordingError(
             f"{called}: two joints of {columns.position} would have one name; see joint_names of --driver"
@@ -408,9 +389,9 @@ def _usable(
     return whole, (note,) if left_out else ()
 
 
-def _positions(by_name: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """The entries that are positions, by joint."""
-    return {name.removesuffix(".pos"): values for name, values in by_name.items() if _suffix(name) in ("", "pos")}
+def _ending(by_name: Mapping[str, FloatArray], *endings: str) -> dict[str, FloatArray]:
+    """The entries whose names have one of these endings, by joint."""
+    return {_SUFFIX.sub("", name): column for name, column in by_name.items() if _suffix(name) in endings}
 
 
 def _suffix(name: str) -> str:
@@ -430,38 +411,18 @@ def _by_name(data: DataSet, column: str, values: FloatArray, called: str) -> dic
 
 
 def _effort(
-    data: DataSet,
-    columns: Columns,
-    read: Mapping[str, FloatArray],
-    states: Mapping[str, FloatArray],
-    joints: tuple[str, ...],
-    called: str,
+    data: DataSet, column: str, values: FloatArray, joints: tuple[str, ...], called: str
 ) -> dict[str, FloatArray]:
     """Measured effort by joint, in the data set's names."""
-    if columns.effort not in read:
-        return {
-            _SUFFIX.sub("", name): values
-            for name, values in states.items()
-            if _suffix(name) in ("torque", "effort", "current")
-        }
-    values = read[columns.effort]
-    if not data.names(columns.effort) and values.reshape(len(values), -1).shape[1] == len(joints):
+    if not data.names(column) and values.reshape(len(values), -1).shape[1] == len(joints):
         return dict(zip(joints, values.T, strict=True))
-    named = _by_name(data, columns.effort, values, called)
-    return {_SUFFIX.sub("", name): column for name, column in named.items()}
+    return {_SUFFIX.sub("", name): column for name, column in _by_name(data, column, values, called).items()}
 
 
 def _times(
     data: DataSet, read: Mapping[str, FloatArray], first_s: FloatArray | None = None, before: int = 0
 ) -> TimeArray:
-    """Of the frames since the first [ns].
-
-    Args:
-        data: The data set.
-        read: Its columns.
-        first_s: Timestamp of the first frame, where that is not among them, shape (1,).
-        before: How many frames are before them.
-    """
+    """Of frames, since the first [ns]; where that is not among them, by its timestamp or how many frames are before them."""
     if "timestamp" in read:
         first_s = read["timestamp"][:1] if first_s is None else first_s
         return np.asarray(np.rint(1e9 * (read["timestamp"] - first_s)), dtype=np.int64)
