@@ -72,6 +72,9 @@ class JointStates:
         mine = {name: q for name, q in zip(names, position, strict=False) if name in self._joints}
         if not mine:
             return None
+        if now_s < max(self._seen_s.values(), default=now_s):  # a simulation was set back
+            self._seen_s = dict.fromkeys(self._seen_s, now_s)
+            self._before.clear()
         for name, q in mine.items():
             self._position[name], self._seen_s[name] = q, now_s
             speed = stated.get(name, math.nan)

@@ -260,7 +260,7 @@ class ExcitationNode(ManagedNode):
                 self._abort(
                     "whoever asked for the sequence has fallen silent: is the identifier node alive?", aloud=True
                 )
-        late = self._sample is None or now - self._sample.time_s > 0.5 * self.values["stale_after"]
+        late = self._sample is None or abs(now - self._sample.time_s) > 0.5 * self.values["stale_after"]
         if late:
             self._tick(now)
         if self.active and not self._fresh:
@@ -378,7 +378,8 @@ class ExcitationNode(ManagedNode):
     def _fresh(self) -> bool:
         """Whether joint states are coming."""
         sample = self._sample
-        return sample is not None and self.now_s() - sample.time_s <= self.values["stale_after"]
+        # a sample from the future is of a simulation that was set back since
+        return sample is not None and abs(self.now_s() - sample.time_s) <= self.values["stale_after"]
 
     def _state(self) -> tuple[Any, ...]:
         """What is published as soon as it changes."""

@@ -69,6 +69,7 @@ class Inputs:
         self.stamp_ns = 0
         """Of the newest joint state."""
         self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
+        self._noted_ns = (0, 0)  # when that was, by the node's clock and by one that nobody sets
         try:
             driver = usable_driver(node.values["driver"] or None)
         except ConfigurationError as error:
@@ -159,9 +160,7 @@ class Inputs:
             if role == "joint_states":
                 self._state_at_s = clock.now()
                 if any(name in data for name in self._joints):  # others on the topic may have another clock
-                    self.stamp_ns = messages.first_stamp_ns(data) or now_ns
-                    self._lag_ns = now_ns - self.stamp_ns
-                    self._least_lag_ns = min(self._lag_ns, self._least_lag_ns)
+                    self._note_lag(now_ns, messages.first_stamp_ns(data) or now_ns)
             elif role == "applied_effort":
                 self._effort_at_s = clock.now()
             session, heard, kept, arrived = self.session, self.heard, self.kept, self.arrived
@@ -284,6 +283,14 @@ class Inputs:
             f"nothing says what drives the joints: nobody publishes {effort} or listens to {command}; start the driver, or "
             "give the parameter driver, command_topic or effort_unit"
         )
+
+    def _note_lag(self, now_ns: int, stamp_ns: int) -> None:
+        """How far behind the present joint states are; what is the least of it counts anew when a clock was set."""
+        noted_ns, self._noted_ns = self._noted_ns, (now_ns, clock.now_ns())
+        was_set = abs((now_ns - noted_ns[0]) - (self._noted_ns[1] - noted_ns[1])) > 1e9 * BEHIND_S
+        was_set = was_set or stamp_ns < self.stamp_ns - 1e9 * BEHIND_S
+        self.stamp_ns, self._lag_ns = stamp_ns, now_ns - stamp_ns
+        self._least_lag_ns = self._lag_ns if was_set else min(self._lag_ns, self._least_lag_ns)
 
     # --- begin and end of a recording ---------------------------------------------------------------------------------
 

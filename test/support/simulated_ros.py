@@ -23,6 +23,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
 
 from support.simulated_time import Ended, SimulatedClock
 
@@ -315,13 +316,20 @@ class _Time:
 
 
 class _NodeClock:
-    ros_time_is_active = False
+    """The system's time; or, where a node wants it, what was heard last on /clock."""
 
-    def __init__(self, graph: Graph) -> None:
-        self._graph = graph
+    def __init__(self, graph: Graph, heard: list[Any] | None) -> None:
+        self._graph, self._heard = graph, heard
+
+    @property
+    def ros_time_is_active(self) -> bool:
+        return self._heard is not None
 
     def now(self) -> _Time:
-        return _Time(SYSTEM_AHEAD_NS + int(1e9 * (self._graph.clock.now() + self._graph.set_by_s)))
+        if self._heard is None:
+            return _Time(SYSTEM_AHEAD_NS + int(1e9 * (self._graph.clock.now() + self._graph.set_by_s)))
+        stamp = self._heard[-1].clock if self._heard else None
+        return _Time(0 if stamp is None else 10**9 * stamp.sec + stamp.nanosec)
 
 
 class _Logger:
@@ -373,6 +381,10 @@ class SimulatedNode:
         self.executor: Any = None
         self.group = self.graph.clock.actor.group
         self.graph.nodes.append(self)
+        self._ros_heard: list[Any] | None = None
+        if self._ros_overrides.get("use_sim_time"):
+            self._ros_heard = []
+            self.create_subscription(Clock, "/clock", self._ros_heard.append, 1)
         self.create_service(SetParameters, "~/set_parameters", self._set_from_far)
         self.create_service(GetParameters, "~/get_parameters", self._get_from_far)
 
@@ -536,7 +548,7 @@ class SimulatedNode:
         return [(topic, sorted(kinds)) for topic, kinds in found.items()]
 
     def get_clock(self) -> _NodeClock:
-        return _NodeClock(self.graph)
+        return _NodeClock(self.graph, self._ros_heard)
 
     def get_logger(self) -> _Logger:
         return _Logger(self)
