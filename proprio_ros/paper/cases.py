@@ -37,7 +37,6 @@ CUBES: Mapping[str, tuple[float, float]] = {"light cube": (1694.6, 0.130), "heav
 """Young's modulus [Pa] and Poisson's ratio of the Lame parameters that the paper found."""
 CUBE_KG = {"light cube": 0.010, "heavy cube": 0.023}
 EDGE_M, GAP_M, BLOCK_DAMPING = 0.03, 0.0005, 0.5
-SPHERE_STARTS_KG = (0.002, 0.006, 0.015, 0.04, 0.1)
 LIFT, LOWER = 0, 1
 """Runs of the sequence ``payload_elbow``."""
 

@@ -7,48 +7,26 @@ numbers taken as exact; the schedule is long enough to reach the least error, so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.fit import SearchOptions, solve_load
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.paper.cases import (
-    CUBE_KG,
-    CUBES,
-    EDGE_M,
-    GAP_M,
-    LIFT,
-    OBJECTS,
-    SPHERE_STARTS_KG,
-    STARTS_KG,
-    Rows,
-    box,
-    calibrated_robot,
-    payload,
-    robots,
-    soft_cube,
-    squeezed,
-)
+from proprio_ros.paper import cases
+from proprio_ros.paper.cases import CUBES, EDGE_M, GAP_M, LIFT, OBJECTS, STARTS_KG, Rows, box, calibrated_robot, payload
 from proprio_ros.paper.hand import CAMERA_STD_M, HungPayload, known_robot, play
 from proprio_ros.paper.hung import Hung, identify_hung
 from proprio_ros.paper.searches import landscapes, optimisers
 from proprio_ros.paper.speed import speed
-from proprio_ros.paper.ways import (
-    Answer,
-    answered,
-    ours,
-    paper_cube,
-    paper_mass,
-    paper_sphere,
-    timed,
-)
+from proprio_ros.paper.ways import answered, ours, paper_cube, paper_mass, paper_sphere, timed
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.container.identify import find_sphere
@@ -68,7 +46,7 @@ from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 def objects(seed: int) -> Rows:
     """Table I: four objects, one lift each; ours also from lift and lowering."""
-    known = robots(seed, "empty_hand_elbow")
+    known = cases.robots(seed, "empty_hand_elbow")
     rows, trace = [], {}
     for name in OBJECTS:
         held, facts = payload(name)
@@ -78,15 +56,11 @@ def objects(seed: int) -> Rows:
             theirs = paper_mass(robot, runs[LIFT], facts)
             rows.append(theirs.row(way="paper", runs=1, **labels))
             for used in (runs[:1], runs[:2]):
-
-                def identify(used: Sequence[Run] = used, robot: Robot = robot, facts: PayloadFacts = facts) -> Estimate:
-                    return weigh(robot, used, facts)
-
+                identify = partial(weigh, robot, used, facts)
                 answer = ours(identify, "payload_mass")
                 rows.append(answer.row(way="ours", runs=len(used), **labels))
                 if name == "heavy ball" and len(used) == 1 and answer.value and theirs.value:
-                    masses = {"wrong": 0.005, "paper": theirs.value}
-                    kept = _lift_trace(robot, runs[LIFT], facts, masses)
+                    kept = _lift_trace(robot, runs[LIFT], facts, {"wrong": 0.005, "paper": theirs.value})
                     # with the friction, torque constant .. that it found together with its mass
                     kept["masses_kg"]["ours"] = answer.value
                     (fit,) = identify().run_fits
@@ -100,12 +74,11 @@ def _lift_trace(robot: Robot, run: Run, facts: PayloadFacts, masses: Mapping[str
     whole = last_frame_loss(robot, run, facts, PaperOptions()).whole
     q, _, _ = whole.simulate(whole.all_values(np.array([[m] for m in masses.values()])), whole.free)
     used = whole.runs[0].used
-    simulated = {name: q[row, 0, :used].tolist() for row, name in enumerate(masses)}
     return {
         "times_s": run.times_s[:used].tolist(),
         "measured": run.position[:used].tolist(),
         "masses_kg": dict(masses),
-        "simulated": simulated,
+        "simulated": dict(zip(masses, q[:, 0, :used].tolist(), strict=True)),
     }
 
 
@@ -116,24 +89,23 @@ def starts(seed: int) -> Rows:
     """Table II: where each way ends from each first guess, heavy ball, one lift."""
     held, facts = payload("heavy ball")
     run = play("payload_elbow", seed, held).runs[LIFT]
-    rows = []
-    for calibrated, robot in robots(seed, "empty_hand_elbow"):
-        options = PaperOptions(starts_kg=STARTS_KG)
+    options = PaperOptions(starts_kg=STARTS_KG)
+    rows: list[Rows] = []
+    for calibrated, robot in cases.robots(seed, "empty_hand_elbow"):
         loss = last_frame_loss(robot, run, facts, options)
-        first = np.array(STARTS_KG)[:, None]
-        for way, iterations in (("paper, 15 iterations", 15), ("paper, 400 iterations", 400)):
+        for iterations in (15, 400):
+            first = np.array(STARTS_KG)[:, None]
             found = adam_descent(loss, first, options.learning_rate, iterations, lower=1e-6)
-            for start, end in zip(STARTS_KG, found.internal[:, 0].tolist(), strict=True):
-                rows.append(_from(way, calibrated, start, end, held.mass_kg))
+            ends = zip(STARTS_KG, found.internal[:, 0].tolist(), strict=True)
+            rows += _from(f"paper, {iterations} iterations", ends, calibrated, held.mass_kg)
         estimate = weigh(robot, [run], facts, WeighingOptions(starts_kg=STARTS_KG))
         paths = estimate.solver.paths if estimate.solver is not None else ()
-        for path in paths:
-            rows.append(_from("ours", calibrated, path.start, path.end, held.mass_kg))
+        rows += _from("ours", ((path.start, path.end) for path in paths), calibrated, held.mass_kg)
     return {"rows": rows}
 
 
-def _from(way: str, calibrated: bool, start: float, end: float, truth: float) -> Rows:
-    return {"way": way, "calibrated": calibrated, "start": start, "value": end, "truth": truth}
+def _from(way: str, ends: Iterable[tuple[float, float]], calibrated: bool, truth: float) -> list[Rows]:
+    return [{"way": way, "calibrated": calibrated, "start": start, "value": end, "truth": truth} for start, end in ends]
 
 
 def published(folder: Path) -> Rows:
@@ -145,7 +117,7 @@ def published(folder: Path) -> Rows:
     theirs = replay([folder], Options(profile="paper"))
     ways = [(path.start, path.scheduled, path.end) for path in theirs.solver.paths] if theirs.solver is not None else []
     estimate = replay([folder], Options())
-    return {"paths": ways, "ours": answered(estimate, estimate.value("payload_mass")).__dict__}
+    return {"paths": ways, "ours": answered(estimate, "payload_mass").__dict__}
 
 
 # --- V-B and V-F: the sphere in the box ------------------------------------------------------------------------------
@@ -155,23 +127,18 @@ def sphere(seed: int) -> Rows:
     """V-B: the sphere's mass from one lift of the wrist, and from three runs beside those of the empty box."""
     held, weighed = box(True)
     _, open_box = box(False)
-    truth = held.sphere_mass_kg
     rolling = play("container", seed, held).runs
     baseline = play("container", seed, held.emptied).runs
     rows = []
-    for calibrated, robot in robots(seed, "empty_hand_container"):
-        labels = {"calibrated": calibrated, "truth": truth}
-
-        def row(answer: Answer, way: str, labels: Rows = labels) -> Rows:
-            return answer.row(way=way, **labels)
-
-        rows.append(row(paper_sphere(robot, rolling[LIFT], weighed, SPHERE_STARTS_KG), "paper, one run"))
+    for calibrated, robot in cases.robots(seed, "empty_hand_container"):
+        labels = {"calibrated": calibrated, "truth": held.sphere_mass_kg}
+        rows.append(paper_sphere(robot, rolling[LIFT], weighed).row(way="paper, one run", **labels))
         for way, runs, facts, empty in (
             ("ours, one run", rolling[:1], weighed, ()),
             ("ours, three runs and the empty box", rolling, open_box, baseline),
         ):
             estimate = find_sphere(robot, runs, facts, None, empty)
-            rows.append(row(answered(estimate, estimate.value("sphere_mass")), way))
+            rows.append(answered(estimate, "sphere_mass").row(way=way, **labels))
     return {"rows": rows}
 
 
@@ -186,7 +153,7 @@ def tracking(seed: int) -> Rows:
     rows = []
     for signals in ("joint", "camera", "both"):
         estimate = find_sphere(robot, played.runs, facts, ContainerOptions(signals=signals), baseline, tracks)
-        rows.append(answered(estimate, estimate.value("sphere_mass")).row(way=signals, truth=held.sphere_mass_kg))
+        rows.append(answered(estimate, "sphere_mass").row(way=signals, truth=held.sphere_mass_kg))
     return {"rows": rows}
 
 
@@ -208,20 +175,15 @@ def _hung(seed: int) -> list[Rows]:
     rng = np.random.default_rng((seed, 15))
     frequency, decay, stated = rng.uniform(14.0, 26.0), rng.uniform(1.5, 4.0), 1.0 + 0.1 * rng.standard_normal()
     across = HUNG_KG * HUNG_SIZE_M**2 / 10.0
-    inertia = (across, across, across, 0.0, 0.0, 0.0)
-    along, hinges, below = (
-        np.array([1.0, 0.0, 0.0]),
-        np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
-        (0.0, 0.0, -PENDULUM_M),
-    )
-    slid = HungPayload(
-        HUNG_KG, inertia_kg_m2=inertia, axes=((1.0, 0.0, 0.0),), slides=True,
-        stiffness=HUNG_KG * frequency**2, damping=2.0 * HUNG_KG * decay,
-    )  # fmt: skip
-    swung = HungPayload(HUNG_KG, below, inertia_kg_m2=inertia, damping=2.0 * HUNG_KG * PENDULUM_M**2 * decay)
-    spring = Hung("prismatic", along, np.zeros(3), shape.second_moment_per_mass)
+    below = (0.0, 0.0, -PENDULUM_M)
+    ball: Any = {"mass_kg": HUNG_KG, "inertia_kg_m2": (across, across, across, 0.0, 0.0, 0.0)}
+    damping = 2.0 * HUNG_KG * decay
+    stiffness = HUNG_KG * frequency**2
+    slid = HungPayload(**ball, axes=((1.0, 0.0, 0.0),), slides=True, stiffness=stiffness, damping=damping)
+    swung = HungPayload(**ball, com_m=below, damping=2.0 * HUNG_KG * PENDULUM_M**2 * decay)
+    spring = Hung("prismatic", np.array(slid.axes[0]), np.zeros(3), shape.second_moment_per_mass)
     known = replace(spring, frequency=(stated * frequency, 0.1 * stated * frequency))
-    pendulum = Hung("universal", hinges, np.array(below), shape.second_moment_per_mass)
+    pendulum = Hung("universal", np.array(swung.axes), np.array(below), shape.second_moment_per_mass)
     rows = []
     for part, held, ways in (
         ("slide", slid, (("on its slide, spring known to 10 %", known), ("on its slide, spring unknown", spring))),
@@ -230,11 +192,9 @@ def _hung(seed: int) -> list[Rows]:
         runs = play("payload_elbow", seed, held).runs
         labels = {"part": part, "truth": HUNG_KG}
         rigid = weigh(robot, runs, PayloadFacts(np.array(held.com_m), shape=shape))
-        rows.append(answered(rigid, rigid.value("payload_mass")).row(way="as if it were rigid", **labels))
+        rows.append(answered(rigid, "payload_mass").row(way="as if it were rigid", **labels))
         for way, hung in ways:
-            found, seconds = timed(lambda hung=hung, runs=runs: identify_hung(robot, runs, hung), lambda: None)  # type: ignore[misc]
-            verdict = "explained" if found.explains else "not explained"
-            rows.append(Answer(found.mass, found.low, found.high, seconds, verdict).row(way=way, **labels))
+            rows.append(identify_hung(robot, runs, hung).row(way=way, **labels))
     return rows
 
 
@@ -246,14 +206,14 @@ def _anywhere(seed: int) -> list[Rows]:
     runs = play("container", seed, held, anywhere=True).runs
     baseline = play("container", seed, held.emptied).runs
     labels = {"part": "sphere", "truth": held.sphere_mass_kg}
-    paper = paper_sphere(robot, runs[LIFT], weighed, SPHERE_STARTS_KG)
-    rows = [paper.row(way="the paper's, one run, taken to lie where the box is lowest", **labels)]
+    words = "the paper's, one run, taken to lie where the box is lowest"
+    rows = [paper_sphere(robot, runs[LIFT], weighed).row(way=words, **labels)]
     for way, facts in (
         ("ours, three runs and the empty box, taken to lie where it is lowest", open_box),
         ("ours, the same, start unknown", replace(open_box, settled=False)),
     ):
         estimate = find_sphere(robot, runs, facts, None, baseline)
-        rows.append(answered(estimate, estimate.value("sphere_mass")).row(way=way, **labels))
+        rows.append(answered(estimate, "sphere_mass").row(way=way, **labels))
     return rows
 
 
@@ -264,21 +224,17 @@ def cubes(seed: int) -> Rows:
     """V-C: Young's modulus and Poisson's ratio of two cubes from three squeezes; the paper's way from the last of them."""
     rows, trace = [], {}
     facts = BlockFacts(np.full(3, EDGE_M))
-    known = robots(seed, "empty_hand_gripper")
+    known = cases.robots(seed, "empty_hand_gripper")
     for name, (modulus, ratio) in CUBES.items():
-        runs = play("softness", seed, soft_cube(name)).runs
+        runs = play("softness", seed, cases.soft_cube(name)).runs
         for calibrated, robot in known:
             first = lame(2.0 * modulus, 0.3)
-            theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, CUBE_KG[name], first)
+            theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, cases.CUBE_KG[name], first)
             labels = {"object": name, "calibrated": calibrated}
             rows.append(theirs.row(way="paper", quantity="youngs_modulus", truth=modulus, **labels))
-
-            def identify(robot: Robot = robot, runs: Sequence[Run] = runs) -> Estimate:
-                return find_softness(robot, runs, facts)
-
-            estimate, seconds = timed(identify)
+            estimate, seconds = timed(partial(find_softness, robot, runs, facts))
             for quantity, truth in (("youngs_modulus", modulus), ("poissons_ratio", ratio)):
-                answer = answered(estimate, estimate.value(quantity), seconds)
+                answer = answered(estimate, quantity, seconds)
                 rows.append(answer.row(way="ours", quantity=quantity, truth=truth, **labels))
             value = estimate.value("youngs_modulus").value
             if calibrated and isinstance(value, float):
@@ -289,7 +245,7 @@ def cubes(seed: int) -> Rows:
 
 def _squeeze_trace(robot: Robot, run: Run, moduli: Mapping[str, float], ratio: float) -> Rows:
     """The last squeeze as measured and as simulated with some moduli."""
-    problem, q = squeezed(robot, run, list(moduli.values()), ratio)
+    problem, q = cases.squeezed(robot, run, list(moduli.values()), ratio)
     prepared = problem.runs[0]
     scale = 1e3 * prepared.drive.transmission
     return {
@@ -328,13 +284,12 @@ def effects(seed: int) -> Rows:
     rows = []
     for effect, amounts in EFFECTS.items():
         for amount in amounts:
-            if effect == "torque":
-                key, value = "torque_constant_N_m_per_A", drive.torque_constant.value * (1.0 + amount)
-            elif effect == "armature":
-                key, value = "armature_kg_m2", drive.armature.value * (1.0 + amount)
-            else:
+            key, value = {
+                "torque": ("torque_constant_N_m_per_A", drive.torque_constant.value * (1.0 + amount)),
+                "armature": ("armature_kg_m2", drive.armature.value * (1.0 + amount)),
                 # the real joint rubs by so much more than the model says
-                key, value = "coulomb_N_m", drive.coulomb.value - amount
+                "friction": ("coulomb_N_m", drive.coulomb.value - amount),
+            }[effect]
             mass = found(robot.with_overrides({joint + key: {"value": value, "std": 0.0}}))
             rows.append({"effect": effect, "amount": amount, "error": mass - held.mass_kg})
     for integrator in ("semi_implicit", "rk4"):
@@ -362,18 +317,8 @@ class Experiment:
     alone: bool = False
 
 
-EXPERIMENTS: dict[str, Experiment] = {
-    "objects": Experiment(objects),
-    "starts": Experiment(starts),
-    "sphere": Experiment(sphere),
-    "cubes": Experiment(cubes),
-    "optimisers": Experiment(optimisers),
-    "landscapes": Experiment(landscapes),
-    "tracking": Experiment(tracking),
-    "extensions": Experiment(extensions),
-    "effects": Experiment(effects),
-    "speed": Experiment(speed, seeds=3, alone=True),
-}
+_MANY = (objects, starts, sphere, cubes, optimisers, landscapes, tracking, extensions, effects)
+EXPERIMENTS = {run.__name__: Experiment(run) for run in _MANY} | {"speed": Experiment(speed, seeds=3, alone=True)}
 
 
 def experiment(name: str) -> Experiment:

@@ -7,8 +7,10 @@ slides to and fro and how soon that dies out is unknown, and so is where it bega
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
@@ -23,6 +25,7 @@ from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import Kind, add_kinds
 from proprio_ros.paper.chain import ChainSimulator, attach_payload_joint, inertial_parameters
+from proprio_ros.paper.ways import Answer
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot, pseudo_inertia, rotation_about
@@ -118,10 +121,9 @@ class HungSimulator:
         self._chains: list[tuple[ChainSimulator, np.ndarray]] = []
         for model, run in zip(models, runs, strict=True):
             whole = attach_payload_joint(model, frame, hung.kind, hung.axes, hung.pseudo_per_kg)
-            supply = np.zeros((len(whole.joint_names), 3))
-            supply[0], supply[1:, 2] = run.supply, 1.0
-            current = np.zeros((len(run.input_times_s), len(whole.joint_names)))
-            current[:, 0] = run.input_current_A
+            others = [0.0] * hung.joints
+            current = np.array([[ampere, *others] for ampere in run.input_current_A])
+            supply = np.array([run.supply, *([(0.0, 0.0, 1.0)] * hung.joints)])
             chain = ChainSimulator(
                 whole, run.sample_times_s, run.input_times_s, current, friction_velocity=run.friction_velocity,
                 supply=supply, step_s=run.step_s, fine_step_s=run.fine_step_s,
@@ -131,7 +133,7 @@ class HungSimulator:
     def _map(self, chain: ChainSimulator, model: ReducedModel, hung: Hung) -> np.ndarray:
         """From our parameters to the chain's, shape (C, P)."""
         at = {name: row for row, name in enumerate(self.parameters)}
-        to, first = chain.columns, {group: columns.start for group, columns in chain.columns.items()}
+        first = {group: columns.start for group, columns in chain.columns.items()}
         by = np.zeros((len(chain.parameter_names), len(self.parameters)))
         for group in ("torque_constant", "coulomb", "viscous", "load_friction", "q0", "v0", "delay"):
             by[first[group], at[group]] = 1.0
@@ -145,14 +147,12 @@ class HungSimulator:
             moment[:3, 3] = moment[3, :3] = direction
             felt.append(joint_coefficients(moment, model.kinds[0], axis, gravity)[1:3])
         moments = across.T @ np.linalg.inv(np.array(felt).T)
-        for column, name in enumerate(("gravity_cos", "gravity_sin")):
-            by[first["pi"] + 1 : first["pi"] + 4, at[name]] = moments[:, column]
-        by[to["pi"].stop - 10 : to["pi"].stop, at["mass"]] = inertial_parameters(hung.pseudo_per_kg)
-        for n in range(hung.joints):
-            by[first["stiffness"] + 1 + n, at["stiffness"]] = 1.0
-            by[first["viscous"] + 1 + n, at["damping"]] = 1.0
-            by[first["q0"] + 1 + n, at[f"start_{n + 1}"]] = 1.0
-            by[first["v0"] + 1 + n, at[f"speed_{n + 1}"]] = 1.0
+        by[first["pi"] + 1 : first["pi"] + 4, [at["gravity_cos"], at["gravity_sin"]]] = moments
+        last = chain.columns["pi"].stop
+        by[last - 10 : last, at["mass"]] = inertial_parameters(hung.pseudo_per_kg)
+        for n in range(1, hung.joints + 1):
+            for group, name in (("stiffness", ""), ("viscous", "damping"), ("q0", f"start_{n}"), ("v0", f"speed_{n}")):
+                by[first[group] + n, at[name or group]] = 1.0
         return by
 
     def jacobian(
@@ -170,14 +170,7 @@ class HungSimulator:
 
 
 class HungProblem(Problem):
-    """Whitened residuals of runs with a payload on a joint of its own.
-
-    Args:
-        robot: Of the runs.
-        runs: Prepared as with an empty hand.
-        hung: What is stated about payload and joint.
-        unknowns: Of ``hung_unknowns``.
-    """
+    """Whitened residuals of runs, prepared as with an empty hand, with a payload on a joint of its own."""
 
     def __init__(self, robot: Robot, runs: Sequence[PreparedRun], hung: Hung, unknowns: Sequence[Unknown]) -> None:
         self.hung = hung
@@ -212,17 +205,14 @@ class HungProblem(Problem):
                 p[:, row, to["stiffness"]] = mass * frequency**2
                 dp[:, row, to["stiffness"], at["payload_mass"]] = frequency**2
                 dp[:, row, to["stiffness"], at["payload_frequency"]] = 2.0 * mass * frequency
-            resting = self.hung.at_rest(gravity, 1.0)
-            for n in range(self.hung.joints):
-                start, speed = to[f"start_{n + 1}"], to[f"speed_{n + 1}"]
-                p[:, row, start] = values[:, at[f"payload_start_{n + 1}", row]] + (
-                    resting[n] / frequency**2 if slides else resting[n]
-                )
-                dp[:, row, start, at[f"payload_start_{n + 1}", row]] = 1.0
+            for n, resting in enumerate(self.hung.at_rest(gravity, 1.0), start=1):
+                for what in ("start", "speed"):
+                    column, own = to[f"{what}_{n}"], at[f"payload_{what}_{n}", row]
+                    p[:, row, column] = values[:, own]
+                    dp[:, row, column, own] = 1.0
+                p[:, row, to[f"start_{n}"]] += resting / frequency**2 if slides else resting
                 if slides:
-                    dp[:, row, start, at["payload_frequency"]] = -2.0 * resting[n] / frequency**3
-                p[:, row, speed] = values[:, at[f"payload_speed_{n + 1}", row]]
-                dp[:, row, speed, at[f"payload_speed_{n + 1}", row]] = 1.0
+                    dp[:, row, to[f"start_{n}"], at["payload_frequency"]] = -2.0 * resting / frequency**3
         return p, dp
 
 
@@ -242,61 +232,40 @@ def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list
         Unknown("payload_decay", *DECAY, 0.0, 50.0),
     ]
     start_std, speed_std = START_STD[hung.kind]
-    for row in range(len(runs)):
-        for n in range(hung.joints):
-            unknowns.append(Unknown(f"payload_start_{n + 1}", 0.0, start_std, scope=row))
-            unknowns.append(Unknown(f"payload_speed_{n + 1}", 0.0, speed_std, scope=row))
+    for row, n in product(range(len(runs)), range(1, hung.joints + 1)):
+        unknowns.append(Unknown(f"payload_start_{n}", 0.0, start_std, scope=row))
+        unknowns.append(Unknown(f"payload_speed_{n}", 0.0, speed_std, scope=row))
     return unknowns + [
         replace(u, value=0.0 if u.kind == "stribeck" else u.value, role=Role.FROZEN) if u.kind in NOT_IN_A_CHAIN else u
         for u in robot_unknowns(robot, runs, Role.FREE)
     ]
 
 
-@dataclass(frozen=True)
-class HungEstimate:
-    """What a fit found.
-
-    Attributes:
-        mass: [kg]; low, high: of its 95 % interval, widened where the fit is worse than the encoder explains.
-        reduced_chi2: Of samples and priors; explains: whether that may be chance.
-        frequency, decay: Of the payload on its joint [rad/s, 1/s].
-    """
-
-    mass: float
-    low: float
-    high: float
-    reduced_chi2: float
-    explains: bool
-    frequency: float
-    decay: float
-
-
-def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> HungEstimate:
+def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> Answer:
     """The mass of a payload on a joint of its own.
 
     Args:
         robot: Calibrated.
         runs: Of one joint from rest.
         hung: What is stated about payload and joint.
+
+    Returns:
+        The mass [kg]; its interval is widened where the fit is worse than the encoder explains, which the verdict says.
     """
+    began = time.process_time()
     prepared = [prepare_run(robot, run, KnownLoad()) for run in runs]
     problem = HungProblem(robot, prepared, hung, hung_unknowns(robot, prepared, hung))
     coordinates = problem.coordinates
     slides = hung.kind == "prismatic"
-    guesses = [(mass, away) for mass in STARTS_KG for away in (AWAY if slides else AWAY[1:2])]
+    guesses = np.array(list(product(STARTS_KG, AWAY if slides else (0.0,))))
     starts = np.tile(coordinates.prior_mean, (len(guesses), 1))
-    starts[:, 0] = [mass for mass, _ in guesses]
+    starts[:, 0] = guesses[:, 0]
     if slides:
-        starts[:, 1] += [away * hung.frequency[1] for _, away in guesses]
+        starts[:, 1] += guesses[:, 1] * hung.frequency[1]
     solution = solvers.levenberg_marquardt(problem, coordinates.internal(starts), problem.simulator.windows)
     fit = FitResult.of(problem, solution)
     covariance = Posterior(problem, fit.values, max(1.0, fit.reduced_chi2)).whole_covariance()
-    at = problem.index
-    mass, std = (
-        float(fit.values[at["payload_mass"]]),
-        float(np.sqrt(covariance[at["payload_mass"], at["payload_mass"]])),
-    )
-    return HungEstimate(
-        mass, mass - Z95 * std, mass + Z95 * std, fit.reduced_chi2, fit.explains,
-        float(fit.values[at["payload_frequency"]]), float(fit.values[at["payload_decay"]]),
-    )  # fmt: skip
+    at = problem.index["payload_mass"]
+    mass, reach = float(fit.values[at]), Z95 * float(np.sqrt(covariance[at, at]))
+    verdict = "explained" if fit.explains else "not explained"
+    return Answer(mass, mass - reach, mass + reach, time.process_time() - began, verdict)

@@ -53,27 +53,24 @@ def optimisers(seed: int) -> Rows:
             self.began += time.process_time() - now
             return found
 
-    def lm(watched: Any) -> None:
-        solvers.levenberg_marquardt(watched, start, problem.simulator.windows)
-
-    def adam(watched: Any) -> None:
-        solvers.adam(watched, start, EVALUATIONS - 1)
-
-    def cma(watched: Any) -> None:
-        solvers.cma(watched, start, generations=EVALUATIONS // 7, seed=seed + 1)
-
     def parzen(watched: Any) -> None:
         natural = coordinates.natural
         low, high = start[0] - 5.0 * natural, start[0] + 5.0 * natural
         low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[:, 0]
         tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], EVALUATIONS, rng)
 
+    searches: dict[str, Callable[[Any], Any]] = {
+        "Levenberg-Marquardt (ours)": lambda watched: solvers.levenberg_marquardt(
+            watched, start, problem.simulator.windows
+        ),
+        "Adam": lambda watched: solvers.adam(watched, start, EVALUATIONS - 1),
+        "CMA-ES": lambda watched: solvers.cma(watched, start, generations=EVALUATIONS // 7, seed=seed + 1),
+        "tree-structured Parzen": parzen,
+    }
     # compiles, and loads the library, before anyone is timed
     solvers.cma(problem, start, generations=1)
     rows = []
-    for name, search in (
-        ("Levenberg-Marquardt (ours)", lm), ("Adam", adam), ("CMA-ES", cma), ("tree-structured Parzen", parzen),
-    ):  # fmt: skip
+    for name, search in searches.items():
         watched = Watched()
         search(watched)
         best = np.minimum.accumulate(np.where(np.isfinite(watched.cost), watched.cost, 1e12))[:EVALUATIONS]
@@ -82,14 +79,17 @@ def optimisers(seed: int) -> Rows:
     return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
 
 
+_Point = np.ndarray
+
+
 def tree_parzen(
-    cost: Callable[[np.ndarray], float],
-    low: np.ndarray,
-    high: np.ndarray,
-    first: np.ndarray,
+    cost: Callable[[_Point], float],
+    low: _Point,
+    high: _Point,
+    first: _Point,
     evaluations: int,
     rng: np.random.Generator,
-) -> np.ndarray:
+) -> _Point:
     """Tree-structured Parzen estimator (Bergstra et al. 2011) in a box, one coordinate at a time; the best point, shape (F,).
 
     The best quarter of the points (at most 25) makes one density, the others make the other; of 24 draws from the first the one
@@ -149,23 +149,16 @@ def landscapes(seed: int) -> Rows:
     whole = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
     inside = np.tile(whole.coordinates.prior_mean, (len(masses), 1))
     inside[:, 0] = masses
-    rows = [
-        _landscape(
-            "payload", masses, held.mass_kg, loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside)
-        )
-    ]
+    last, every = loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside)
+    rows = [_landscape("payload", masses, held.mass_kg, last, every)]
     box_held, box_facts = box(True)
     rolling = play("container", seed, box_held).runs[LIFT]
     robot = calibrated_robot(seed, "empty_hand_container")
     spheres = np.linspace(0.001, 0.04, 79)
-    frame = SphereLastFrame(robot, rolling, box_facts)
+    last = SphereLastFrame(robot, rolling, box_facts)(spheres[:, None])[0]
     everything = SphereLastFrame(robot, rolling, box_facts, all_samples=True)
-    rows.append(
-        _landscape(
-            "sphere", spheres, box_held.sphere_mass_kg, frame(spheres[:, None])[0],
-            everything(spheres[:, None])[0] / everything.samples,
-        )
-    )  # fmt: skip
+    every = everything(spheres[:, None])[0] / everything.samples
+    rows.append(_landscape("sphere", spheres, box_held.sphere_mass_kg, last, every))
     modulus, ratio = CUBES["heavy cube"]
     squeeze = play("softness", seed, soft_cube("heavy cube")).runs[-1]
     moduli = np.geomspace(1e3, 1e5, 61)

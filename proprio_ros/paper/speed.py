@@ -24,11 +24,12 @@ from proprio_ros.identification.solvers import levenberg_marquardt
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.paper.hand import stated_robot
-from proprio_ros.paper.ways import Answer, answered, paper_mass, timed
+from proprio_ros.paper.ways import Answer, ours, paper_mass, timed
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
+from proprio_ros.robot import inertia_about_origin
 from proprio_ros.sim.joint import INDEX
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
@@ -68,8 +69,7 @@ def speed(seed: int) -> dict[str, Any]:
     """The table; the recording is the same for every seed, and the times are taken again."""
     case = _Case()
     rows = []
-    estimate, seconds = timed(lambda: weigh(case.robot, [case.run], case.facts))
-    whole = answered(estimate, estimate.value("payload_mass"), seconds)
+    whole = ours(lambda: weigh(case.robot, [case.run], case.facts), "payload_mass")
     rows.append(whole.row(way="ours: weighing with interval and verdict", truth=TRUE_KG))
     for way, solve in (("ours: the search alone", _ours), ("scipy: least_squares and solve_ivp", _scipy)):
         mass, seconds = timed(solve(case))
@@ -247,7 +247,7 @@ def welded(case: _Case, step_s: float) -> Any:
 def set_mass(body: Any, mass: float, case: _Case) -> None:
     """Give the payload body a mass [kg], and the inertia that goes with it."""
     body.mass = mass
-    body.inertia = mass * np.diag(_inertia(case.facts.shape.second_moment_per_mass))
+    body.inertia = mass * np.diag(inertia_about_origin(case.facts.shape.second_moment_per_mass))
 
 
 # --- Newton ----------------------------------------------------------------------------------------------------------
@@ -293,9 +293,9 @@ class NewtonArm:
         pseudo = locked.pseudo_inertia[0]
         mass, com = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
         second, spread = pseudo[:3, :3] - mass * np.outer(com, com), case.facts.shape.second_moment_per_mass
-        self._inertia_per_kg = _inertia(spread)
+        self._inertia_per_kg = inertia_about_origin(spread)
         builder = newton.ModelBuilder(gravity=tuple(locked.gravity))
-        moved = builder.add_link(mass=mass, com=tuple(com), inertia=wp.mat33(_inertia(second)))
+        moved = builder.add_link(mass=mass, com=tuple(com), inertia=wp.mat33(inertia_about_origin(second)))
         self._payload = builder.add_link(
             mass=STARTS_KG[0], com=tuple(case.facts.com), inertia=wp.mat33(STARTS_KG[0] * self._inertia_per_kg)
         )
@@ -352,13 +352,8 @@ class NewtonArm:
         model, first = self._model, self._states[0]
         by_mass = model.body_mass.grad.numpy()[self._payload]
         by_inertia = model.body_inertia.grad.numpy()[self._payload]
-        gradient = np.array(
-            [
-                by_mass + np.sum(by_inertia * self._inertia_per_kg),
-                first.joint_q.grad.numpy()[0],
-                first.joint_qd.grad.numpy()[0],
-            ]
-        )
+        by_start = first.joint_q.grad.numpy()[0], first.joint_qd.grad.numpy()[0]
+        gradient = np.array([by_mass + np.sum(by_inertia * self._inertia_per_kg), *by_start])
         further = values - self._prior.prior_mean
         pull = self._prior.prior_precision @ further
         return 0.5 * float(off @ off + further @ pull), gradient + pull
@@ -396,12 +391,6 @@ def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:
         return float(case.masses(best.x[None] * coordinates.natural)[0])
 
     return solve
-
-
-def _inertia(second: np.ndarray) -> np.ndarray:
-    """Rotational inertia, shape (3, 3), of a second moment of mass (3, 3)."""
-    found: np.ndarray = np.trace(second) * np.eye(3) - second
-    return found
 
 
 def _transform(matrix: np.ndarray) -> Any:

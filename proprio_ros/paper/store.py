@@ -26,7 +26,6 @@ from proprio_ros.threads import one_blas_thread
 Task = tuple[str, int]
 """Experiment and seed."""
 
-
 _PAGES = ("page.py", "cells.py", "searches_page.py", "quoted.py", "store.py")
 NO_ROWS = ("cli/", "nodes/", "launch/", "report/", *(f"paper/{name}" for name in _PAGES))
 """Of the package's sources, those from which no row follows."""
@@ -46,10 +45,7 @@ def code() -> str:
 
 
 class Store:
-    """The rows in a folder.
-
-    Args:
-        folder: Made where it is not.
+    """The rows in a folder, which is made where it is not.
 
     Raises:
         ConfigurationError: It cannot be made.
@@ -68,10 +64,8 @@ class Store:
             kept = json.loads(self._path(task).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        if not isinstance(kept, dict) or kept.get("code") != code() or not isinstance(kept.get("rows"), dict):
-            return None
-        rows: Rows = kept["rows"]
-        return rows
+        whole = isinstance(kept, dict) and kept.get("code") == code() and isinstance(kept.get("rows"), dict)
+        return kept["rows"] if whole else None
 
     def write(self, task: Task, rows: Rows) -> None:
         """Keep rows."""
@@ -127,9 +121,8 @@ def run(
         tell(f"{done} of {len(missing)}: {task[0]}, seed {task[1]}{failed} ({spent:.0f} s, about {left:.0f} s left)")
 
     together = [task for task in missing if not experiment(task[0]).alone]
-    alone = [task for task in missing if experiment(task[0]).alone]
     if min(processes, len(together)) <= 1:
-        together, alone = [], [*together, *alone]
+        together = []
     if together:
         # a fresh interpreter: Warp's and BLAS's threads do not survive a fork
         with ProcessPoolExecutor(min(processes, len(together)), mp_context=get_context("spawn")) as pool:
@@ -140,8 +133,9 @@ def run(
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
-    for task in alone:
-        keep(*compute(task))
+    for task in missing:
+        if task not in together:
+            keep(*compute(task))
     found: dict[str, list[Rows]] = {}
     for task in wanted:
         rows = store.read(task)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
-from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.solvers import adam_descent
 from proprio_ros.identification.unknowns import Role
@@ -33,6 +34,7 @@ from proprio_ros.sim.payload import PayloadFacts
 _Answer = TypeVar("_Answer")
 _Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
+SPHERE_STARTS_KG = (0.002, 0.006, 0.015, 0.04, 0.1)
 LIGHTEST_SPHERE_KG = 0.001
 SPHERE_RATE, SPHERE_ITERATIONS = 0.002, 200
 """Of Adam for the sphere [kg per iteration]: the authors' 10 g would step over a sphere of 12 g."""
@@ -75,37 +77,35 @@ def timed(function: Callable[[], _Answer], warm_up: Callable[[], object] | None 
 def ours(identify: Callable[[], Estimate], name: str) -> Answer:
     """The package's own answer."""
     estimate, seconds = timed(identify)
-    return answered(estimate, estimate.value(name), seconds)
+    return answered(estimate, name, seconds)
 
 
-def answered(estimate: Estimate, value: Value, seconds: float | None = None) -> Answer:
-    """An estimate's value as an answer."""
+def answered(estimate: Estimate, name: str, seconds: float | None = None) -> Answer:
+    """A value of an estimate as an answer."""
+    value = estimate.value(name)
     low, high = (None, None) if value.ci95 is None else value.ci95
     why = "" if estimate.verdict.value == "accepted" or not estimate.reasons else str(estimate.reasons[0])
     number = value.value if isinstance(value.value, float) else None
     return Answer(number, low, high, seconds, estimate.verdict.value, why)
 
 
-def paper_mass(robot: Robot, run: Run, facts: PayloadFacts, options: PaperOptions | None = None) -> Answer:
+def paper_mass(robot: Robot, run: Run, facts: PayloadFacts) -> Answer:
     """The paper's way with a schedule long enough to reach the least error, from five starts."""
-    options = options or PaperOptions()
-    return _descended(
-        lambda: last_frame_loss(robot, run, facts, options),
-        options.starts_kg, options.learning_rate, options.extended_iterations, 1e-6,
-    )  # fmt: skip
+    options = PaperOptions()
+    make = partial(last_frame_loss, robot, run, facts, options)
+    return _descended(make, options.starts_kg, options.learning_rate, options.extended_iterations, 1e-6)
 
 
 def _descended(
     make_loss: Callable[[], _Loss], starts_kg: Sequence[float], rate_kg: float, most: int, lightest_kg: float
 ) -> Answer:
     """Where Adam ends best on a loss of one mass, from several starts; making the loss counts in its time."""
-    starts = np.array(starts_kg)[:, None]
 
     def solve(iterations: int) -> float:
-        found = adam_descent(make_loss(), starts, rate_kg, iterations, lower=lightest_kg)
+        found = adam_descent(make_loss(), np.array(starts_kg)[:, None], rate_kg, iterations, lower=lightest_kg)
         return float(found.internal[found.best, 0])
 
-    mass, seconds = timed(lambda: solve(most), lambda: solve(1))
+    mass, seconds = timed(partial(solve, most), partial(solve, 1))
     return Answer(mass, seconds=seconds)
 
 
@@ -141,11 +141,10 @@ class SphereLastFrame:
         return 2.0 * cost, 2.0 * gradient / self.problem.coordinates.slope(internal)
 
 
-def paper_sphere(robot: Robot, run: Run, facts: ContainerFacts, starts_kg: Sequence[float]) -> Answer:
-    """The paper's way for the sphere's mass."""
-    return _descended(
-        lambda: SphereLastFrame(robot, run, facts), starts_kg, SPHERE_RATE, SPHERE_ITERATIONS, LIGHTEST_SPHERE_KG
-    )
+def paper_sphere(robot: Robot, run: Run, facts: ContainerFacts) -> Answer:
+    """The paper's way for the sphere's mass, from five starts."""
+    make = partial(SphereLastFrame, robot, run, facts)
+    return _descended(make, SPHERE_STARTS_KG, SPHERE_RATE, SPHERE_ITERATIONS, LIGHTEST_SPHERE_KG)
 
 
 class SqueezeLastFrame:
