@@ -15,7 +15,6 @@ from proprio_ros.errors import RobotError
 
 EEPROM_END = 64
 """Registers below this address keep their value without power, and are writable only while torque is off."""
-
 BUS_WATCHDOG_UNIT_S = 0.020
 BUS_WATCHDOG_TRIPPED = -1
 RETURN_DELAY_UNIT_S = 2e-6
@@ -201,7 +200,6 @@ class ServoModel:
 
 
 _RPM = 2.0 * math.pi / 60.0
-
 XM430_W350 = ServoModel(
     name="XM430-W350",
     number=1020,
@@ -211,7 +209,6 @@ XM430_W350 = ServoModel(
     position_zero=2048,
     voltage_unit_V=0.1,
 )
-
 MODELS: Mapping[str, ServoModel] = {model.name: model for model in (XM430_W350,)}
 
 

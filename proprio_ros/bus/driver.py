@@ -25,16 +25,12 @@ from proprio_ros.robot.kinematics import clearance, zero_pose
 
 SAG_RAD = 0.06
 """A held joint under load is no further from its goal than this: 0.03 rad at 0.3 A with the servo's own gain."""
-
 LOST_AFTER_S = 0.2
 """No servo answered for so long: the bus is lost."""
-
 LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
-
 SINK_M = 1e-3
 """An arm that is too low may be moved, but not lower by more than this: encoders are not exact."""
-
 HEALTH_PERIOD_S = 0.2
 """One servo's temperature and voltage are read so often, while nothing is driven."""
 
@@ -100,12 +96,7 @@ class ArmDriver:
         self.health: dict[str, ServoHealth] = {}
         self._log = log
         self._clock = clock
-        self._joints = {
-            servo.joint: DrivenJoint.of(
-                robot.model.joint(servo.joint), robot.drive_trains[servo.joint], robot.motors[servo.joint], servo.model
-            )
-            for servo in bus.servos
-        }
+        self._joints = {servo.joint: DrivenJoint.of(robot, servo) for servo in bus.servos}
         self._lock = lock()
         self._command: CurrentCommand | None = None
         self._targets: dict[str, float] = {}
@@ -115,12 +106,9 @@ class ArmDriver:
         self._torque_set = event()
         self._stop_wanted = False
         self._driving = False
-        self._last_answer_s = -np.inf
-        self._next_connect_s = -np.inf
-        self._next_health_s = -np.inf
+        self._last_answer_s = self._next_connect_s = self._next_health_s = -np.inf
+        self._goals_at_s = self._sampled_at_s = -np.inf
         self._health_turn = 0
-        self._goals_at_s = -np.inf
-        self._sampled_at_s = -np.inf
         self._round_trips = RoundTrips()
         self._alerts: set[str] = set()
         self._limp = False  # there was to be no current when the bus was lost
@@ -147,11 +135,8 @@ class ArmDriver:
     def command_currents(self, current_A: Mapping[str, float], sender: int = 0) -> str:
         """Drive these joints with these currents [A], and hold the others, until the next command or the deadline.
 
-        A current of zero for a joint that is not driven leaves it held. No joint at all ends the lease.
-
-        Args:
-            current_A: By joint.
-            sender: Who it comes from; another one is refused while a lease lasts.
+        A current of zero for a joint that is not driven leaves it held. No joint at all ends the lease. Another sender is
+        refused while a lease lasts.
 
         Returns:
             Why the whole command was refused, or an empty string.
@@ -191,17 +176,14 @@ class ArmDriver:
             if current and health and health.temperature_C >= self.settings.max_temperature_C:
                 return f"{name}: too hot to be driven ({health.temperature_C:.0f} C): let it cool down"
             if current and name in self._alerts:
-                return (
-                    f"{name}: its servo reports a fault ({'; '.join(health.faults) if health else 'see diagnostics'})"
-                )
+                faults = "; ".join(health.faults) if health else "see diagnostics"
+                return f"{name}: its servo reports a fault ({faults})"
         return ""
 
     def command_positions(self, position: Mapping[str, float], sender: int = 0) -> str:
         """Move held joints to these positions [rad or m], no faster than allowed.
 
-        Args:
-            position: By joint.
-            sender: Who it comes from; another one is refused while the first one's commands come in a row.
+        Another sender is refused while the first one's commands come in a row.
 
         Returns:
             Why the whole command was refused, or an empty string.
@@ -219,12 +201,9 @@ class ArmDriver:
                 low, high = joint.lower_rad * joint.transmission, joint.upper_rad * joint.transmission
                 return f"{name}: {value:g} is outside its range {low:g} to {high:g}"
             targets[name] = min(max(angle, joint.lower_rad), joint.upper_rad)
-        here = {name: joint.angle_rad for name, joint in self._joints.items()}
-        if self._sinks(here, {name: joint.target_rad for name, joint in self._joints.items()} | targets):
-            return (
-                f"the arm would be less than {100 * self.settings.min_clearance_m:g} cm above the base's plane (min_clearance): "
-                "command a higher pose"
-            )
+        if self._sinks(self._here(), {name: joint.target_rad for name, joint in self._joints.items()} | targets):
+            least_cm = 100 * self.settings.min_clearance_m
+            return f"the arm would be less than {least_cm:g} cm above the base's plane (min_clearance): command a higher pose"
         with self._lock:
             (mover, moved_s), now = self._mover, self._clock()
             if sender != mover and now - moved_s <= self.settings.command_timeout_s:
@@ -237,6 +216,9 @@ class ArmDriver:
         """Whether the arm comes too low on the way from one pose to another; an arm that is too low may rise."""
         after_m = self._height(after_rad)
         return after_m < self.settings.min_clearance_m and after_m < self._height(before_rad) - SINK_M
+
+    def _here(self) -> dict[str, float]:
+        return {name: joint.angle_rad for name, joint in self._joints.items()}
 
     def _height(self, angle_rad: Mapping[str, float]) -> float:
         pose = {name: angle * self._joints[name].transmission for name, angle in angle_rad.items()}
@@ -276,7 +258,7 @@ class ArmDriver:
     # --- the loop -----------------------------------------------------------------------------------------------------
 
     def cycle(self) -> ArmSample | None:
-        """One round: read, check, command. Never raises for what happens on the bus.
+        """One round: read, check, command; never raises for what happens on the bus.
 
         Returns:
             What was read; None when the round was not intact, or its instant is not known.
@@ -495,8 +477,7 @@ class ArmDriver:
             return f"{joint.name} is at its lower limit"
         if abs(joint.velocity_rad_s) > self.settings.max_velocity_rad_s:
             return f"{joint.name} turns at {joint.velocity_rad_s:.1f} rad/s, faster than {self.settings.max_velocity_rad_s:g}"
-        here = {name: other.angle_rad for name, other in self._joints.items()}
-        if self._sinks(here, {**here, joint.name: ahead_rad}):
+        if self._sinks(self._here(), {**self._here(), joint.name: ahead_rad}):
             return f"{joint.name} was about to bring the arm too near to the base's plane (min_clearance)"
         return ""
 
@@ -509,7 +490,7 @@ class ArmDriver:
         ways = {joint.name: joint.target_rad - joint.goal_rad for joint in held}
         if not any(ways.values()):
             return
-        before = {joint.name: joint.goal_rad if joint in held else joint.angle_rad for joint in self._joints.values()}
+        before = self._here() | {joint.name: joint.goal_rad for joint in held}
         reach = step + self.settings.max_goal_velocity_rad_s * LOOKAHEAD_S
         ahead = {name: angle + min(max(ways.get(name, 0.0), -reach), reach) for name, angle in before.items()}
         # joints arrive one after the other: between two poses that are high enough the arm may come too low
@@ -572,11 +553,7 @@ class ArmDriver:
         self._log("error", f"{error}; trying again every {self.settings.reconnect_s:g} s")
 
     def close(self, hold: bool = False) -> None:
-        """End: current zero and torque off, or the arm held by its servos alone.
-
-        Args:
-            hold: Leave torque on and switch the servos' watchdog off, so that they keep their position without us.
-        """
+        """End: current zero and torque off, or with ``hold`` the arm held by its servos alone, their watchdog off."""
         if self.bus.is_open:
             try:
                 if hold and self.state is BusState.RUNNING:

@@ -42,10 +42,8 @@ from proprio_ros.robot import Robot
 
 TRIES = 3
 """A read or write is tried so often before the servo counts as not answering."""
-
 ALERT = 0x80
 """Bit of a status packet's error byte: see Hardware Error Status."""
-
 _STATUS_WORDS = {
     1: "failed to process the instruction",
     2: "does not know the instruction",
@@ -61,13 +59,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class BusServo:
-    """A servo that should be on the bus.
-
-    Attributes:
-        joint: That it drives.
-        id: Its number on the bus.
-        model: Its control table.
-    """
+    """A servo that should be on the bus: the joint that it drives, its number there, and its control table."""
 
     joint: str
     id: int
@@ -94,11 +86,7 @@ def servos_of(robot: Robot) -> tuple[BusServo, ...]:
 
 
 class ServoState(NamedTuple):
-    """What one servo reported; raw counts become SI here.
-
-    Attributes:
-        alert: Whether the servo has a hardware error.
-    """
+    """What one servo reported, in SI; ``alert``: whether it has a hardware error."""
 
     angle_rad: float
     velocity_rad_s: float
@@ -122,7 +110,7 @@ class Reading(NamedTuple):
 
 
 class ServoHealth(NamedTuple):
-    """Attributes: faults: one sentence per hardware error; watchdog_tripped: the servo stopped by itself."""
+    """How a servo is: with one sentence per hardware error, and whether its watchdog has stopped it."""
 
     temperature_C: float
     voltage_V: float
@@ -151,6 +139,11 @@ class DynamixelBus:
         fast_sync_read: Whether to use Fast Sync Read where every servo's firmware knows it.
         connect: Makes another port than the serial one of that name; it is asked for bytes again and again.
 
+    Attributes:
+        fast: Whether all servos answer in one packet (Fast Sync Read); known after `handshake`.
+        warnings: On the port, since it was opened.
+        motors: What the servos said of themselves in `handshake`, by joint.
+
     Raises:
         BusError: The baud rate is unknown.
     """
@@ -177,27 +170,20 @@ class DynamixelBus:
         self._reply_timeout_s = reply_timeout_s
         self._want_fast = fast_sync_read
         self._connect = connect
-        self._fast = False
+        self.fast = False
         self._port: Port | None = None
         self._packets = dynamixel_sdk.PacketHandler(2.0)
         # ROS 2 Jazzy ships 4.0.5, which has no fast option
         self._sdk_is_fast = "fast_option" in inspect.signature(self._packets.syncReadTx).parameters
         table = self.servos[0].model.registers
-        self._state_start = table["present_current"].address
-        self._state_length = 10
-        self._goal_start = table["goal_current"].address
-        self._goal_length = 18
+        self._state_start, self._state_length = table["present_current"].address, 10
+        self._goal_start, self._goal_length = table["goal_current"].address, 18
 
     # --- the port -----------------------------------------------------------------------------------------------------
 
     @property
     def is_open(self) -> bool:
         return self._port is not None
-
-    @property
-    def fast(self) -> bool:
-        """Whether all servos answer in one packet (Fast Sync Read); known after `handshake`."""
-        return self._fast
 
     def open(self) -> None:
         """Open the port alone for this process.
@@ -274,14 +260,9 @@ class DynamixelBus:
             BusError: The servo does not answer or refuses.
         """
         entry = self._by_id[servo_id].model.registers[register]
-
-        def exchange(port: Any) -> tuple[None, int, int]:
-            result, error = self._packets.writeTxRx(
-                port, servo_id, entry.address, entry.size, list(entry.encode(value))
-            )
-            return None, result, error
-
-        self._tried(servo_id, f"write {register} = {value}", exchange)
+        arguments = servo_id, entry.address, entry.size, list(entry.encode(value))
+        what = f"write {register} = {value}"
+        self._tried(servo_id, what, lambda port: (None, *self._packets.writeTxRx(port, *arguments)))
 
     def _tried(self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]) -> tuple[Any, int]:
         """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns data and error byte."""
@@ -291,11 +272,10 @@ class DynamixelBus:
                 data, result, error = self._guarded(exchange)
             except IndexError:  # the SDK trusts the length of a reply
                 result = dynamixel_sdk.COMM_RX_CORRUPT
-            if result == dynamixel_sdk.COMM_SUCCESS and error & ~ALERT != 3:
-                if error & ~ALERT:
-                    raise BusError(
-                        f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(error & ~ALERT, 'refuses')}"
-                    )
+            refused = error & ~ALERT
+            if result == dynamixel_sdk.COMM_SUCCESS and refused != 3:
+                if refused:
+                    raise BusError(f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(refused, 'refuses')}")
                 return data, error
             self._settle()
         raise BusError(f"{self._called(servo_id)}: {what}: {self._lost_words(result)}")
@@ -332,24 +312,15 @@ class DynamixelBus:
             if number != servo.model.number:
                 wrong.append(f"servo {servo.id} ({servo.joint}) is a {model_name(number)}, not a {servo.model.name}")
                 continue
-            motors[servo.joint] = MotorIdentity(
-                model=number,
-                id=servo.id,
-                firmware=self.read(servo.id, "firmware_version"),
-                homing_offset=self.read(servo.id, "homing_offset"),
-                drive_mode=self.read(servo.id, "drive_mode"),
-                moving_threshold=self.read(servo.id, "moving_threshold"),
-            )
+            registers = ("firmware_version", "homing_offset", "drive_mode", "moving_threshold")
+            motors[servo.joint] = MotorIdentity(number, servo.id, *(self.read(servo.id, name) for name in registers))
             slow |= motors[servo.joint].firmware < servo.model.fast_sync_read_firmware
         if wrong:
-            advice = (
-                "check power, cables, ids and baud rate"
-                if any(w.startswith("no") for w in wrong)
-                else "correct the robot file"
-            )
+            missing = any(words.startswith("no") for words in wrong)
+            advice = "check power, cables, ids and baud rate" if missing else "correct the robot file"
             raise BusError(f"{self.port_name} at {self.baud_rate} bit/s: {'; '.join(wrong)}: {advice}")
         self.motors = motors
-        self._fast = self._want_fast and self._sdk_is_fast and not slow
+        self.fast = self._want_fast and self._sdk_is_fast and not slow
 
     def prepare(self, *, watchdog_s: float, position_d_gain: int) -> None:
         """Put every servo into current-based position mode with torque on, holding where it is.
@@ -426,9 +397,8 @@ class DynamixelBus:
                     raise
                 continue
             if status:
-                raise BusError(
-                    f"{self._called(servo_id)}: {'; '.join(hardware_errors(status))}: it remains after a reboot"
-                )
+                faults = "; ".join(hardware_errors(status))
+                raise BusError(f"{self._called(servo_id)}: {faults}: it remains after a reboot")
             return
 
     def health(self, servo_id: int) -> ServoHealth:
@@ -457,19 +427,13 @@ class DynamixelBus:
             PortLostError: The port is gone. A servo that does not answer is missing in the result instead.
         """
         ids = [servo.id for servo in self.servos]
-        arguments = (self._state_start, self._state_length, ids, len(ids))
-
-        def request(port: Any) -> int:
-            if self._sdk_is_fast:
-                return int(self._packets.syncReadTx(port, *arguments, self._fast))
-            return int(self._packets.syncReadTx(port, *arguments))
-
+        arguments = [self._state_start, self._state_length, ids, len(ids), *([self.fast] if self._sdk_is_fast else [])]
         asked_at_s = clock.now()
-        result = self._guarded(request)
+        result = self._guarded(lambda port: self._packets.syncReadTx(port, *arguments))
         sampled_at_s = clock.now()
         if result != dynamixel_sdk.COMM_SUCCESS:
             return Reading(sampled_at_s, {})
-        blocks = self._guarded(self._receive_fast if self._fast else self._receive_each)
+        blocks = self._guarded(self._receive_fast if self.fast else self._receive_each)
         round_trip_s = clock.now() - asked_at_s
         if len(blocks) < len(ids):
             self._settle()
@@ -492,17 +456,15 @@ class DynamixelBus:
 
     def _receive_fast(self, port: Any) -> dict[int, tuple[int, bytes]]:
         part = self._state_length + 4  # error, id, data, CRC
+        whole = part * len(self.servos)
         try:
-            data, result, _ = self._packets.fastSyncReadRx(port, dynamixel_sdk.BROADCAST_ID, part * len(self.servos))
+            data, result, _ = self._packets.fastSyncReadRx(port, dynamixel_sdk.BROADCAST_ID, whole)
         except IndexError:
             return {}
-        if result != dynamixel_sdk.COMM_SUCCESS or len(data) < part * len(self.servos) - 2:
+        if result != dynamixel_sdk.COMM_SUCCESS or len(data) < whole - 2:
             return {}
-        blocks = {}
-        for start in range(0, part * len(self.servos) - 2, part):
-            if data[start + 1] in self._by_id:
-                blocks[data[start + 1]] = (data[start], bytes(data[start + 2 : start + 2 + self._state_length]))
-        return blocks
+        parts = [data[start : start + 2 + self._state_length] for start in range(0, whole - 2, part)]
+        return {servo_id: (error, bytes(state)) for error, servo_id, *state in parts if servo_id in self._by_id}
 
     def _state(self, servo_id: int, error: int, data: bytes) -> ServoState:
         model = self._by_id[servo_id].model

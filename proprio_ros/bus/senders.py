@@ -22,27 +22,18 @@ class Senders:
         self._known = 0
 
     def of(self, number: int | None, looks: Hashable) -> int:
-        """Who sent a message.
+        """Who sent a message: the same number for all messages of a sender; 0 where it cannot be known.
 
         Args:
             number: Of the message, by its publisher; None where the middleware does not give it: then all are one.
             looks: Whatever differs between publishers, and not between messages of one.
-
-        Returns:
-            A number of the sender, the same for all its messages; 0 where it cannot be known.
         """
         if number is None:
             return 0
-        near = [
-            (last, known == looks, sender)
-            for sender, (last, known) in self._last.items()
-            if 0 < number - last <= LARGEST_GAP
-        ]
-        if near:
-            sender = max(near)[2]
-        else:
-            self._known += 1
-            sender = self._known
+        heard = [(last, known == looks, sender) for sender, (last, known) in self._last.items()]
+        near = [one for one in heard if 0 < number - one[0] <= LARGEST_GAP]
+        self._known += not near
+        sender = max(near)[2] if near else self._known
         self._last.pop(sender, None)  # those heard last stand last
         self._last[sender] = (number, looks)
         if len(self._last) > MOST:

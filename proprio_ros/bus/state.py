@@ -8,9 +8,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from proprio_ros.bus.control_table import ServoModel
-from proprio_ros.bus.dynamixel import Goal
-from proprio_ros.robot.drive_train import DriveTrain, Motor
-from proprio_ros.robot.urdf import Joint
+from proprio_ros.bus.dynamixel import BusServo, Goal
+from proprio_ros.robot import Robot
 
 FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
@@ -34,11 +33,11 @@ class BusState(Enum):
 
 
 class ArmSample(NamedTuple):
-    """One intact round of the bus, at the joints.
+    """One intact round of the bus, at the joints: rad or m, their speeds, A.
 
     Attributes:
         sampled_at_s: On the monotonic clock.
-        position: Of each joint [rad or m]; velocity: [rad/s or m/s]; current_A: as the servos report it.
+        current_A: As the servos report it.
         commanded_A: Current that each joint is driven with from here on, in whole counts as sent to the servo; 0 where held.
     """
 
@@ -70,11 +69,7 @@ class DriverStatistics:
 
 @dataclass(frozen=True)
 class CurrentCommand:
-    """What a sender wants joints to be driven with.
-
-    Attributes:
-        leased: Whether it, or one before it in an unbroken row, drove a joint.
-    """
+    """What a sender wants joints to be driven with; ``leased``: whether it, or one before it in an unbroken row, drove a joint."""
 
     arrived_s: float
     current_A: Mapping[str, float]
@@ -101,10 +96,11 @@ class DrivenJoint:
     blocked: str = ""  # why it must not be driven until the commands have paused
 
     @classmethod
-    def of(cls, joint: Joint, drive: DriveTrain, motor: Motor, model: ServoModel) -> DrivenJoint:
+    def of(cls, robot: Robot, servo: BusServo) -> DrivenJoint:
         """As the robot file states it."""
-        scale = drive.transmission
-        return cls(joint.name, model, joint.lower / scale, joint.upper / scale, scale, motor.current_limit_A)
+        joint, scale = robot.model.joint(servo.joint), robot.drive_trains[servo.joint].transmission
+        limit_A = robot.motors[servo.joint].current_limit_A
+        return cls(joint.name, servo.model, joint.lower / scale, joint.upper / scale, scale, limit_A)
 
     @property
     def limp(self) -> bool:

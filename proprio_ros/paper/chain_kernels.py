@@ -279,18 +279,6 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         return result
 
     @wp.func
-    def armed(p: TABLE, w: wp.int32, h: square):
-        """The mass matrix with the armatures on its diagonal."""
-        result = square()
-        for i in range(n):
-            for j in range(n):
-                if wp.static(i == j):
-                    result[i, j] = h[i, j] + p[w, ARMATURE * n + i]
-                else:
-                    result[i, j] = h[i, j]
-        return result
-
-    @wp.func
     def solved(fixed: ChainData, p: TABLE, w: wp.int32, q: vec, v: vec, command: vec):
         """Poses, screws, inertias and velocities, the factor of the mass matrix, and the acceleration."""
         x = poses(fixed, q)
@@ -298,7 +286,10 @@ def dynamics(parents: tuple[int, ...], directions: int = 1) -> SimpleNamespace:
         inertia = inertias(p, w, x)
         vel = velocities(s, v)
         bias = inverse_dynamics(fixed, s, inertia, vel, v, vec())
-        root = factor(armed(p, w, mass_matrix(s, inertia)))
+        armature = vec()
+        for i in range(n):
+            armature[i] = p[w, ARMATURE * n + i]
+        root = factor(mass_matrix(s, inertia) + wp.diag(armature))
         return x, s, inertia, vel, root, solve(root, torques(fixed, p, w, q, v, command) - bias)
 
     @wp.func

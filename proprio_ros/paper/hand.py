@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -68,14 +68,8 @@ class HungPayload(Payload):
         return body
 
 
-@dataclass(frozen=True)
-class Played:
-    """What one sequence recorded.
-
-    Attributes:
-        runs: One per excitation of the sequence.
-        sphere: Where a camera saw the sphere in the container; None without one.
-    """
+class Played(NamedTuple):
+    """What one sequence recorded: a run per excitation, and where a camera saw the sphere in the container."""
 
     runs: tuple[Run, ...]
     sphere: PointTrack | None
@@ -105,20 +99,14 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     waiting = deque([Command(at_start)] * round(truth.latency_s / PERIOD_S))
     time_s = 10.0
     machine = ExcitationMachine(robot)
-    stamps: list[int] = []
-    places: list[list[float]] = []
-    currents: list[list[float]] = []
-    seen_ns: list[int] = []
-    seen: list[np.ndarray] = []
+    rows: list[tuple[int, list[float], list[float]]] = []  # stamp [ns], positions, currents
+    seen: list[tuple[int, np.ndarray]] = []  # stamp [ns] and place of the sphere
 
     def sample() -> JointSample:
         position = scale * COUNT_RAD * np.rint(arm.encoder_rad() / COUNT_RAD)
         velocity = scale * COUNT_RAD_S * np.rint(arm.velocity_rad_s() / COUNT_RAD_S)
-        return JointSample(
-            time_s,
-            dict(zip(joints, position.tolist(), strict=True)),
-            dict(zip(joints, velocity.tolist(), strict=True)),
-        )
+        by_joint = (dict(zip(joints, values.tolist(), strict=True)) for values in (position, velocity))
+        return JointSample(time_s, *by_joint)
 
     now = sample()
     machine.start(load_sequence(name, robot), now)
@@ -129,28 +117,27 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
         command = machine.tick(time_s, now)
         if anywhere and machine.phase is Phase.PROBE and before is not Phase.PROBE and isinstance(held, Container):
             held.put_sphere(arm, _on_the_floor(robot, arm.position(), held, places_of_sphere))
-        stamps.append(round(1e9 * now.time_s))
-        places.append([now.position[joint] for joint in joints])
-        currents.append([_counted(command.current_A.get(joint, 0.0)) for joint in joints])
+        counted = [_counted(command.current_A.get(joint, 0.0)) for joint in joints]
+        rows.append((round(1e9 * now.time_s), [now.position[joint] for joint in joints], counted))
         for tick in range(ticks):
             waiting.append(command)
             _drive(arm, waiting.popleft(), joints, scale)
             if isinstance(held, Container):
-                at = time_s + (tick + 1) * PERIOD_S
-                if not seen_ns or 1e9 * at - seen_ns[-1] > 1e9 / CAMERA_HZ - 1.0:
-                    seen_ns.append(round(1e9 * at))
-                    seen.append(held.sphere_m(arm))
+                at_ns = 1e9 * (time_s + (tick + 1) * PERIOD_S)
+                if not seen or at_ns - seen[-1][0] > 1e9 / CAMERA_HZ - 1.0:
+                    seen.append((round(at_ns), held.sphere_m(arm)))
         time_s += 1.0 / RATE_HZ
         now = sample()
     if machine.phase is not Phase.DONE:
         raise SimulationError(f"{name} of robot {seed} was not played to its end: {machine.message}")
-    times = np.array(stamps)
-    inputs = InputRecord(times, joints, np.array(currents), "/applied_effort")
-    runs = cut_runs(Recording(name, JointRecord(times, joints, np.array(places)), inputs), joints=list(joints))
+    times, places, currents = map(np.array, zip(*rows, strict=True))
+    inputs = InputRecord(times, joints, currents, "/applied_effort")
+    runs = cut_runs(Recording(name, JointRecord(times, joints, places), inputs), joints=list(joints))
     if not seen:
         return Played(runs, None)
     blur = CAMERA_STD_M * np.random.default_rng((seed, 7)).standard_normal((len(seen), 3))
-    return Played(runs, PointTrack(np.array(seen_ns), np.array(seen) + blur))
+    instants, true = map(np.array, zip(*seen, strict=True))
+    return Played(runs, PointTrack(instants, true + blur))
 
 
 def _on_the_floor(robot: Robot, position: dict[str, float], held: Container, rng: np.random.Generator) -> np.ndarray:
@@ -173,21 +160,19 @@ def known_robot() -> Robot:
     robot = stated_robot()
     exact: dict[str, Any] = {"arm_scale": 1.0, "delay_s": _known_truth().latency_s}
     for joint, drive in robot.drive_trains.items():
-        train = f"joints.{joint}.drive_train."
         exact |= {
-            train + "coulomb_N_m": KNOWN_COULOMB,
-            train + "viscous_N_m_s_per_rad": KNOWN_VISCOUS,
-            train + "torque_constant_N_m_per_A": drive.torque_constant.value,
-            train + "armature_kg_m2": drive.armature.value,
+            f"joints.{joint}.drive_train.coulomb_N_m": KNOWN_COULOMB,
+            f"joints.{joint}.drive_train.viscous_N_m_s_per_rad": KNOWN_VISCOUS,
+            f"joints.{joint}.drive_train.torque_constant_N_m_per_A": drive.torque_constant.value,
+            f"joints.{joint}.drive_train.armature_kg_m2": drive.armature.value,
         }
     return robot.with_overrides(exact)
 
 
 def _known_truth() -> Truth:
     nominal = Truth.nominal(stated_robot())
-    joints = {
-        name: replace(joint, coulomb=KNOWN_COULOMB, viscous=KNOWN_VISCOUS) for name, joint in nominal.joints.items()
-    }
+    rubbing = {"coulomb": KNOWN_COULOMB, "viscous": KNOWN_VISCOUS}
+    joints = {name: replace(joint, **rubbing) for name, joint in nominal.joints.items()}
     return replace(nominal, joints=joints, latency_s=0.004)
 
 

@@ -100,8 +100,7 @@ class Hung:
             turned = rotation_about(self.axes[0], angles[0]) @ rotation_about(self.axes[1], angles[1])
             return -float(gravity @ turned @ self.com)
 
-        found: np.ndarray = minimize(height, np.zeros(2)).x
-        return found
+        return minimize(height, np.zeros(2)).x
 
 
 class HungSimulator:
@@ -219,8 +218,7 @@ class HungProblem(Problem):
 def _gravity_at_start(robot: Robot, run: PreparedRun) -> np.ndarray:
     """As the hand feels it before the run [m/s^2], shape (3,)."""
     hand = robot.model.frame_transform(robot.payload_frame, {**run.run.held, run.run.joint: run.rest.value})
-    felt: np.ndarray = hand[:3, :3].T @ robot.gravity
-    return felt
+    return hand[:3, :3].T @ robot.gravity
 
 
 def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list[Unknown]:

@@ -131,8 +131,7 @@ class _Parzen:
     def logarithm(self, x: np.ndarray) -> np.ndarray:
         """Of the density at x, shape (K,), less a constant."""
         distance = (x[:, None] - self._centres) / self._widths
-        density: np.ndarray = np.log((np.exp(-0.5 * distance**2) / self._widths).mean(axis=1) + 1e-300)
-        return density
+        return np.log((np.exp(-0.5 * distance**2) / self._widths).mean(axis=1) + 1e-300)
 
 
 # --- figure 7: landscapes --------------------------------------------------------------------------------------------
@@ -176,5 +175,4 @@ def _mean_square(problem: Problem, free: np.ndarray) -> np.ndarray:
     """Mean square of the residuals of a problem of one run [rad^2], shape (S,)."""
     q, _, _ = problem.simulate(problem.all_values(free), problem.free)
     run = problem.runs[0]
-    squares: np.ndarray = ((q[:, 0, : run.used] - run.position) ** 2).mean(axis=1)
-    return squares
+    return ((q[:, 0, : run.used] - run.position) ** 2).mean(axis=1)

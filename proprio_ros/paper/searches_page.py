@@ -52,8 +52,7 @@ def optimisers(found: Sequence[Rows]) -> list[str]:
 def _held(x: Any, cost: Sequence[float], grid: np.ndarray) -> np.ndarray:
     """Best cost so far at the places of a grid; the first before it is known."""
     at = np.clip(np.searchsorted(np.asarray(x), grid, side="right") - 1, 0, len(cost) - 1)
-    best: np.ndarray = np.asarray(cost)[at]
-    return best
+    return np.asarray(cost)[at]
 
 
 def _banded(name: str, x: np.ndarray, values: np.ndarray, color: str) -> Panel:

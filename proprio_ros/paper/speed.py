@@ -52,17 +52,15 @@ class _Case:
         self.problem = Problem(robot, [self.prepared], self.facts, unknowns)
         names = [self.problem.unknowns[row].kind for row in self.problem.free]
         if names != ["payload_mass", "q0", "v0"] or len(run.input_times_s) != 1:
-            raise ConfigurationError(
-                f"{BAG}: the comparison wants one constant current, and a robot file without friction"
-            )
+            wanted = "the comparison wants one constant current, and a robot file without friction"
+            raise ConfigurationError(f"{BAG}: {wanted}")
         first = np.tile(self.problem.coordinates.prior_mean, (len(STARTS_KG), 1))
         first[:, 0] = STARTS_KG
         self.starts = self.problem.coordinates.internal(first)
 
     def masses(self, internal: np.ndarray) -> np.ndarray:
         """[kg], shape (S,)."""
-        found: np.ndarray = self.problem.coordinates.physical(internal)[:, 0]
-        return found
+        return self.problem.coordinates.physical(internal)[:, 0]
 
 
 def speed(seed: int) -> dict[str, Any]:
@@ -94,7 +92,7 @@ def _scipy(case: _Case) -> Callable[[], float]:
     from scipy.optimize import least_squares
 
     coordinates, prepared = case.problem.coordinates, case.prepared
-    values = np.tile(coordinates.prior_mean, (1, 1))
+    values = coordinates.prior_mean[None].copy()
     values[0, 0] = 0.0
     p, dp = case.problem.parameters(case.problem.all_values(values), case.problem.free)
     empty, per_kg = p[0, 0], dp[0, 0, :, 0]
@@ -367,8 +365,7 @@ class NewtonArm:
         self._states[0].joint_qd.fill_(v0)
         wp.capture_launch(self._forward)
         way = np.array([state.joint_q.numpy()[0] for state in self._states], dtype=np.float64)
-        found: np.ndarray = (1.0 - self._share) * way[self._row] + self._share * way[self._row + 1]
-        return found
+        return (1.0 - self._share) * way[self._row] + self._share * way[self._row + 1]
 
 
 def newton_search(case: _Case, arm: NewtonArm) -> Callable[[], float]:

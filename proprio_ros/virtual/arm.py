@@ -83,23 +83,23 @@ class VirtualArm:
         self._substeps = math.ceil(control_period_s / LONGEST_SUBSTEP_S - 1e-9)
         self._substep_s = control_period_s / self._substeps
 
-        def column(term: str) -> FloatArray:
-            return np.array([getattr(truth.joints[name], term) for name in self.joints], dtype=np.float64)
+        def columns(*terms: str) -> FloatArray:
+            return np.array([[getattr(truth.joints[name], term) for name in self.joints] for term in terms], float)
 
         self._transmission = np.array([robot.drive_trains[name].transmission for name in self.joints])
-        self._torque_constant, self._zero = column("torque_constant"), column("zero_rad")
-        self._coulomb, self._load_friction = column("coulomb"), column("load_friction")
-        self._stribeck, self._stribeck_velocity = column("stribeck"), column("stribeck_velocity")
-        self._turn_sin, self._turn_cos = column("once_per_turn_sin_rad"), column("once_per_turn_cos_rad")
-        self._encoder_noise = column("encoder_noise_rad")
+        self._torque_constant, self._coulomb, self._load_friction = columns(
+            "torque_constant", "coulomb", "load_friction"
+        )
+        self._stribeck, self._stribeck_velocity = columns("stribeck", "stribeck_velocity")
+        self._zero, self._encoder_noise = columns("zero_rad", "encoder_noise_rad")
+        self._turn_sin, self._turn_cos = columns("once_per_turn_sin_rad", "once_per_turn_cos_rad")
         self._rises = bool(self._stribeck.any())
         self._velocity_before = np.zeros(len(self.joints))  # of the shafts, one substep ago
         self.grip_m = 0.0
 
         self.mujoco = import_mujoco()
         self._build(None)
-        start = zero_pose(robot)
-        self.set_position(start | dict(position or {}))
+        self.set_position(zero_pose(robot) | dict(position or {}))
 
     @property
     def time_s(self) -> float:
@@ -107,10 +107,7 @@ class VirtualArm:
         return float(self.data.time)
 
     def step(self, current_A: FloatArray) -> None:
-        """Advance by one control period.
-
-        Args:
-            current_A: Motor currents that flow all that time, shape (J,).
+        """Advance by one control period, all of which the motors' currents [A] flow, shape (J,).
 
         Raises:
             ConfigurationError: The shape is wrong.
@@ -149,13 +146,11 @@ class VirtualArm:
 
     def shaft_rad(self) -> FloatArray:
         """True angles of the output shafts [rad], shape (J,)."""
-        angle: FloatArray = self.data.qpos[self._places] / self._transmission
-        return angle
+        return self.data.qpos[self._places] / self._transmission
 
     def velocity_rad_s(self) -> FloatArray:
         """True velocities of the output shafts [rad/s], shape (J,)."""
-        velocity: FloatArray = self.data.qvel[self._dofs] / self._transmission
-        return velocity
+        return self.data.qvel[self._dofs] / self._transmission
 
     def encoder_rad(self) -> FloatArray:
         """What the encoders read before they round [rad], shape (J,); every call has fresh noise."""
@@ -262,17 +257,16 @@ class VirtualArm:
         self.model, self.data, self.object = model, mujoco.MjData(model), held
 
         moving = [joint for joint in robot.model.joints if joint.kind != "fixed"]
-        self._place_of = {
-            joint.name: int(self.model.joint(joint.name).qposadr[0]) for joint in moving if not joint.mimic
-        }
-        self._places = np.array([self._place_of[name] for name in self.joints])
-        self._dofs = np.array([int(self.model.joint(name).dofadr[0]) for name in self.joints])
-        self._moving = len(moving)
-        self._arm_places = np.array([int(self.model.joint(joint.name).qposadr[0]) for joint in moving])
-        self._arm_dofs = np.array([int(self.model.joint(joint.name).dofadr[0]) for joint in moving])
+        made = {joint.name: model.joint(joint.name) for joint in moving}
+        places = {name: int(one.qposadr[0]) for name, one in made.items()}
+        dofs = {name: int(one.dofadr[0]) for name, one in made.items()}
+        self._place_of = {joint.name: places[joint.name] for joint in moving if not joint.mimic}
+        self._places = np.array([places[name] for name in self.joints])
+        self._dofs = np.array([dofs[name] for name in self.joints])
+        self._arm_places, self._arm_dofs = np.array(list(places.values())), np.array(list(dofs.values()))
         slides = [name for name in self.joints if robot.model.joint(name).kind == "prismatic"]
         self._finger_joint = slides[0] if slides else ""
-        self.finger = int(self.model.joint(slides[0]).dofadr[0]) if slides else None
+        self.finger = dofs[slides[0]] if slides else None
         self.fingers = 1 + sum(joint.mimic is not None and joint.mimic[0] == self._finger_joint for joint in moving)
 
     def _add_inertia(self, body: Any, pseudo: FloatArray, departure: LinkTruth) -> None:

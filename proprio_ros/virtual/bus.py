@@ -1,7 +1,8 @@
 """Emulated servos on one wire: who answers an instruction packet, with what, and when.
 
-What it does not model: collisions (two servos with one ID), noise between packets, and the time from the computer to the
-adapter. ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0", "Instruction Details".
+What it does not model: collisions (two servos with one ID), noise between packets, the time from the computer to the adapter,
+and the instructions that the driver never sends (bulk and registered ones, factory reset). ROBOTIS e-manual, "DYNAMIXEL
+Protocol 2.0", "Instruction Details".
 """
 
 from __future__ import annotations
@@ -30,12 +31,7 @@ _PATIENCE_S = 0.010  # assumed: a packet that pauses longer is given up
 
 
 class Reply(NamedTuple):
-    """Bytes that reach the computer.
-
-    Attributes:
-        data: A whole status packet.
-        delay_s: From the request's arrival to the packet's last byte.
-    """
+    """A whole status packet for the computer, and the time from the request's arrival to the packet's last byte."""
 
     data: bytes
     delay_s: float
@@ -87,12 +83,10 @@ class VirtualBus:
     Args:
         servos: With distinct IDs.
         advance: Moves the world on to a time [s]; called before every packet is handled.
-        faults: What goes wrong; none by default.
+        faults: What goes wrong, which may be changed at any time; none by default.
         wire_time: Whether replies take the time of their bits and of the servos' return delay.
 
     Attributes:
-        servos: In the order given.
-        faults: May be changed at any time.
         port_baud: Bits per second of the computer's port; servos with another rate hear only noise. None: all
             understand, since a pseudo-terminal has no rate.
 
@@ -120,22 +114,16 @@ class VirtualBus:
         self._received_s = 0.0
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Bytes from the computer.
+        """Take bytes, any part of a packet or several; returns what the computer gets back, in order of time.
 
-        Args:
-            data: Any part of a packet, or several.
-            now_s: Time of arrival; the world is moved on to it.
-
-        Returns:
-            What the computer gets back, in order of time.
+        The world is moved on to their arrival, ``now_s``.
         """
         if now_s - self._received_s > _PATIENCE_S:
             self._parser.reset()
         self._received_s = now_s
         if data and self.faults.happens(self.faults.corrupt_requests):
             data = self.faults.damaged(data)
-        replies = []
-        elapsed_s = 0.0
+        replies, elapsed_s = [], 0.0
         for packet in self._parser.feed(data):
             self.advance(now_s)
             listeners = [servo for servo in self.servos if self._hears(servo, now_s)]
@@ -180,17 +168,14 @@ class VirtualBus:
                 yield from _ping(servo)
         elif packet.code == Code.SYNC_READ:
             address, length, ids = _sync_read(packet.params)
-            yield from _chain([(servo_id, address, length) for servo_id in ids], listeners)
+            yield from _chain(ids, address, length, listeners)
         elif packet.code == Code.FAST_SYNC_READ:
             yield from _fast_sync_read(packet.params, listeners)
-        elif packet.code == Code.BULK_READ:
-            yield from _chain(_bulk_read(packet.params), listeners)
-        elif packet.code in (Code.SYNC_WRITE, Code.BULK_WRITE):
-            split = _sync_write if packet.code == Code.SYNC_WRITE else _bulk_write
-            for servo_id, address, data in split(packet.params):
+        elif packet.code == Code.SYNC_WRITE:
+            for servo_id, address, data in _sync_write(packet.params):
                 if servo_id in listeners:
                     listeners[servo_id].write(address, data, now_s)
-        elif packet.code in (Code.WRITE, Code.REG_WRITE, Code.ACTION, Code.REBOOT):
+        elif packet.code in (Code.WRITE, Code.REBOOT):
             # all obey, nobody answers
             for servo in listeners.values():
                 list(_addressed(packet, servo, now_s))
@@ -212,22 +197,15 @@ def _addressed(packet: Instruction, servo: VirtualServo, now_s: float) -> Iterat
     if packet.code == Code.PING:
         yield from _ping(servo)
     elif packet.code == Code.READ:
-        if len(params) != 4:
-            yield from _answer(servo, Error.DATA_LENGTH, level=1)
-        else:
-            error, data = servo.read(_word(params, 0), _word(params, 2))
-            yield from _answer(servo, error, data, level=1)
-    elif packet.code in (Code.WRITE, Code.REG_WRITE):
+        whole = len(params) == 4
+        error, data = servo.read(_word(params, 0), _word(params, 2)) if whole else (Error.DATA_LENGTH, b"")
+        yield from _answer(servo, error, data, level=1)
+    elif packet.code == Code.WRITE:
         # the level that was valid before the write decides; assumed
         level, servo_id = servo["status_return_level"], servo.id
-        error = Error.DATA_LENGTH
-        if len(params) > 2:
-            address, data = _word(params, 0), params[2:]
-            error = servo.write(address, data, now_s) if packet.code == Code.WRITE else servo.reg_write(address, data)
+        error = servo.write(_word(params, 0), params[2:], now_s) if len(params) > 2 else Error.DATA_LENGTH
         if level >= 2:
             yield _Part((servo,), encode_status(servo_id, servo.status_error(error)))
-    elif packet.code == Code.ACTION:
-        yield from _answer(servo, servo.action(now_s), level=2)
     elif packet.code == Code.REBOOT:
         yield from _answer(servo, Error.NONE, level=2)
         servo.reboot(now_s)
@@ -235,10 +213,9 @@ def _addressed(packet: Instruction, servo: VirtualServo, now_s: float) -> Iterat
         yield from _answer(servo, Error.INSTRUCTION, level=2)
 
 
-def _chain(requests: Sequence[tuple[int, int, int]], listeners: dict[int, VirtualServo]) -> Iterator[_Part]:
+def _chain(ids: bytes, address: int, length: int, listeners: dict[int, VirtualServo]) -> Iterator[_Part]:
     """Each servo speaks after the status packet of the one before; after a silent one nobody does."""
-    for servo_id, address, length in requests:
-        servo = listeners.get(servo_id)
+    for servo in map(listeners.get, ids):
         if servo is None or servo["status_return_level"] < 1:
             return
         error, data = servo.read(address, length)
@@ -273,23 +250,7 @@ def _sync_read(params: bytes) -> tuple[int, int, bytes]:
     return _word(params, 0), _word(params, 2), params[4:]
 
 
-def _bulk_read(params: bytes) -> list[tuple[int, int, int]]:
-    return [
-        (params[index], _word(params, index + 1), _word(params, index + 3)) for index in range(0, len(params) - 4, 5)
-    ]
-
-
 def _sync_write(params: bytes) -> Iterator[tuple[int, int, bytes]]:
     address, length = _word(params, 0), _word(params, 2)
     for index in range(4, len(params) - length, length + 1):
         yield params[index], address, params[index + 1 : index + 1 + length]
-
-
-def _bulk_write(params: bytes) -> Iterator[tuple[int, int, bytes]]:
-    index = 0
-    while index + 5 <= len(params):
-        length = _word(params, index + 3)
-        data = params[index + 5 : index + 5 + length]
-        if len(data) == length:
-            yield params[index], _word(params, index + 1), data
-        index += 5 + length

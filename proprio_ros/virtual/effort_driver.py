@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.drives import PositionServo
 from proprio_ros.virtual.arm import VirtualArm
 from proprio_ros.virtual.objects import HandObject
-from proprio_ros.virtual.robot import LONGEST_PAUSE_S, PARKED
+from proprio_ros.virtual.robot import LONGEST_PAUSE_S, parked
 from proprio_ros.virtual.truth import Truth
 
 PERIOD_S = 0.001
@@ -66,8 +67,7 @@ class EffortDriver:
         unknown = [name for name in self.joints if name not in robot.drive_trains]
         if unknown:
             raise ConfigurationError(f"controller_joints: {robot.name} does not drive {', '.join(unknown)}")
-        known = set(robot.model.independent_joints)
-        start = {name: value for name, value in PARKED.items() if name in known} if position is None else position
+        start = parked(robot) if position is None else position
         self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=PERIOD_S)
         self.lock = clock.lock()
         drives = [robot.drive_trains[name] for name in self.arm.joints]
@@ -123,7 +123,7 @@ class EffortDriver:
         """Of the motors [A], within their limits, and what the supply can drive at this speed."""
         wanted_A = wanted / self._effort_per_A
         slowed_A = self._per_speed_A * self.arm.velocity_rad_s()
-        current: FloatArray = np.clip(wanted_A, -self._limits, self._limits)
+        current = np.clip(wanted_A, -self._limits, self._limits)
         return np.clip(current, -self._supply_A - slowed_A, self._supply_A - slowed_A)
 
     def states(self) -> tuple[list[float], list[float], list[float]]:
@@ -165,10 +165,7 @@ class EffortDriver:
 class PositionDriver(EffortDriver):
     """The same behind a position controller: each servo makes a voltage of the distance to its goal, by its law in the robot file.
 
-    Until the first command somebody holds the arm.
-
-    Args:
-        robot, truth, joints, position, seed: As above. Goals are in rad.
+    Goals are in rad; the options are `joints`, `position` and `seed` of `EffortDriver`.
 
     Raises:
         ConfigurationError: Also where the robot file states no law of a position servo for a joint.
@@ -176,21 +173,13 @@ class PositionDriver(EffortDriver):
 
     units = ("rad",)
 
-    def __init__(
-        self,
-        robot: Robot,
-        truth: Truth,
-        *,
-        joints: Sequence[str] = (),
-        position: Mapping[str, float] | None = None,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, robot: Robot, truth: Truth, **options: Any) -> None:
         laws = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
         if other := [name for name, law in laws.items() if not isinstance(law, PositionServo)]:
             raise ConfigurationError(
                 f"{robot.name}: {', '.join(other)} are no position servos (driven_by); choose interface:=effort_controller"
             )
-        super().__init__(robot, truth, joints=joints, unit="rad", position=position, seed=seed)
+        super().__init__(robot, truth, unit="rad", **options)
         drives = [robot.drive_trains[name] for name in self.arm.joints]
         self._gain, self._limit, self._dead, self._step = (
             np.array([getattr(law, term) for law in laws.values()])
@@ -215,7 +204,4 @@ class PositionDriver(EffortDriver):
         distance = self._moved - counts * self._count_rad * self._transmission
         distance = np.sign(distance) * np.maximum(np.abs(distance) - self._dead, 0.0)
         duty = np.clip(self._gain * distance, -self._limit, self._limit)
-        current_A: FloatArray = (
-            self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()
-        ) / self._resistance_ohm
-        return current_A
+        return (self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()) / self._resistance_ohm

@@ -59,13 +59,7 @@ class HandObject(ABC):
         return
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
-        """Add it to the model of an arm that is not compiled yet.
-
-        Args:
-            mujoco: The module.
-            spec: The model.
-            hand: Its body of the payload frame.
-        """
+        """Add it to the model ``spec`` of an arm that is not compiled yet; ``hand`` is its body of the payload frame."""
         return
 
     def begin(self, arm: VirtualArm) -> None:
@@ -73,12 +67,7 @@ class HandObject(ABC):
         return
 
     def act(self, arm: VirtualArm, force: FloatArray) -> None:
-        """Add what it does to the joints at this instant.
-
-        Args:
-            arm: That holds it.
-            force: Of each degree of freedom in MuJoCo's order [N m or N], shape (V,).
-        """
+        """Add what it does at this instant to the force of each degree of freedom in MuJoCo's order [N m or N], shape (V,)."""
         return
 
 

@@ -16,7 +16,6 @@ import tty
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from queue import SimpleQueue
-from types import TracebackType
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.virtual.bus import Reply, VirtualBus
@@ -86,14 +85,6 @@ class PtyPort:
         self._open()
         self._thread = threading.Thread(target=self._run, name="virtual bus", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> PtyPort:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def path(self) -> Path:

@@ -14,31 +14,22 @@ from typing import NamedTuple
 BROADCAST_ID = 0xFE
 ALERT = 0x80
 """Bit of the error byte: look at Hardware Error Status."""
-
 _HEADER = b"\xff\xff\xfd\x00"
-_STATUS = 0x55
 _BEFORE_BODY = 7  # header, ID, LEN
 _LONGEST = 4096  # a longer LEN is a damaged one; the longest request of 252 servos is below this
 
 
 class Code(IntEnum):
-    """Values of the instruction byte."""
+    """Values of the instruction byte that are obeyed, and that of an answer."""
 
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    FACTORY_RESET = 0x06
     REBOOT = 0x08
-    CLEAR = 0x10
-    CONTROL_TABLE_BACKUP = 0x20
-    STATUS = _STATUS
+    STATUS = 0x55
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
     FAST_SYNC_READ = 0x8A
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
 
 
 class Error(IntEnum):
@@ -77,17 +68,14 @@ class CrcError(NamedTuple):
     size: int
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        value = byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
-        table.append(value)
-    return tuple(table)
+def _crc_of(byte: int) -> int:
+    value = byte << 8
+    for _ in range(8):
+        value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
+    return value
 
 
-_CRC_TABLE = _crc_table()
+_CRC_TABLE = tuple(map(_crc_of, range(256)))
 
 
 def crc16(data: bytes) -> int:
@@ -120,7 +108,7 @@ def encode_instruction(servo_id: int, code: int, params: bytes = b"") -> bytes:
 
 def encode_status(servo_id: int, error: int, params: bytes = b"") -> bytes:
     """Packet that a servo answers with; ``error`` includes the alert bit."""
-    return encode_instruction(servo_id, _STATUS, bytes([error]) + params)
+    return encode_instruction(servo_id, Code.STATUS, bytes([error]) + params)
 
 
 def encode_fast_status(parts: Sequence[tuple[int, int, bytes]], servos: int) -> bytes:
@@ -131,7 +119,7 @@ def encode_fast_status(parts: Sequence[tuple[int, int, bytes]], servos: int) -> 
         servos: How many were asked: the first one announces the length of all. With fewer parts the packet breaks off.
     """
     length = 1 + servos * (len(parts[0][2]) + 4)
-    packet = _HEADER + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([_STATUS])
+    packet = _HEADER + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([Code.STATUS])
     for error, servo_id, data in parts:
         packet = _with_crc(packet + bytes([error, servo_id]) + data)
     return packet

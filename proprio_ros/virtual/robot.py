@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,17 @@ from proprio_ros.virtual.truth import Truth
 
 LONGEST_PAUSE_S = 0.5
 """When this process was not run for longer, the world stood still meanwhile."""
-
 LATE_S = 0.03
 """The port moves the world on every 2 ms; more means that this process was not run."""
-
 PARKED = {"joint2": -1.0, "joint3": 0.6, "joint4": 0.4}
 """Where an OpenManipulator-X is parked: away from all limits, high above the table [rad]."""
-
 OVERHEATED_C = 90.0
+
+
+def parked(robot: Robot) -> dict[str, float]:
+    """Positions of those of its joints that are parked [rad]."""
+    known = robot.model.independent_joints
+    return {name: value for name, value in PARKED.items() if name in known}
 
 
 class VirtualRobot:
@@ -38,34 +40,16 @@ class VirtualRobot:
         robot: The robot as its file states it; ids and models of its motors make the servos.
         truth: What it is really like.
         link: Path that shall point to the pseudo-terminal.
-        position: Joint positions at the start [rad or m].
         seed: Of encoder noise and faults.
-        firmware: Of the servos.
-        baud_rate: That the servos are set to.
-        wire_time: Whether bytes take their time on the wire.
 
     Raises:
         ConfigurationError: MuJoCo is missing, or the robot cannot be simulated.
         RobotError: A motor's model is not known.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        truth: Truth,
-        *,
-        link: Path | None = None,
-        position: Mapping[str, float] | None = None,
-        seed: int = 0,
-        firmware: int = 46,
-        baud_rate: int = 1_000_000,
-        wire_time: bool = True,
-    ) -> None:
-        known = set(robot.model.independent_joints)
-        start = {name: value for name, value in PARKED.items() if name in known} if position is None else position
-        self.arm = VirtualArm(robot, truth, position=start, seed=seed, control_period_s=CONTROL_PERIOD_S)
+    def __init__(self, robot: Robot, truth: Truth, *, link: Path | None = None, seed: int = 0) -> None:
+        self.arm = VirtualArm(robot, truth, position=parked(robot), seed=seed, control_period_s=CONTROL_PERIOD_S)
         self.faults = Faults(seed=seed)
-        codes = {rate: code for code, rate in BAUD_RATES.items()}
         self.servos: dict[str, VirtualServo] = {}
         for name in self.arm.joints:
             motor, drive = robot.motors[name], robot.drive_trains[name]
@@ -74,20 +58,19 @@ class VirtualRobot:
             servo = VirtualServo(
                 servo_model(motor.model),
                 motor.id,
-                firmware=firmware,
                 supply_voltage_V=drive.supply_voltage_V or 12.0,
                 back_emf_V_s_per_rad=drive.back_emf_V_s_per_rad,
                 resistance_ohm=drive.resistance_ohm or 5.0,
                 latency_s=truth.latency_s,
             )
-            servo["baud_rate"] = codes[baud_rate]
+            servo["baud_rate"] = list(BAUD_RATES.values()).index(1_000_000)
             self.servos[name] = servo
         self._all = tuple(self.servos.values())
         self._shift = np.zeros(len(self._all))
         self._current = np.zeros(len(self._all))
         self._time_s: float | None = None
         self._supported = True
-        self.bus = VirtualBus(self._all, self.advance, faults=self.faults, wire_time=wire_time)
+        self.bus = VirtualBus(self._all, self.advance, faults=self.faults)
         self.port = PtyPort(self.bus, link)
 
     def advance(self, now_s: float) -> None:
@@ -131,18 +114,16 @@ class VirtualRobot:
         Raises:
             ConfigurationError: A word is not known; it lists those that are.
         """
-        faults = {"drop": 0.0, "corrupt": 0.0, "corrupt_requests": 0.0, "delay": 0.0}
+        faults = dict.fromkeys(("drop", "corrupt", "corrupt_requests", "delay"), 0.0)
         joints: dict[str, list[str]] = {"hang": [], "overheat": [], "jump": []}
-        unplug = False
-        for word in filter(None, (part.strip() for part in text.split(","))):
+        words = [part.strip() for part in text.split(",") if part.strip()]
+        for word in words:
             key, _, value = word.partition("=")
-            if word == "unplug":
-                unplug = True
-            elif key in joints and value in self.servos:
+            if key in joints and value in self.servos:
                 joints[key].append(value)
             elif key in faults and _is_number(value):
                 faults[key] = float(value)
-            else:
+            elif word != "unplug":
                 raise ConfigurationError(
                     f"fault {word!r}: choose from {', '.join(f'{k}=NUMBER' for k in faults)}, "
                     f"{', '.join(f'{k}=JOINT' for k in joints)}, unplug; joints: {', '.join(self.servos)}"
@@ -151,16 +132,13 @@ class VirtualRobot:
             self.faults.drop, self.faults.corrupt = faults["drop"], faults["corrupt"]
             self.faults.corrupt_requests, self.faults.delay_s = faults["corrupt_requests"], faults["delay"]
             self.faults.hang = {self.servos[name].id for name in joints["hang"]}
-            for row, name in enumerate(self.servos):
+            for row, (name, servo) in enumerate(self.servos.items()):
                 if name in joints["overheat"]:
-                    self.servos[name].temperature_C = OVERHEATED_C
-                elif self.servos[name].temperature_C >= OVERHEATED_C - 5.0:
-                    self.servos[name].temperature_C = 40.0
+                    servo.temperature_C = OVERHEATED_C
+                elif servo.temperature_C >= OVERHEATED_C - 5.0:
+                    servo.temperature_C = 40.0
                 self._shift[row] = 0.6 if name in joints["jump"] else 0.0
-        if unplug:
-            self.port.unplug()
-        else:
-            self.port.plug()
+        (self.port.unplug if "unplug" in words else self.port.plug)()
 
     def close(self) -> None:
         """Stop the world and close the port."""

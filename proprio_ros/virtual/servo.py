@@ -19,17 +19,14 @@ from proprio_ros.bus.control_table import (
     RETURN_DELAY_UNIT_S,
     HardwareError,
     OperatingMode,
-    Register,
     ServoModel,
 )
 from proprio_ros.virtual.protocol import ALERT, Error
 
 CONTROL_PERIOD_S = 0.001
 """Period of the current controller: `VirtualServo.control` is called once per period [s]."""
-
 REBOOT_S = 0.3
 """Time without an answer after a reboot; assumed [s]."""
-
 AMBIENT_C = 30.0
 
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
@@ -81,14 +78,13 @@ class VirtualServo:
         self._back_emf_V_s_per_rad = back_emf_V_s_per_rad
         self._resistance_ohm = resistance_ohm
         self._registers = model.registers
-        self._span = _Spans(self._registers)
+        places = {name: range(register.size) for name, register in self._registers.items()}
+        self._bytes = {self._registers[name].address + k: (name, k) for name, sizes in places.items() for k in sizes}
+        self._end = max(self._bytes) + 1
         self._values = {name: register.initial for name, register in self._registers.items()}
         self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
-        self._booted_s = 0.0
-        self._silent_until_s = -math.inf
-        self._heard_s = 0.0
+        self._booted_s, self._silent_until_s, self._heard_s = 0.0, -math.inf, 0.0
         self._velocities: deque[float] = deque(maxlen=_VELOCITY_AVERAGE)
-        self._registered: tuple[int, bytes] | None
         self._goals: Goals | None
         self._pending: deque[tuple[float, Goals]]
         self._reset_controller()
@@ -135,14 +131,13 @@ class VirtualServo:
         Returns:
             `Error.DATA_RANGE` and no bytes beyond the end of the table; else `Error.NONE` and ``length`` bytes.
         """
-        if length < 1 or address + length > self._span.end:
+        if length < 1 or address + length > self._end:
             return Error.DATA_RANGE, b""
-        data = bytearray(length)
-        for name, register in self._span.overlapping(address, length):
-            for index, byte in enumerate(register.encode(self._values[name]), start=register.address - address):
-                if 0 <= index < length:
-                    data[index] = byte
-        return Error.NONE, bytes(data)
+        return Error.NONE, bytes(map(self._byte, range(address, address + length)))
+
+    def _byte(self, address: int) -> int:
+        name, index = self._bytes.get(address, ("", 0))
+        return self._registers[name].encode(self._values[name])[index] if name else 0
 
     def write(self, address: int, data: bytes, now_s: float) -> Error:
         """Set whole registers; with an error nothing is set (assumed)."""
@@ -154,23 +149,6 @@ class VirtualServo:
         if any(name in _GOALS for name in values):
             self._pending.append((now_s + self.latency_s, self._written_goals()))
         return Error.NONE
-
-    def reg_write(self, address: int, data: bytes) -> Error:
-        """Keep a write for `action`."""
-        _, error = self._parsed(address, data)
-        if not error:
-            self._registered = (address, data)
-            self._values["registered_instruction"] = 1
-        return error
-
-    def action(self, now_s: float) -> Error:
-        """Carry out the registered write; without one it is an instruction error."""
-        if self._registered is None:
-            return Error.INSTRUCTION
-        address, data = self._registered
-        self._registered = None
-        self._values["registered_instruction"] = 0
-        return self.write(address, data, now_s)
 
     def reboot(self, now_s: float) -> None:
         """Power off and on: RAM and errors go, EEPROM stays, and it is silent for `REBOOT_S`."""
@@ -186,8 +164,8 @@ class VirtualServo:
         values: dict[str, int] = {}
         position, end = address, address + len(data)
         while position < end:
-            name = self._span.starting_at(position)
-            if name is None:
+            name, index = self._bytes.get(position, ("", 0))
+            if not name or index:
                 return {}, Error.ACCESS  # in the middle of a register, or not defined
             register = self._registers[name]
             if position + register.size > end:
@@ -196,11 +174,8 @@ class VirtualServo:
             position += register.size
         if not values:
             return {}, Error.DATA_LENGTH
-        for name, value in values.items():
-            error = self._refusal(name, value)
-            if error:
-                return {}, error
-        return values, Error.NONE
+        error = next(filter(None, (self._refusal(name, value) for name, value in values.items())), Error.NONE)
+        return ({} if error else values), error
 
     def _refusal(self, name: str, value: int) -> Error:
         register = self._registers[name]
@@ -246,31 +221,28 @@ class VirtualServo:
 
     def _reset_controller(self) -> None:
         """State of a servo that has just got power."""
-        self._registered = None
         self._overloaded_s = 0.0
         self._reset_mode()
 
     def _reset_mode(self) -> None:
         """A new mode starts from its own first values; assumed: the same gains for all modes, and no profile."""
-        for name in self._registers:
+        for name, register in self._registers.items():
             if name.endswith("_gain") or name.startswith("profile_"):
-                self._values[name] = self._registers[name].initial
-        self._values["goal_velocity"] = 0
+                self._values[name] = register.initial
         self._reset_goals()
-        self._stop()
 
     def _reset_goals(self) -> None:
         """Goals that ask for nothing, and bounds that allow everything."""
         mode = self._values["operating_mode"]
+        self._values["goal_velocity"] = 0
         self._values["goal_pwm"] = 0 if mode == OperatingMode.PWM else self._values["pwm_limit"]
         self._values["goal_current"] = 0 if mode == OperatingMode.CURRENT else self._values["current_limit"]
         self._values["goal_position"] = self._values["present_position"]
+        self._stop()
 
     def _start(self, now_s: float) -> None:
         """Torque on: stay where it is."""
-        self._values["goal_velocity"] = 0
         self._reset_goals()
-        self._stop()
         self._goals = self._written_goals()
         self._heard_s = now_s
 
@@ -322,9 +294,7 @@ class VirtualServo:
 
         voltage_V = (self._resistance_ohm * current_A + self._back_emf_V_s_per_rad * velocity_rad_s) if powered else 0.0
         values["present_current"] = counts
-        values["present_pwm"] = self._registers["present_pwm"].decode(
-            self._registers["present_pwm"].encode(round(voltage_V / self._volt_per_pwm))
-        )
+        self["present_pwm"] = round(voltage_V / self._volt_per_pwm)
         self._warm_up(current_A)
         return sign * current_A
 
@@ -379,9 +349,7 @@ class VirtualServo:
         if values["present_temperature"] > values["temperature_limit"]:
             self.fail(HardwareError.OVERHEATING)
         # assumed: overload is nearly the highest possible current without motion for some seconds
-        highest_A = min(
-            self.model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, velocity_rad_s=0.0)
-        )
+        highest_A = min(self.model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, 0.0))
         current_A = self.model.current_A(abs(values["present_current"]))
         straining = current_A > 0.0 and current_A >= _OVERLOAD_FRACTION * highest_A and not values["moving"]
         self._overloaded_s = self._overloaded_s + CONTROL_PERIOD_S if straining else 0.0
@@ -401,26 +369,3 @@ class VirtualServo:
 
 def _clip(value: float, bound: float) -> float:
     return max(-bound, min(bound, value))
-
-
-class _Spans:
-    """Which registers lie where."""
-
-    def __init__(self, registers: Mapping[str, Register]) -> None:
-        self._registers = registers
-        self._starts = {register.address: name for name, register in registers.items()}
-        self._overlaps: dict[tuple[int, int], tuple[tuple[str, Register], ...]] = {}
-        self.end = max(register.address + register.size for register in registers.values())
-
-    def starting_at(self, address: int) -> str | None:
-        return self._starts.get(address)
-
-    def overlapping(self, address: int, length: int) -> tuple[tuple[str, Register], ...]:
-        key = (address, length)
-        if key not in self._overlaps:
-            self._overlaps[key] = tuple(
-                (name, register)
-                for name, register in self._registers.items()
-                if register.address < address + length and address < register.address + register.size
-            )
-        return self._overlaps[key]

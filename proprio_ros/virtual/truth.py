@@ -83,11 +83,8 @@ class Truth:
     @classmethod
     def nominal(cls, robot: Robot) -> Truth:
         """The robot file's values exactly; its encoders make no once-per-turn error."""
-        return cls(
-            joints={name: _nominal(drive) for name, drive in robot.drive_trains.items()},
-            latency_s=max(robot.delay.value, 0.0),
-            arm_scale=robot.arm_scale.value,
-        )
+        joints = {name: _nominal(drive) for name, drive in robot.drive_trains.items()}
+        return cls(joints, max(robot.delay.value, 0.0), robot.arm_scale.value)
 
     @classmethod
     def draw(cls, robot: Robot, seed: int, *, links: bool = False, stribeck: bool = False) -> Truth:
@@ -174,15 +171,9 @@ class Truth:
             ) from error
 
 
+_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity")
+
+
 def _nominal(drive: DriveTrain) -> JointTruth:
-    return JointTruth(
-        torque_constant=drive.torque_constant.value,
-        coulomb=drive.coulomb.value,
-        viscous=drive.viscous.value,
-        load_friction=drive.load_friction.value,
-        armature=drive.armature.value,
-        zero_rad=drive.zero.value,
-        stribeck=drive.stribeck.value,
-        stribeck_velocity=drive.stribeck_velocity.value,
-        encoder_noise_rad=drive.encoder_noise,
-    )
+    terms = {name: getattr(drive, name).value for name in _TERMS}
+    return JointTruth(**terms, zero_rad=drive.zero.value, encoder_noise_rad=drive.encoder_noise)

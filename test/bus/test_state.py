@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from proprio_ros.bus.control_table import XM430_W350
-from proprio_ros.bus.dynamixel import Goal
+from proprio_ros.bus.dynamixel import BusServo, Goal
 from proprio_ros.bus.state import FAR_COUNTS, DrivenJoint, JointMode
 from proprio_ros.robot import load_robot
 
@@ -13,7 +13,7 @@ ROBOT = load_robot("open_manipulator_x")
 
 
 def joint(name: str = "joint3") -> DrivenJoint:
-    return DrivenJoint.of(ROBOT.model.joint(name), ROBOT.drive_trains[name], ROBOT.motors[name], XM430_W350)
+    return DrivenJoint.of(ROBOT, BusServo(name, 13, XM430_W350))
 
 
 def test_limits_count_at_the_shaft() -> None:

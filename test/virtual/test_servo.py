@@ -126,16 +126,6 @@ def test_eeprom_is_closed_while_torque_is_on() -> None:
     assert bench.write("return_delay_time", 0) == Error.NONE
 
 
-def test_reg_write_waits_for_action() -> None:
-    bench = Bench()
-    assert bench.servo.action(0.0) == Error.INSTRUCTION
-    assert bench.servo.reg_write(65, b"\x02") == Error.DATA_RANGE
-    assert bench.servo.reg_write(65, b"\x01") == Error.NONE
-    assert (bench.read("registered_instruction"), bench.read("led")) == (1, 0)
-    assert bench.servo.action(0.0) == Error.NONE
-    assert (bench.read("registered_instruction"), bench.read("led")) == (0, 1)
-
-
 # --- measuring
 
 

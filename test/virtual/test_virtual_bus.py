@@ -173,26 +173,6 @@ def test_sync_write_of_the_goal_block_pushes(desk: Desk) -> None:
         assert sign * desk.read(servo_id, "present_velocity") > 0
 
 
-def test_bulk_read_and_bulk_write(desk: Desk) -> None:
-    writer = sdk.GroupBulkWrite(desk.handler, desk.packets)
-    assert writer.addParam(11, 65, 1, [1])
-    assert writer.addParam(12, 84, 2, [0x2C, 0x01])
-    assert writer.txPacket() == sdk.COMM_SUCCESS
-    reader = sdk.GroupBulkRead(desk.handler, desk.packets)
-    assert reader.addParam(11, 65, 1)
-    assert reader.addParam(12, 84, 2)
-    assert reader.txRxPacket() == sdk.COMM_SUCCESS
-    assert (reader.getData(11, 65, 1), reader.getData(12, 84, 2)) == (1, 300)
-
-
-def test_reg_write_and_broadcast_action(desk: Desk) -> None:
-    for servo_id in (11, 12):
-        assert desk.packets.regWriteTxRx(desk.handler, servo_id, 65, 1, [1]) == (sdk.COMM_SUCCESS, 0)
-    assert (desk.read(11, "led"), desk.read(12, "led")) == (0, 0)
-    assert desk.packets.action(desk.handler, BROADCAST_ID) == sdk.COMM_SUCCESS
-    assert (desk.read(11, "led"), desk.read(12, "led")) == (1, 1)
-
-
 def test_status_return_level(desk: Desk) -> None:
     assert desk.write(11, "status_return_level", 1) == (sdk.COMM_SUCCESS, 0)
     assert desk.write(11, "led", 1)[0] == sdk.COMM_RX_TIMEOUT
