@@ -61,24 +61,16 @@ def hardware_errors(status: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Register:
-    """One entry of the control table.
+    """One entry of the control table."""
 
-    Attributes:
-        address: Of its first byte.
-        size: In bytes; little endian.
-        initial: Value after a factory reset (EEPROM) or power-up (RAM).
-        lowest, highest: What may be written; registers with ``limit`` are tighter.
-        limit: Name of the register that bounds the absolute value.
-    """
-
-    address: int
-    size: int
-    initial: int = 0
-    lowest: int = 0
-    highest: int = 0
+    address: int  # of its first byte
+    size: int  # bytes, little endian
+    initial: int = 0  # value after a factory reset (EEPROM) or power-up (RAM)
+    lowest: int = 0  # may be written
+    highest: int = 0  # may be written
     writable: bool = True
     signed: bool = False
-    limit: str | None = None
+    limit: str | None = None  # name of the register that bounds the absolute value
 
     @property
     def eeprom(self) -> bool:
@@ -157,28 +149,18 @@ _X_SERIES: dict[str, Register] = {
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A servo's control table with the units of its numbers.
+    """A servo's control table with the units of its numbers."""
 
-    Attributes:
-        name: As the robot file calls it.
-        number: Its Model Number.
-        current_unit_A, velocity_unit_rad_s, position_unit_rad: Of one count.
-        position_zero: Count at which the shaft's angle is 0.
-        voltage_unit_V: Of one count of Present Input Voltage.
-        position_p_divisor, position_d_divisor: Gain = register / divisor (e-manual, "Position PID Gain").
-        fast_sync_read_firmware: First firmware that knows Fast Sync Read.
-    """
-
-    name: str
-    number: int
-    current_unit_A: float
-    velocity_unit_rad_s: float
-    position_unit_rad: float
-    position_zero: int
-    voltage_unit_V: float
-    position_p_divisor: float = 128.0
+    name: str  # as the robot file calls it
+    number: int  # its Model Number
+    current_unit_A: float  # of one count
+    velocity_unit_rad_s: float  # of one count
+    position_unit_rad: float  # of one count
+    position_zero: int  # count at which the shaft's angle is 0
+    voltage_unit_V: float  # of one count of Present Input Voltage
+    position_p_divisor: float = 128.0  # gain = register / divisor (e-manual, "Position PID Gain")
     position_d_divisor: float = 16.0
-    fast_sync_read_firmware: int = 45
+    fast_sync_read_firmware: int = 45  # first firmware that knows Fast Sync Read
     registers: Mapping[str, Register] = field(default_factory=lambda: _X_SERIES, repr=False)
 
     def counts_of_current(self, current_A: float) -> int:

@@ -37,33 +37,19 @@ HEALTH_PERIOD_S = 0.2
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """What a driver may do and for how long.
+    """What a driver may do and for how long."""
 
-    Attributes:
-        command_timeout_s: Without a fresh current command for so long, a driven joint is no longer driven.
-        on_timeout: ``hold`` keeps it where it is then, ``zero`` leaves it without current.
-        watchdog_s: The servos stop by themselves after so much silence; 0 turns that off.
-        limit_margin_rad: A joint is not driven nearer to its limit than this.
-        min_clearance_m: Nothing that can be lowered is brought nearer to the base's plane, the table, than this.
-        max_velocity_rad_s: A driven joint that is faster is braked.
-        max_goal_velocity_rad_s: A goal position is followed no faster than this.
-        max_temperature_C: No current above; the servos shut down by themselves at 80.
-        max_jump_rad: A position further from the last one than speed explains is an encoder fault.
-        position_d_gain: Register value that damps locked joints.
-        reconnect_s: A lost bus is tried again so often.
-    """
-
-    command_timeout_s: float = 0.1
-    on_timeout: str = "hold"
-    watchdog_s: float = 0.3
-    limit_margin_rad: float = 0.05
-    min_clearance_m: float = 0.0
-    max_velocity_rad_s: float = 7.0
-    max_goal_velocity_rad_s: float = 2.5
-    max_temperature_C: float = 70.0
-    max_jump_rad: float = 0.3
-    position_d_gain: int = 2000
-    reconnect_s: float = 0.5
+    command_timeout_s: float = 0.1  # without a fresh current command for so long, a driven joint is no longer driven
+    on_timeout: str = "hold"  # ``hold`` keeps it where it is then, ``zero`` leaves it without current
+    watchdog_s: float = 0.3  # the servos stop by themselves after so much silence; 0 turns that off
+    limit_margin_rad: float = 0.05  # a joint is not driven nearer to its limit than this
+    min_clearance_m: float = 0.0  # nothing is brought nearer to the base's plane, the table, than this
+    max_velocity_rad_s: float = 7.0  # a driven joint that is faster is braked
+    max_goal_velocity_rad_s: float = 2.5  # a goal position is followed no faster than this
+    max_temperature_C: float = 70.0  # no current above; the servos shut down by themselves at 80
+    max_jump_rad: float = 0.3  # a position further from the last one than speed explains is an encoder fault
+    position_d_gain: int = 2000  # register value that damps locked joints
+    reconnect_s: float = 0.5  # a lost bus is tried again so often
 
 
 class ArmDriver:

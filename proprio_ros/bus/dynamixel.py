@@ -95,18 +95,11 @@ class ServoState(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One round of the bus.
+    """One round of the bus."""
 
-    Attributes:
-        sampled_at_s: When the request had left: servos sample when they hear it. On the monotonic clock.
-        round_trip_s: From before the request to after the last answer. One that is longer than usual means that something
-            was late, and that may have been the request.
-        states: By joint; servos that did not answer, or not intact, are missing.
-    """
-
-    sampled_at_s: float
-    states: Mapping[str, ServoState]
-    round_trip_s: float = 0.0
+    sampled_at_s: float  # when the request had left: servos sample when they hear it; on the monotonic clock
+    states: Mapping[str, ServoState]  # by joint; servos that did not answer, or not intact, are missing
+    round_trip_s: float = 0.0  # to the last answer; one that is unusually long may mean that the request was late
 
 
 class ServoHealth(NamedTuple):
@@ -145,7 +138,8 @@ class DynamixelBus:
         motors: What the servos said of themselves in `handshake`, by joint.
 
     Raises:
-        BusError: The baud rate is unknown.
+        BusError: The baud rate is unknown. From every method: A servo does not answer, or refuses; the message names it.
+        PortLostError: From every method: The port is gone.
     """
 
     def __init__(
@@ -231,20 +225,12 @@ class DynamixelBus:
     # --- single servos ------------------------------------------------------------------------------------------------
 
     def ping(self, servo_id: int) -> int:
-        """Model number of a servo.
-
-        Raises:
-            BusError: It does not answer.
-        """
+        """Model number of a servo."""
         number, _ = self._tried(servo_id, "ping", lambda port: self._packets.ping(port, servo_id))
         return int(number)
 
     def read(self, servo_id: int, register: str) -> int:
-        """Value of a register, sign included.
-
-        Raises:
-            BusError: The servo does not answer or refuses.
-        """
+        """Value of a register, sign included."""
         entry = self._by_id[servo_id].model.registers[register]
         data, _ = self._tried(
             servo_id, f"read {register}", lambda port: self._packets.readTxRx(port, servo_id, entry.address, entry.size)
@@ -254,11 +240,7 @@ class DynamixelBus:
         return entry.decode(bytes(data))
 
     def write(self, servo_id: int, register: str, value: int) -> None:
-        """Write a register and wait for the servo's word on it.
-
-        Raises:
-            BusError: The servo does not answer or refuses.
-        """
+        """Write a register and wait for the servo's word on it."""
         entry = self._by_id[servo_id].model.registers[register]
         arguments = servo_id, entry.address, entry.size, list(entry.encode(value))
         what = f"write {register} = {value}"
@@ -294,11 +276,7 @@ class DynamixelBus:
     # --- the arm ------------------------------------------------------------------------------------------------------
 
     def handshake(self) -> None:
-        """Check that every servo is there and of the model that the robot file states.
-
-        Raises:
-            BusError: Naming all that are missing or of another model.
-        """
+        """Check that every servo is there and of the model that the robot file states; an error names all that are not."""
         wrong, slow = [], False
         motors: dict[str, MotorIdentity] = {}
         for servo in self.servos:
@@ -331,9 +309,6 @@ class DynamixelBus:
         Args:
             watchdog_s: The servo stops by itself when the bus is silent for so long; 0 turns that off.
             position_d_gain: Register value; the servo's own default of 0 lets a held joint ring.
-
-        Raises:
-            BusError: A servo does not answer or refuses.
         """
         for servo in self.servos:
             if self.read(servo.id, "hardware_error_status"):
@@ -402,11 +377,7 @@ class DynamixelBus:
             return
 
     def health(self, servo_id: int) -> ServoHealth:
-        """Temperature, voltage, hardware errors and watchdog of a servo.
-
-        Raises:
-            BusError: It does not answer.
-        """
+        """Temperature, voltage, hardware errors and watchdog of a servo."""
         model = self._by_id[servo_id].model
         return ServoHealth(
             float(self.read(servo_id, "present_temperature")),
@@ -423,8 +394,7 @@ class DynamixelBus:
     def read_states(self) -> Reading:
         """Current, velocity and position of all servos, in one exchange (registers 126 to 135).
 
-        Raises:
-            PortLostError: The port is gone. A servo that does not answer is missing in the result instead.
+        A servo that does not answer is missing in the result.
         """
         ids = [servo.id for servo in self.servos]
         arguments = [self._state_start, self._state_length, ids, len(ids), *([self.fast] if self._sdk_is_fast else [])]
@@ -480,9 +450,6 @@ class DynamixelBus:
         """Current limit and goal position of some joints, in one packet (registers 102 to 119).
 
         Nobody answers a sync write, so a corrupted one is lost without a word: write the goals in every cycle.
-
-        Raises:
-            PortLostError: The port is gone.
         """
         param: list[int] = []
         for servo in self.servos:

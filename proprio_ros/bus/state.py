@@ -33,36 +33,23 @@ class BusState(Enum):
 
 
 class ArmSample(NamedTuple):
-    """One intact round of the bus, at the joints: rad or m, their speeds, A.
+    """One intact round of the bus, at the joints."""
 
-    Attributes:
-        sampled_at_s: On the monotonic clock.
-        current_A: As the servos report it.
-        commanded_A: Current that each joint is driven with from here on, in whole counts as sent to the servo; 0 where held.
-    """
-
-    sampled_at_s: float
-    position: Mapping[str, float]
-    velocity: Mapping[str, float]
-    current_A: Mapping[str, float]
-    commanded_A: Mapping[str, float]
+    sampled_at_s: float  # on the monotonic clock
+    position: Mapping[str, float]  # rad or m
+    velocity: Mapping[str, float]  # rad/s or m/s
+    current_A: Mapping[str, float]  # as the servos report it
+    commanded_A: Mapping[str, float]  # that a joint is driven with from here on, in whole counts; 0 where held
 
 
 @dataclass
 class DriverStatistics:
-    """Counts since the start.
+    """Counts since the start."""
 
-    Attributes:
-        cycles: Begun.
-        incomplete: Without an intact answer of every servo.
-        untimely: Whose answers took so much longer than usual that the instant they were taken at is not known.
-        retries: Rounds that were asked for again, for either reason.
-    """
-
-    cycles: int = 0
-    incomplete: int = 0
-    untimely: int = 0
-    retries: int = 0
+    cycles: int = 0  # begun
+    incomplete: int = 0  # without an intact answer of every servo
+    untimely: int = 0  # took so much longer than usual that the instant they were taken at is not known
+    retries: int = 0  # rounds that were asked for again, for either reason
     reconnects: int = 0
     refused_commands: int = 0
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification.prepared_runs import KnownLoad, prepare_run
+from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.paper.hand import learnt_robot, stated_robot
 from proprio_ros.probes.container.problem import ContainerFacts
@@ -58,6 +60,12 @@ def robots(seed: int, sequence: str) -> list[tuple[bool, Robot]]:
 def calibrated_robot(seed: int, sequence: str) -> Robot:
     """The robot with a calibration of its own, where it did not refuse that."""
     return robots(seed, sequence)[-1][1]
+
+
+def one_lift(robot: Robot, run: Run, facts: PayloadFacts) -> Problem:
+    """A mass from one run of a robot whose numbers are taken as exact, with where and how fast the joint began."""
+    prepared = prepare_run(robot, run, None, facts)
+    return Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
 
 
 def box(stated_mass: bool) -> tuple[Container, ContainerFacts]:

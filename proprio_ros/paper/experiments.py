@@ -304,17 +304,11 @@ def effects(seed: int) -> Rows:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of them.
+    """One of them."""
 
-    Attributes:
-        run: Seed -> rows.
-        seeds: At most so many; the others would show the same again.
-        alone: Whether nothing else may run meanwhile, because it takes times.
-    """
-
-    run: Callable[[int], Rows]
-    seeds: int = 1000
-    alone: bool = False
+    run: Callable[[int], Rows]  # seed -> rows
+    seeds: int = 1000  # at most so many; the others would show the same again
+    alone: bool = False  # nothing else may run meanwhile, because it takes times
 
 
 _MANY = (objects, starts, sphere, cubes, optimisers, landscapes, tracking, extensions, effects)

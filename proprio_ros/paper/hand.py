@@ -45,19 +45,12 @@ def stated_robot() -> Robot:
 
 @dataclass(frozen=True)
 class HungPayload(Payload):
-    """A payload that moves in the hand: on one slide, or on hinges that all pass through the origin of the payload frame.
+    """A payload that moves in the hand: on one slide, or on hinges that all pass through the origin of the payload frame."""
 
-    Attributes:
-        axes: Of its joints in the payload frame, the later carried by the earlier; shape (1 or 2, 3).
-        slides: Whether its one joint is a slide instead of a hinge.
-        stiffness: Of a spring about each joint's zero [N m/rad, or N/m].
-        damping: Of each joint [N m s/rad, or N s/m].
-    """
-
-    axes: tuple[Vector, ...] = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    slides: bool = False
-    stiffness: float = 0.0
-    damping: float = 0.0
+    axes: tuple[Vector, ...] = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # in the payload frame, each carried by those before
+    slides: bool = False  # its one joint is a slide instead of a hinge
+    stiffness: float = 0.0  # of a spring about each joint's zero [N m/rad, or N/m]
+    damping: float = 0.0  # of each joint [N m s/rad, or N s/m]
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
         body = super().build(mujoco, spec, hand)

@@ -55,21 +55,13 @@ add_kinds(
 
 @dataclass(frozen=True)
 class Hung:
-    """What is stated about a payload and its joint.
+    """What is stated about a payload and its joint."""
 
-    Attributes:
-        kind: ``"prismatic"`` or ``"universal"``.
-        axes: Of its joint in the payload frame, shape (3,) or (2, 3).
-        com: Its centre of mass with the joint at zero, in the payload frame [m], shape (3,).
-        second_moment_per_mass: See ``PayloadShape``, shape (3, 3).
-        frequency: Of a slide [rad/s]: expected, and standard deviation.
-    """
-
-    kind: str
-    axes: np.ndarray
-    com: np.ndarray
-    second_moment_per_mass: np.ndarray
-    frequency: tuple[float, float] = (20.0, 8.0)
+    kind: str  # ``"prismatic"`` or ``"universal"``
+    axes: np.ndarray  # of its joint in the payload frame, shape (3,) or (2, 3)
+    com: np.ndarray  # centre of mass with the joint at zero, in the payload frame [m], shape (3,)
+    second_moment_per_mass: np.ndarray  # see ``PayloadShape``, shape (3, 3)
+    frequency: tuple[float, float] = (20.0, 8.0)  # of a slide [rad/s]: expected, and standard deviation
 
     @property
     def joints(self) -> int:
@@ -87,12 +79,7 @@ class Hung:
         return 1.0 if self.kind == "prismatic" else float(self.com @ self.com)
 
     def at_rest(self, gravity: np.ndarray, frequency: float) -> np.ndarray:
-        """Where it hangs still, shape (J,).
-
-        Args:
-            gravity: In the payload frame [m/s^2], shape (3,).
-            frequency: Of a slide [rad/s].
-        """
+        """Where it hangs still, shape (J,), under gravity in the payload frame [m/s^2]; a slide's frequency [rad/s]."""
         if self.kind == "prismatic":
             return np.array([float(self.axes @ gravity) / frequency**2])
 
@@ -240,15 +227,9 @@ def hung_unknowns(robot: Robot, runs: Sequence[PreparedRun], hung: Hung) -> list
 
 
 def identify_hung(robot: Robot, runs: Sequence[Run], hung: Hung) -> Answer:
-    """The mass of a payload on a joint of its own.
+    """The mass [kg] of a payload on a joint of its own, from runs of a calibrated robot's joint from rest.
 
-    Args:
-        robot: Calibrated.
-        runs: Of one joint from rest.
-        hung: What is stated about payload and joint.
-
-    Returns:
-        The mass [kg]; its interval is widened where the fit is worse than the encoder explains, which the verdict says.
+    Its interval is widened where the fit is worse than the encoder explains, which the verdict says.
     """
     began = time.process_time()
     prepared = [prepare_run(robot, run, KnownLoad()) for run in runs]

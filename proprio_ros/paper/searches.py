@@ -9,11 +9,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification import solvers
-from proprio_ros.identification.prepared_runs import prepare_run
-from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import load_unknowns
-from proprio_ros.identification.unknowns import Role
-from proprio_ros.paper.cases import CUBES, LIFT, Rows, box, calibrated_robot, payload, soft_cube, squeezed
+from proprio_ros.paper.cases import CUBES, LIFT, Rows, box, calibrated_robot, one_lift, payload, soft_cube, squeezed
 from proprio_ros.paper.hand import play
 from proprio_ros.paper.ways import SphereLastFrame
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
@@ -27,8 +23,7 @@ def optimisers(seed: int) -> Rows:
     held, facts = payload("heavy ball")
     run = play("payload_elbow", seed, held).runs[LIFT]
     robot = calibrated_robot(seed, "empty_hand_elbow")
-    prepared = prepare_run(robot, run, None, facts)
-    problem = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+    problem = one_lift(robot, run, facts)
     coordinates = problem.coordinates
     rng = np.random.default_rng((seed, 6))
     first = coordinates.prior_mean.copy()
@@ -144,11 +139,12 @@ def landscapes(seed: int) -> Rows:
     robot = calibrated_robot(seed, "empty_hand_elbow")
     loss = last_frame_loss(robot, run, facts, PaperOptions())
     masses = np.linspace(0.0, 0.15, 76)
-    prepared = prepare_run(robot, run, None, facts)
-    whole = Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
+    whole = one_lift(robot, run, facts)
     inside = np.tile(whole.coordinates.prior_mean, (len(masses), 1))
     inside[:, 0] = masses
-    last, every = loss(np.maximum(masses, 1e-6)[:, None])[0], _mean_square(whole, inside)
+    q, _, _ = whole.simulate(whole.all_values(inside), whole.free)
+    seen = whole.runs[0]
+    last, every = loss(np.maximum(masses, 1e-6)[:, None])[0], ((q[:, 0, : seen.used] - seen.position) ** 2).mean(axis=1)
     rows = [_landscape("payload", masses, held.mass_kg, last, every)]
     box_held, box_facts = box(True)
     rolling = play("container", seed, box_held).runs[LIFT]
@@ -169,10 +165,3 @@ def landscapes(seed: int) -> Rows:
 
 def _landscape(name: str, x: np.ndarray, truth: float, last: np.ndarray, every: np.ndarray) -> Rows:
     return {"experiment": name, "x": x.tolist(), "truth": truth, "last": last.tolist(), "all": every.tolist()}
-
-
-def _mean_square(problem: Problem, free: np.ndarray) -> np.ndarray:
-    """Mean square of the residuals of a problem of one run [rad^2], shape (S,)."""
-    q, _, _ = problem.simulate(problem.all_values(free), problem.free)
-    run = problem.runs[0]
-    return ((q[:, 0, : run.used] - run.position) ** 2).mean(axis=1)

@@ -49,21 +49,13 @@ MARGIN = 0.8
 
 @dataclass(frozen=True)
 class SoftRun:
-    """What one rollout is driven by.
+    """What one rollout is driven by."""
 
-    Attributes:
-        input_times_s: When the current changes [s], increasing, first at 0, shape (I,).
-        input_current_A: From each of those instants on [A], shape (I,).
-        frames: How many; a position is compared at the end of each.
-        frame_s: Length of one [s].
-        substeps: Steps of a frame.
-    """
-
-    input_times_s: np.ndarray
-    input_current_A: np.ndarray
-    frames: int
+    input_times_s: np.ndarray  # when the current changes [s], increasing, first at 0, shape (I,)
+    input_current_A: np.ndarray  # from each of those instants on, shape (I,)
+    frames: int  # a position is compared at the end of each
     frame_s: float = 1.0 / 60.0
-    substeps: int = 64
+    substeps: int = 64  # of a frame
 
     @property
     def step_s(self) -> float:
@@ -301,14 +293,7 @@ class SoftRollout:
         return rows
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
-        """Gradient of ``sum(weights * q)`` by the parameters of each world.
-
-        Args:
-            weights: Shape (W, K).
-
-        Returns:
-            shape (W, P).
-        """
+        """Gradient of ``sum(weights * q)``, weights of shape (W, K), by the parameters of each world, shape (W, P)."""
         run, owner = self._run, self._owner
         later, by_p = self._rows(0), wp.zeros_like(self._p)
         given = [None] * (len(owner._block) + 2)

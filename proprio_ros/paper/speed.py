@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,9 @@ import warp as wp
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.coefficients import reduced_model
-from proprio_ros.identification.prepared_runs import prepare_run
-from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import levenberg_marquardt
-from proprio_ros.identification.unknowns import Role
 from proprio_ros.inputs.resources import share_directory
+from proprio_ros.paper.cases import one_lift
 from proprio_ros.paper.hand import stated_robot
 from proprio_ros.paper.ways import Answer, ours, paper_mass, timed
 from proprio_ros.pipeline.loading import bag_runs
@@ -47,9 +45,8 @@ class _Case:
         (run,) = bag_runs(share_directory() / "bags" / BAG / "bag_mcap", Request(robot))
         self.robot, self.run = robot, run
         self.facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.04))
-        self.prepared = prepare_run(robot, run, None, self.facts)
-        unknowns = load_unknowns(robot, [self.prepared], self.facts, Role.FROZEN, 0.05)
-        self.problem = Problem(robot, [self.prepared], self.facts, unknowns)
+        self.problem = one_lift(robot, run, self.facts)
+        (self.prepared,) = self.problem.runs
         names = [self.problem.unknowns[row].kind for row in self.problem.free]
         if names != ["payload_mass", "q0", "v0"] or len(run.input_times_s) != 1:
             wanted = "the comparison wants one constant current, and a robot file without friction"
@@ -66,16 +63,16 @@ class _Case:
 def speed(seed: int) -> dict[str, Any]:
     """The table; the recording is the same for every seed, and the times are taken again."""
     case = _Case()
-    rows = []
-    whole = ours(lambda: weigh(case.robot, [case.run], case.facts), "payload_mass")
-    rows.append(whole.row(way="ours: weighing with interval and verdict", truth=TRUE_KG))
+    whole = ours(partial(weigh, case.robot, [case.run], case.facts), "payload_mass")
+    rows = [whole.row(way="ours: weighing with interval and verdict", truth=TRUE_KG)]
     for way, solve in (("ours: the search alone", _ours), ("scipy: least_squares and solve_ivp", _scipy)):
-        mass, seconds = timed(solve(case))
-        rows.append(Answer(mass, seconds=seconds).row(way=way, truth=TRUE_KG))
-    rows.append(paper_mass(case.robot, case.run, case.facts).row(way="the paper's way", truth=TRUE_KG))
-    rows.append(_sysid_row(case))
-    rows.extend(_newton_rows(case))
-    return {"rows": rows}
+        rows.append(_row(way, *timed(solve(case))))
+    theirs = paper_mass(case.robot, case.run, case.facts)
+    return {"rows": [*rows, theirs.row(way="the paper's way", truth=TRUE_KG), _sysid_row(case), *_newton_rows(case)]}
+
+
+def _row(way: str, mass: float | None, seconds: float | None = None, why: str = "") -> dict[str, Any]:
+    return Answer(mass, seconds=seconds, why=why).row(way=way, truth=TRUE_KG)
 
 
 def _ours(case: _Case) -> Callable[[], float]:
@@ -124,17 +121,16 @@ def _scipy(case: _Case) -> Callable[[], float]:
 
 
 def _sysid_row(case: _Case) -> dict[str, Any]:
-    way = "mujoco.sysid"
     try:
         from absl import logging
         from mujoco import sysid
 
         sysid.optimize  # noqa: B018 - a part of an extra: is it there?
     except (ImportError, AttributeError):
-        return Answer(None, why="not installed").row(way=way, truth=TRUE_KG)
+        return _row("mujoco.sysid", None, why="not installed")
     logging.set_verbosity(logging.ERROR)
     (_, mass), seconds = timed(sysid_search(case, float(case.problem.simulator.runs[0].step_s)))
-    return Answer(mass, seconds=seconds).row(way=way, truth=TRUE_KG)
+    return _row("mujoco.sysid", mass, seconds)
 
 
 def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, float]]:
@@ -256,15 +252,12 @@ def _newton_rows(case: _Case) -> list[dict[str, Any]]:
     try:
         from newton.solvers import SolverFeatherstone  # noqa: F401
     except ImportError:
-        why = "not installed: pip install 'proprio_ros[newton]'"
-        return [Answer(None, why=why).row(way="Newton", truth=TRUE_KG)]
+        return [_row("Newton", None, why="not installed: pip install 'proprio_ros[newton]'")]
     step_s = last_frame_loss(case.robot, case.run, case.facts, PaperOptions()).step_s  # the paper's way has it, too
     arm, before = timed(lambda: NewtonArm(case, step_s))
     mass, seconds = timed(newton_search(case, arm), lambda: arm(case.problem.coordinates.prior_mean))
-    return [
-        Answer(mass, seconds=before + seconds).row(way="Newton: recording its steps, and the search", truth=TRUE_KG),
-        Answer(mass, seconds=seconds).row(way="Newton: the search alone", truth=TRUE_KG),
-    ]
+    whole = _row("Newton: recording its steps, and the search", mass, before + seconds)
+    return [whole, _row("Newton: the search alone", mass, seconds)]
 
 
 class NewtonArm:

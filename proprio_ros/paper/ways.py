@@ -45,22 +45,14 @@ CUBE_RATE, CUBE_ITERATIONS = 0.15, 30
 
 @dataclass(frozen=True)
 class Answer:
-    """What one way said.
+    """What one way said."""
 
-    Attributes:
-        value: In SI units; None where it gives none.
-        low, high: Of its 95 % interval; None where it has none.
-        seconds: Of a processor to the answer, with everything loaded and compiled.
-        verdict: Of ours; empty for a way that gives none.
-        why: First reason, where there is no value.
-    """
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    seconds: float | None = None
-    verdict: str = ""
-    why: str = ""
+    value: float | None  # in SI units; None where it gives none
+    low: float | None = None  # of its 95 % interval; None where it has none
+    high: float | None = None  # of the same
+    seconds: float | None = None  # of a processor to the answer, with everything loaded and compiled
+    verdict: str = ""  # of ours; empty for a way that gives none
+    why: str = ""  # first reason, where there is no value
 
     def row(self, **labels: Any) -> dict[str, Any]:
         """As plain values with what it belongs to."""
@@ -114,7 +106,7 @@ class SphereLastFrame:
 
     Args:
         robot: As stated or calibrated.
-        run: One.
+        run: One lift.
         facts: With the shell's mass stated.
         all_samples: Whether all of them are compared instead of the last frame.
     """
@@ -150,10 +142,7 @@ def paper_sphere(robot: Robot, run: Run, facts: ContainerFacts) -> Answer:
 class SqueezeLastFrame:
     """The paper's loss for a soft block: explicit elastodynamics of tetrahedra, last frame, both Lame parameters.
 
-    Args:
-        robot: As stated or calibrated.
-        run: One squeeze.
-        edge_m: Of the cube; gap_m: how far the fingers together close before they touch it; mass: of the cube [kg].
+    The cube has an edge and a mass [kg]; the fingers together close by the gap before they touch it.
     """
 
     def __init__(self, robot: Robot, run: Run, edge_m: float, gap_m: float, mass: float) -> None:

@@ -38,8 +38,6 @@ class VirtualArm:
     Attributes:
         joints: The driven joints, in the order of the robot file; the columns of all arrays.
         object: What the hand holds; None is nothing.
-        truth: The hidden numbers.
-        robot: As its file states it.
         mujoco, model, data: MuJoCo's module, and the arm with its object in it.
         finger: Degree of freedom of the driven joint that slides; None: there is none.
         fingers: How many slide with it, itself among them.

@@ -39,23 +39,14 @@ class Reply(NamedTuple):
 
 @dataclass
 class Faults:
-    """What goes wrong on the wire; every attribute may be changed while the bus runs.
+    """What goes wrong on the wire; every attribute may be changed while the bus runs."""
 
-    Attributes:
-        drop: Probability that a status packet vanishes.
-        corrupt: Probability that one byte of a status packet is wrong.
-        corrupt_requests: Probability that one byte of what the computer sends is wrong.
-        delay_s: Added to every reply.
-        hang: IDs that neither hear nor answer, as with a loose plug behind a powered servo.
-        seed: Of the chance.
-    """
-
-    drop: float = 0.0
-    corrupt: float = 0.0
-    corrupt_requests: float = 0.0
-    delay_s: float = 0.0
-    hang: set[int] = field(default_factory=set)
-    seed: int = 0
+    drop: float = 0.0  # probability that a status packet vanishes
+    corrupt: float = 0.0  # probability that one byte of a status packet is wrong
+    corrupt_requests: float = 0.0  # probability that one byte of what the computer sends is wrong
+    delay_s: float = 0.0  # added to every reply
+    hang: set[int] = field(default_factory=set)  # ids that neither hear nor answer, as with a loose plug
+    seed: int = 0  # of the chance
 
     def __post_init__(self) -> None:
         self._chance = np.random.default_rng(self.seed)

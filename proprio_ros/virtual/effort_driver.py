@@ -38,12 +38,10 @@ class EffortDriver:
     Until the first command somebody holds the arm, as a person would.
 
     Args:
-        robot: The robot as its file states it.
-        truth: What it is really like.
+        robot: The robot as its file states it; ``truth`` is what it is really like.
         joints: The controller's, in its order; empty: the robot file's.
         unit: Of efforts, one of `UNITS`.
         position: Joint positions at the start [rad or m].
-        seed: Of encoder noise.
 
     Raises:
         ConfigurationError: The unit or a joint is not known, MuJoCo is missing, or the robot cannot be simulated.
@@ -132,9 +130,8 @@ class EffortDriver:
             counts = np.rint(self.arm.encoder_rad() / self._count_rad)
             position = dict(zip(self.arm.joints, (counts * self._count_rad * self._transmission).tolist(), strict=True))
             effort = dict(zip(self.arm.joints, (self._current_A * self._effort_per_A).tolist(), strict=True))
-        names = self.broadcast
-        positions = [position.get(name, 0.25) for name in names]
-        return positions, [math.nan] * len(names), [effort.get(name, math.nan) for name in names]
+        positions = [position.get(name, 0.25) for name in self.broadcast]
+        return positions, [math.nan] * len(positions), [effort.get(name, math.nan) for name in self.broadcast]
 
     def truth(self) -> tuple[dict[str, float], dict[str, float]]:
         """True joint positions [rad or m] and the currents that flow in the motors [A], by joint."""
@@ -180,14 +177,13 @@ class PositionDriver(EffortDriver):
                 f"{robot.name}: {', '.join(other)} are no position servos (driven_by); choose interface:=effort_controller"
             )
         super().__init__(robot, truth, unit="rad", **options)
-        drives = [robot.drive_trains[name] for name in self.arm.joints]
         self._gain, self._limit, self._dead, self._step = (
             np.array([getattr(law, term) for law in laws.values()])
             for term in ("gain_per_rad", "limit", "dead_band_rad", "goal_speed_rad_s")
         )
         self._step *= PERIOD_S
-        self._supply_V = np.array([drive.supply_voltage_V for drive in drives])
-        self._resistance_ohm = np.array([drive.resistance_ohm for drive in drives])
+        drives = [robot.drive_trains[name] for name in self.arm.joints]
+        self._supply_V, self._resistance_ohm = np.array([(d.supply_voltage_V, d.resistance_ohm) for d in drives]).T
         # a motor's back EMF is its torque constant
         self._back_emf = np.array([truth.joints[name].torque_constant for name in self.arm.joints])
         self._effort_per_A = np.full(len(drives), math.nan)  # such a servo knows no effort

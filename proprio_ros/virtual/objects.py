@@ -31,19 +31,12 @@ LONGEST_M = 1.0
 
 
 class HandObject(ABC):
-    """What a virtual hand can hold; its fields are what a user can say of it.
+    """What a virtual hand can hold; its fields are what a user can say of it."""
 
-    Attributes:
-        kind: Before the colon, where a user types it.
-        form: An example of what he types.
-        keys: What he may state, with the field of each and how many numbers it has; the first is the one behind the colon.
-        acts: Whether it pushes joints by itself: then there is `act`.
-    """
-
-    kind: ClassVar[str]
-    form: ClassVar[str]
-    keys: ClassVar[Mapping[str, tuple[str, int]]]
-    acts: ClassVar[bool] = False
+    kind: ClassVar[str]  # before the colon, where a user types it
+    form: ClassVar[str]  # an example of what he types
+    keys: ClassVar[Mapping[str, tuple[str, int]]]  # key -> field, how many numbers; the first stands behind the colon
+    acts: ClassVar[bool] = False  # whether it pushes joints by itself: then there is `act`
 
     @property
     @abstractmethod
@@ -51,11 +44,7 @@ class HandObject(ABC):
         """What is left in the hand once its content, which a probe looks for, is taken out."""
 
     def check(self, arm: VirtualArm) -> None:
-        """Whether an arm can hold it.
-
-        Raises:
-            ConfigurationError: It cannot.
-        """
+        """Raises: ConfigurationError: The arm cannot hold it."""
         return
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
@@ -75,12 +64,6 @@ class HandObject(ABC):
 class Payload(HandObject):
     """A rigid body in the hand.
 
-    Attributes:
-        mass_kg: [kg].
-        com_m: Its centre of mass in the payload frame, shape (3,).
-        size_m: Diameter of a solid ball, which gives its inertia; 0 is a point.
-        inertia_kg_m2: xx, yy, zz, xy, xz, yz about the centre of mass in the payload frame's axes; replaces that of the ball.
-
     Raises:
         ConfigurationError: A number is no mass or length.
     """
@@ -92,9 +75,9 @@ class Payload(HandObject):
     )
 
     mass_kg: float
-    com_m: Vector = (0.0, 0.0, 0.0)
-    size_m: float = 0.04
-    inertia_kg_m2: SixOfInertia | None = None
+    com_m: Vector = (0.0, 0.0, 0.0)  # centre of mass in the payload frame
+    size_m: float = 0.04  # diameter of a solid ball, which gives its inertia; 0 is a point
+    inertia_kg_m2: SixOfInertia | None = None  # about the centre of mass; replaces that of the ball
 
     def __post_init__(self) -> None:
         check_mass("mass", self.mass_kg)

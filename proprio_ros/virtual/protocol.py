@@ -46,19 +46,12 @@ class Error(IntEnum):
 
 
 class Instruction(NamedTuple):
-    """A packet with a correct CRC.
+    """A packet with a correct CRC."""
 
-    Attributes:
-        id: Addressed servo, or `BROADCAST_ID`.
-        code: Its instruction byte, a `Code` or something unknown.
-        params: Without stuffing.
-        size: Bytes on the wire, for its time.
-    """
-
-    id: int
-    code: int
-    params: bytes
-    size: int
+    id: int  # addressed servo, or `BROADCAST_ID`
+    code: int  # its instruction byte, a `Code` or something unknown
+    params: bytes  # without stuffing
+    size: int  # bytes on the wire, for its time
 
 
 class CrcError(NamedTuple):

@@ -40,7 +40,6 @@ class VirtualRobot:
         robot: The robot as its file states it; ids and models of its motors make the servos.
         truth: What it is really like.
         link: Path that shall point to the pseudo-terminal.
-        seed: Of encoder noise and faults.
 
     Raises:
         ConfigurationError: MuJoCo is missing, or the robot cannot be simulated.

@@ -21,64 +21,38 @@ FASTEST_LATENCY_S, SLOWEST_LATENCY_S = 0.002, 0.006
 
 @dataclass(frozen=True)
 class JointTruth:
-    """One motor with its gears and encoder, at the output shaft; the law is that of `proprio_ros.robot.DriveTrain`.
+    """One motor with its gears and encoder, at the output shaft; the law is that of `proprio_ros.robot.DriveTrain`."""
 
-    Attributes:
-        torque_constant: [N m/A].
-        coulomb: Dry friction without load [N m].
-        viscous: [N m s/rad].
-        load_friction: Part of the motor's torque that adds to the dry friction.
-        armature: [kg m^2].
-        zero_rad: True position minus reading.
-        stribeck: By how much of itself dry friction is greater at rest.
-        stribeck_velocity: Speed at which 1/e of that is left [rad/s].
-        once_per_turn_sin_rad, once_per_turn_cos_rad: The reading is too large by this times sine and cosine of the position.
-        encoder_noise_rad: Standard deviation of a reading before rounding.
-    """
-
-    torque_constant: float
-    coulomb: float = 0.0
-    viscous: float = 0.0
-    load_friction: float = 0.0
-    armature: float = 0.0
-    zero_rad: float = 0.0
-    stribeck: float = 0.0
-    stribeck_velocity: float = 0.1
-    once_per_turn_sin_rad: float = 0.0
-    once_per_turn_cos_rad: float = 0.0
-    encoder_noise_rad: float = 0.0
+    torque_constant: float  # [N m/A]
+    coulomb: float = 0.0  # dry friction without load [N m]
+    viscous: float = 0.0  # [N m s/rad]
+    load_friction: float = 0.0  # part of the motor's torque that adds to the dry friction
+    armature: float = 0.0  # [kg m^2]
+    zero_rad: float = 0.0  # true position minus reading
+    stribeck: float = 0.0  # by how much of itself dry friction is greater at rest
+    stribeck_velocity: float = 0.1  # speed at which 1/e of that is left [rad/s]
+    once_per_turn_sin_rad: float = 0.0  # the reading is too large by this times the sine of the position
+    once_per_turn_cos_rad: float = 0.0  # and by this times its cosine
+    encoder_noise_rad: float = 0.0  # standard deviation of a reading before rounding
 
 
 @dataclass(frozen=True)
 class LinkTruth:
-    """How one link departs from the URDF.
+    """How one link departs from the URDF."""
 
-    Attributes:
-        mass: Relative, its inertia with it: 0.01 is one per cent too heavy.
-        com_m: Shift of the centre of mass in the link's frame.
-        inertia: Relative, about the centre of mass, beyond that of the mass.
-    """
-
-    mass: float = 0.0
-    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inertia: float = 0.0
+    mass: float = 0.0  # relative, its inertia with it: 0.01 is one per cent too heavy
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift of the centre of mass in the link's frame
+    inertia: float = 0.0  # relative, about the centre of mass, beyond that of the mass
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A virtual robot's hidden numbers.
+    """A virtual robot's hidden numbers."""
 
-    Attributes:
-        joints: By driven joint.
-        latency_s: From a command to its torque. The servos apply it, the arm does not.
-        arm_scale: All masses of the URDF times this.
-        links: By link; those not named are as in the URDF.
-    """
-
-    joints: Mapping[str, JointTruth]
-    latency_s: float = 0.0
-    arm_scale: float = 1.0
-    links: Mapping[str, LinkTruth] = field(default_factory=dict)
+    joints: Mapping[str, JointTruth]  # by driven joint
+    latency_s: float = 0.0  # from a command to its torque; the servos apply it, the arm does not
+    arm_scale: float = 1.0  # all masses of the URDF times this
+    links: Mapping[str, LinkTruth] = field(default_factory=dict)  # those not named are as in the URDF
 
     @classmethod
     def nominal(cls, robot: Robot) -> Truth:
