@@ -226,15 +226,13 @@ class DynamixelBus:
 
     def ping(self, servo_id: int) -> int:
         """Model number of a servo."""
-        number, _ = self._tried(servo_id, "ping", lambda port: self._packets.ping(port, servo_id))
-        return int(number)
+        return int(self._tried(servo_id, "ping", lambda port: self._packets.ping(port, servo_id)))
 
     def read(self, servo_id: int, register: str) -> int:
         """Value of a register, sign included."""
         entry = self._by_id[servo_id].model.registers[register]
-        data, _ = self._tried(
-            servo_id, f"read {register}", lambda port: self._packets.readTxRx(port, servo_id, entry.address, entry.size)
-        )
+        arguments = servo_id, entry.address, entry.size
+        data = self._tried(servo_id, f"read {register}", lambda port: self._packets.readTxRx(port, *arguments))
         if len(data) != entry.size:
             raise BusError(f"servo {servo_id}: read {register}: {len(data)} bytes came instead of {entry.size}")
         return entry.decode(bytes(data))
@@ -246,8 +244,8 @@ class DynamixelBus:
         what = f"write {register} = {value}"
         self._tried(servo_id, what, lambda port: (None, *self._packets.writeTxRx(port, *arguments)))
 
-    def _tried(self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]) -> tuple[Any, int]:
-        """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns data and error byte."""
+    def _tried(self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]) -> Any:
+        """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns its data."""
         result = error = 0
         for _ in range(TRIES):
             try:
@@ -258,7 +256,7 @@ class DynamixelBus:
             if result == dynamixel_sdk.COMM_SUCCESS and refused != 3:
                 if refused:
                     raise BusError(f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(refused, 'refuses')}")
-                return data, error
+                return data
             self._settle()
         raise BusError(f"{self._called(servo_id)}: {what}: {self._lost_words(result)}")
 

@@ -68,12 +68,12 @@ def one_lift(robot: Robot, run: Run, facts: PayloadFacts) -> Problem:
     return Problem(robot, [prepared], facts, load_unknowns(robot, [prepared], facts, Role.FROZEN, 0.05))
 
 
-def box(stated_mass: bool) -> tuple[Container, ContainerFacts]:
-    """The box with its sphere, and what is stated of it; its shell was weighed, or is learnt from runs with the empty box."""
+def box() -> tuple[Container, ContainerFacts, ContainerFacts]:
+    """The box with its sphere, and what is stated of it: its shell was weighed, or is learnt from runs with the empty box."""
     held = Container()
     inner, centre = np.array(held.inner_size_m), np.array(held.centre_m)
     facts = ContainerFacts(Enclosure("box", inner, held.sphere_radius_m), centre)
-    return held, replace(facts, mass=held.mass_kg, mass_std=0.0002) if stated_mass else facts
+    return held, replace(facts, mass=held.mass_kg, mass_std=0.0002), facts
 
 
 def soft_cube(name: str) -> SoftBlock:

@@ -48,10 +48,8 @@ from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.runtime import FLOAT
 
 PAYLOAD_JOINTS = ("prismatic", "universal")
-
 _BLOCKS = (1, 8)
 """Directions that one thread may take: eight share one evaluation of the dynamics, at a quarter of the time of eight threads."""
-
 _TRIANGLE = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # rows and columns of J, in the order of pi
 
 
@@ -112,11 +110,10 @@ class ChainSimulator:
         input_times_s: When any current changes [s], shape (S,), increasing, first at 0.
         input_current_A: The currents from each of those instants on [A], shape (S, n).
         friction_velocity: Where Coulomb's law is smoothed [rad/s, or m/s for a slide], one number or shape (n,).
-        supply: (voltage [V], back-EMF constant [V s/rad], resistance [ohm]) of each joint, shape (n, 3); voltage 0 means no
-            limit. None: no limit anywhere.
-        integrator: ``"rk4"``, or ``"semi_implicit"`` (the paper's equation (2)).
-        step_s: Longest integration step [s]; 1/60/substeps makes semi-implicit Euler the paper's.
-        fine_step_s: Step near standstill [s]; None for ``step_s``.
+        supply: (voltage [V], back-EMF constant [V s/rad], resistance [ohm]) of each joint, shape (n, 3); voltage 0, or None: no
+            limit.
+        integrator: ``"rk4"``, or ``"semi_implicit"`` (the paper's equation (2), with steps of 1/60/substeps).
+        step_s, fine_step_s: Longest integration step [s], and that near standstill; None for ``step_s``.
 
     Raises:
         SimulationError: Unknown integrator, no samples, wrong shapes, instants out of order or steps that are not positive.
@@ -228,14 +225,10 @@ def attach_payload_joint(
         model: The robot, some joints held.
         frame: Link that holds the payload; the joint sits at its frame's origin.
         kind: ``"prismatic"`` (one slide, joint ``NAME_slide``), or ``"universal"`` (two hinges at one point, joints
-            ``NAME_swing_1`` and ``NAME_swing_2``, with a massless body between them).
-        axes: In the frame's axes, need not be unit vectors; prismatic: shape (3,); universal: shape (2, 3), the second hinge
-            is carried by the first.
+            ``NAME_swing_1`` and ``NAME_swing_2``, the second carried by the first, a massless body between them).
+        axes: In the frame's axes, need not be unit vectors; shape (3,), or of the hinges (2, 3).
         pseudo_inertia: Of the payload about the frame with the new joints at zero, shape (4, 4).
         name: Of the payload's own frame in the result, and the start of the joints' names.
-
-    Returns:
-        The model with one or two more joints at the end, and the frame ``NAME`` on the payload.
 
     Raises:
         SimulationError: Unknown frame or kind, a name that is taken, axes that are no axes (or are parallel), or a payload

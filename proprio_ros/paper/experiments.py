@@ -41,8 +41,6 @@ from proprio_ros.robot import Robot
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
-# --- table I, and one run against lift and lower ---------------------------------------------------------------------
-
 
 def objects(seed: int) -> Rows:
     """Table I: four objects, one lift each; ours also from lift and lowering."""
@@ -82,9 +80,6 @@ def _lift_trace(robot: Robot, run: Run, facts: PayloadFacts, masses: Mapping[str
     }
 
 
-# --- table II --------------------------------------------------------------------------------------------------------
-
-
 def starts(seed: int) -> Rows:
     """Table II: where each way ends from each first guess, heavy ball, one lift."""
     held, facts = payload("heavy ball")
@@ -120,13 +115,9 @@ def published(folder: Path) -> Rows:
     return {"paths": ways, "ours": answered(estimate, "payload_mass").__dict__}
 
 
-# --- V-B and V-F: the sphere in the box ------------------------------------------------------------------------------
-
-
 def sphere(seed: int) -> Rows:
     """V-B: the sphere's mass from one lift of the wrist, and from three runs beside those of the empty box."""
-    held, weighed = box(True)
-    _, open_box = box(False)
+    held, weighed, open_box = box()
     rolling = play("container", seed, held).runs
     baseline = play("container", seed, held.emptied).runs
     rows = []
@@ -144,7 +135,7 @@ def sphere(seed: int) -> Rows:
 
 def tracking(seed: int) -> Rows:
     """V-F: from the joint, from a camera that sees the sphere, and from both."""
-    held, facts = box(False)
+    held, _, facts = box()
     played = play("container", seed, held)
     baseline = play("container", seed, held.emptied).runs
     robot = calibrated_robot(seed, "empty_hand_container")
@@ -156,8 +147,6 @@ def tracking(seed: int) -> Rows:
         rows.append(answered(estimate, "sphere_mass").row(way=signals, truth=held.sphere_mass_kg))
     return {"rows": rows}
 
-
-# --- what the paper names and does not show --------------------------------------------------------------------------
 
 HUNG_KG, HUNG_SIZE_M, PENDULUM_M = 0.050, 0.045, 0.06
 """A ball on a slide, or below two hinges."""
@@ -200,8 +189,7 @@ def _hung(seed: int) -> list[Rows]:
 
 def _anywhere(seed: int) -> list[Rows]:
     """The sphere when nobody knows where in its box it begins."""
-    held, weighed = box(True)
-    _, open_box = box(False)
+    held, weighed, open_box = box()
     robot = calibrated_robot(seed, "empty_hand_container")
     runs = play("container", seed, held, anywhere=True).runs
     baseline = play("container", seed, held.emptied).runs
@@ -215,9 +203,6 @@ def _anywhere(seed: int) -> list[Rows]:
         estimate = find_sphere(robot, runs, facts, None, baseline)
         rows.append(answered(estimate, "sphere_mass").row(way=way, **labels))
     return rows
-
-
-# --- V-C and figure 5: the two cubes ---------------------------------------------------------------------------------
 
 
 def cubes(seed: int) -> Rows:
@@ -255,8 +240,6 @@ def _squeeze_trace(robot: Robot, run: Run, moduli: Mapping[str, float], ratio: f
         "simulated_mm": dict(zip(moduli, (scale * q).tolist(), strict=True)),
     }
 
-
-# --- what the paper leaves out ---------------------------------------------------------------------------------------
 
 EFFECTS: Mapping[str, tuple[float, ...]] = {
     "torque": (-0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04),
@@ -297,9 +280,6 @@ def effects(seed: int) -> Rows:
             mass = found(robot, integrator, 1.0 / 60.0 / substeps)
             rows.append({"effect": integrator, "amount": substeps, "error": mass - held.mass_kg})
     return {"rows": rows}
-
-
-# --- all of them -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -129,9 +129,6 @@ class _Parzen:
         return np.log((np.exp(-0.5 * distance**2) / self._widths).mean(axis=1) + 1e-300)
 
 
-# --- figure 7: landscapes --------------------------------------------------------------------------------------------
-
-
 def landscapes(seed: int) -> Rows:
     """Figure 7: the cost of the three experiments over what is searched for: last frame, and all samples."""
     held, facts = payload("heavy ball")
@@ -146,7 +143,7 @@ def landscapes(seed: int) -> Rows:
     seen = whole.runs[0]
     last, every = loss(np.maximum(masses, 1e-6)[:, None])[0], ((q[:, 0, : seen.used] - seen.position) ** 2).mean(axis=1)
     rows = [_landscape("payload", masses, held.mass_kg, last, every)]
-    box_held, box_facts = box(True)
+    box_held, box_facts, _ = box()
     rolling = play("container", seed, box_held).runs[LIFT]
     robot = calibrated_robot(seed, "empty_hand_container")
     spheres = np.linspace(0.001, 0.04, 79)

@@ -117,9 +117,6 @@ def _scipy(case: _Case) -> Callable[[], float]:
     return solve
 
 
-# --- mujoco.sysid ----------------------------------------------------------------------------------------------------
-
-
 def _sysid_row(case: _Case) -> dict[str, Any]:
     try:
         from absl import logging
@@ -242,9 +239,6 @@ def set_mass(body: Any, mass: float, case: _Case) -> None:
     """Give the payload body a mass [kg], and the inertia that goes with it."""
     body.mass = mass
     body.inertia = mass * np.diag(inertia_about_origin(case.facts.shape.second_moment_per_mass))
-
-
-# --- Newton ----------------------------------------------------------------------------------------------------------
 
 
 def _newton_rows(case: _Case) -> list[dict[str, Any]]:

@@ -150,20 +150,13 @@ class SqueezeLastFrame:
         drive, times = prepared.drive, prepared.times_s
         current = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
         self._target = float(np.sign(current) * (prepared.position[-1] - prepared.rest.value))
-        self._body = SoftBody(
-            box(np.full(3, edge_m), (2, 2, 2)), mass, 2.0 * drive.transmission, contact="frictionless"
-        )
+        mesh = box(np.full(3, edge_m), (2, 2, 2))
+        self._body = SoftBody(mesh, mass, 2.0 * drive.transmission, contact="frictionless")
         frames = round(float(times[-1]) / SQUEEZE_FRAME_S)
         self._run = SoftRun(np.zeros(1), np.array([abs(current)]), frames, times[-1] / frames, SQUEEZE_SUBSTEPS)
-        self._p = np.zeros(len(SOFT_PARAMETERS))
-        for name, value in {
-            "inertia": drive.armature.value + float(prepared.coefficients.arm[0]),
-            "torque_constant": drive.torque_constant.value,
-            "coulomb": drive.coulomb.value,
-            "viscous": drive.viscous.value,
-            "gap": gap_m,
-        }.items():
-            self._p[SOFT_INDEX[name]] = value
+        given = {name: getattr(drive, name).value for name in ("torque_constant", "coulomb", "viscous")}
+        given |= {"inertia": drive.armature.value + float(prepared.coefficients.arm[0]), "gap": gap_m}
+        self._p = np.array([given.get(name, 0.0) for name in SOFT_PARAMETERS])
 
     def __call__(self, logarithms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Loss (S,) [rad^2] and gradient (S, 2) at logarithms of mu and lambda (S, 2)."""
