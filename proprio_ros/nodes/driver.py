@@ -14,8 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from proprio_ros import clock
 from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
-from proprio_ros.bus.senders import Senders
-from proprio_ros.bus.state import ArmSample, BusState
+from proprio_ros.bus.state import ArmSample, BusState, Senders
 from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError

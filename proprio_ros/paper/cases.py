@@ -37,7 +37,6 @@ STARTS_KG = (1e-6, 0.000477, 0.001, 0.005, 0.095, 0.191, 4.772)
 """First guesses from nothing to the paper's greatest."""
 CUBES: Mapping[str, tuple[float, float]] = {"light cube": (1694.6, 0.130), "heavy cube": (12824.6, 0.258)}
 """Young's modulus [Pa] and Poisson's ratio of the Lame parameters that the paper found."""
-CUBE_KG = {"light cube": 0.010, "heavy cube": 0.023}
 EDGE_M, GAP_M, BLOCK_DAMPING = 0.03, 0.0005, 0.5
 LIFT, LOWER = 0, 1
 """Runs of the sequence ``payload_elbow``."""

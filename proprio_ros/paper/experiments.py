@@ -214,7 +214,7 @@ def cubes(seed: int) -> Rows:
         runs = play("softness", seed, cases.soft_cube(name)).runs
         for calibrated, robot in known:
             first = lame(2.0 * modulus, 0.3)
-            theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, cases.CUBE_KG[name], first)
+            theirs = paper_cube(robot, runs[-1], EDGE_M, 2.0 * GAP_M, OBJECTS[name][0], first)
             labels = {"object": name, "calibrated": calibrated}
             rows.append(theirs.row(way="paper", quantity="youngs_modulus", truth=modulus, **labels))
             estimate, seconds = timed(partial(find_softness, robot, runs, facts))

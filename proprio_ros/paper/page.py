@@ -108,8 +108,8 @@ def _objects(found: Sequence[Rows]) -> list[str]:
         seconds = over([row["seconds"] for row in rows], 1.0, 2)
         lines.append([name, f"{1e3 * OBJECTS[name][0]:g}", words, state, *identified(rows, 1e3), seconds])
     header = ["object", "true (g)", "way", "robot", *IN_GRAMS, "time (s)"]
-    said = (quoted.MASS_ERRORS, quoted.TIME, quoted.MISSING)
-    paper = list(zip(("errors of the four masses", "its time", "identified, by object"), said, strict=True))
+    paper = [["errors of the four masses", quoted.MASS_ERRORS], ["its time", quoted.TIME]]
+    paper.append(["identified, by object", quoted.MISSING])
     parts = [
         '<h2 id="table-1">Table I: four objects in the hand</h2>',
         "<p>One lift of the elbow, as in the paper, with as much current as it takes; shape and size of the object are stated. The "

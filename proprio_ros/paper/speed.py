@@ -133,10 +133,6 @@ def _sysid_row(case: _Case) -> dict[str, Any]:
 def sysid_search(case: _Case, step_s: float) -> Callable[[], tuple[np.ndarray, float]]:
     """MuJoCo's own system identification, set up in its favour: held joints welded, constraints off, no resampling, RK4.
 
-    Args:
-        case: Recording and problem.
-        step_s: Of the integrator.
-
     Returns:
         A function that identifies from all starts and returns where they end, shape (5,), and the best of these [kg].
     """
@@ -261,13 +257,6 @@ class NewtonArm:
     driven joint moves is one body, the payload another, on a fixed joint. All steps, and their adjoints by ``wp.Tape``, are
     recorded once into two graphs, which are played again for each guess: launched one by one from Python they take some 70
     times as long.
-
-    Args:
-        case: Recording and problem.
-        step_s: Of the integrator.
-
-    Raises:
-        ImportError: Newton is not installed.
     """
 
     def __init__(self, case: _Case, step_s: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from proprio_ros.bus.senders import Senders
+from proprio_ros.bus.state import Senders
 
 
 def test_publishers_are_told_apart_by_their_numbers() -> None:
