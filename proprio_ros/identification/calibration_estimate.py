@@ -44,7 +44,6 @@ class HeldOutRun:
     joint: str
     rms: float  # of measured less predicted [rad]
     reduced_chi2: float  # of the same under the covariance of the prediction; 1 is as good as promised
-    samples: int
 
     def as_json(self) -> dict[str, Any]:
         return picked(self, "name", "joint", "rms", "reduced_chi2")

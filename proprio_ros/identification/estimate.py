@@ -72,9 +72,6 @@ class RunFit:
     left_out_times_s: np.ndarray  # samples after the window, which did not count
     left_out: np.ndarray
     travel: float
-    start_velocity: float  # fitted [rad/s]
-    cut_reason: str
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -87,23 +87,8 @@ def run_fits(
         squares += float(np.sum((simulated - prepared.position) ** 2))
         expected += float(np.sum(prepared.sigma**2))
         samples += used
-        driven = run.input_current_A[np.argmax(np.abs(run.input_current_A))]
-        fits.append(
-            RunFit(
-                run.name,
-                run.joint,
-                run.source,
-                float(driven),
-                prepared.times_s,
-                prepared.position,
-                simulated,
-                prepared.sigma,
-                run.times_s[used:],
-                run.position[used:],
-                prepared.travel,
-                float(values[problem.index["v0", row]]),
-                prepared.cut_reason,
-                run.notes,
-            )
-        )
+        driven = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
+        followed = prepared.times_s, prepared.position, simulated, prepared.sigma
+        left_out = run.times_s[used:], run.position[used:]
+        fits.append(RunFit(run.name, run.joint, run.source, driven, *followed, *left_out, prepared.travel))
     return tuple(fits), float(np.sqrt(squares / samples)), float(np.sqrt(expected / samples))

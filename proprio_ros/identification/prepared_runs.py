@@ -54,14 +54,12 @@ class PreparedRun:
     run: Run
     used: int  # leading samples inside the usable window
     cut_reason: str  # why later samples are left out, or an empty string
-    hit_limit: bool  # whether that is because the joint reached its limit
     drive: DriveTrain  # of the driven joint
     coefficients: Coefficients
     sigma: np.ndarray  # standard deviation of each used sample [rad or m], shape (used,)
     rest: Quantity  # start position, from the samples before onset
     limited: bool  # whether the supply may limit the current inside the window, as far as the recording says
     load: KnownLoad | None = None  # what the hand is known to hold; None: the payload to be weighed
-    yielding: tuple[str, ...] = ()  # locked joints that gave way
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
     arm_as_payload: float = 0.0  # payload that would load the gears as the arm does [kg]; only known of free swings
@@ -141,7 +139,7 @@ def prepare_run(
     followed = _followed(run, velocity, drive)
     lower, upper = joint.lower / drive.transmission, joint.upper / drive.transmission
     counted = np.ones_like(followed) if past_fast or run.free else followed
-    used, reason, hit_limit = _usable_window(run, velocity, counted, drive, lower, upper)
+    used, reason = _usable_window(run, velocity, counted, drive, lower, upper)
     yielding_times_s = yielding_load = None
     if motions:
         where = load.facts if load is not None else facts or PayloadFacts()
@@ -155,14 +153,12 @@ def prepare_run(
         run,
         used,
         reason,
-        hit_limit,
         drive,
         coefficients,
         _sigma(robot, run, velocity[:used]),
         _rest(robot, run, drive),
         limited=not run.free and not followed[1:used].all(),
         load=load,
-        yielding=tuple(motions),
         yielding_times_s=yielding_times_s,
         yielding_load=yielding_load,
         arm_as_payload=arm_as_payload,
@@ -270,11 +266,10 @@ def _at_rest(run: Run, drive: DriveTrain) -> np.ndarray:
 
 def _usable_window(
     run: Run, velocity: np.ndarray, followed: np.ndarray, drive: DriveTrain, lower: float, upper: float
-) -> tuple[int, str, bool]:
-    """Samples before the joint meets its limit, or runs so fast that the supply may no longer drive the current.
+) -> tuple[int, str]:
+    """How many samples come before the joint meets its limit, or runs so fast that the supply may no longer drive the current.
 
-    A fast sample still counts while the motor itself reports the commanded current. Returns how many samples are usable, why no
-    more, and whether the limit is the reason.
+    A fast sample still counts while the motor itself reports the commanded current. The second value is why no more are usable.
     """
     count = len(run.times_s)
     # how close to the limit a reading is no longer certain to be short of it
@@ -291,11 +286,11 @@ def _usable_window(
     limit = int(stopped[0]) if len(stopped) else count
     speed = int(fast[0]) if len(fast) else count
     if limit < count and limit <= speed:
-        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start", True
+        return limit, f"{run.joint} reached its limit {run.times_s[limit]:.3f} s after the start"
     if speed < count:
         why = "the motor did not report the commanded current"
         if run.reported_effort is None:
             why = "the supply may no longer drive the commanded current"
         passed = f"{run.joint} passed {drive.usable_velocity:g} rad/s {run.times_s[speed]:.3f} s after the start"
-        return speed, f"{passed} and {why}", False
-    return count, "", False
+        return speed, f"{passed} and {why}"
+    return count, ""

@@ -61,9 +61,8 @@ def calibrate(
         RecordingError: A run cannot be related to the robot at all.
     """
     if robot.calibration is not None:
-        raise ConfigurationError(
-            f"{robot.source.name} is a calibration already; start from the robot it extends, with all runs together"
-        )
+        cure = "start from the robot it extends, with all runs together"
+        raise ConfigurationError(f"{robot.source.name} is a calibration already; {cure}")
     started = time.perf_counter()
     if not runs:
         raise ConfigurationError("no run given: a calibration needs empty-hand runs")
@@ -73,10 +72,8 @@ def calibrate(
         return nothing_usable(robot, "every probed", len(runs), found)
     swings = are_free_responses(usable)
     if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
-        raise ConfigurationError(
-            f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known, "
-            "so there is nothing to learn: give the numbers standard deviations"
-        )
+        exactly = f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known"
+        raise ConfigurationError(f"{exactly}, so there is nothing to learn: give the numbers standard deviations")
     progress(f"fitting {len(usable)} runs")
     fitted, left_out = _fit_what_agrees(robot, usable, progress)
     if swings:
@@ -95,10 +92,9 @@ def calibrate(
     if apart := int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0))):
         found.notes.append(f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken")
     if swings:
-        found.notes.append(
-            f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}: weigh from free swings with this "
-            "calibration; what a current drives would carry the robot file's torque constant"
-        )
+        nothing = f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}"
+        instead = "weigh from free swings with this calibration"
+        found.notes.append(f"{nothing}: {instead}; what a current drives would carry the robot file's torque constant")
     else:
         reasons += never_reversed(problem.runs)
     fits, rms, expected = run_fits(problem, values, problem.runs)
@@ -156,17 +152,15 @@ def _misfits(robot: Robot, fitted: Fitted, left_out: Sequence[str], count: int) 
     noise = fitted.noise
     if len(left_out) > LEFT_OUT_AT_MOST * count:
         return ["the runs contradict each other: was the hand empty in all of them, and is this the right robot?"]
+    unlike = "does not describe the robot in the recordings"
     if noise.residual_scale > COARSE:
-        return [
-            f"misfit: the residuals are {noise.residual_scale:.1f} times what encoder and stamps explain: this robot file "
-            "does not describe the robot in the recordings (URDF, unit of the current, gears?)"
-        ]
+        coarse = f"the residuals are {noise.residual_scale:.1f} times what encoder and stamps explain"
+        return [f"misfit: {coarse}: this robot file {unlike} (URDF, unit of the current, gears?)"]
     if noise.torque_disturbance > UNSTEADY * robot.torque_disturbance:
-        return [
-            f"misfit: the runs only agree if {shown('N m', noise.torque_disturbance, spec='.0f')} come and go from "
-            f"run to run; the robot file expects {1e3 * robot.torque_disturbance:.1f}. It does not describe the robot "
-            "in the recordings (weights, unit of the current, gears?), or something pulls at it"
-        ]
+        come = f"{shown('N m', noise.torque_disturbance, spec='.0f')} come and go from run to run"
+        file = f"the robot file expects {1e3 * robot.torque_disturbance:.1f}. It {unlike}"
+        cause = "(weights, unit of the current, gears?), or something pulls at it"
+        return [f"misfit: the runs only agree if {come}; {file} {cause}"]
     if not fitted.problem.runs[0].run.free:
         return []
     if (share := missed_share(fitted.posterior)) > MISSED_SHARE:
@@ -313,7 +307,7 @@ def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
     for row, run in enumerate(fitted.problem.runs):
         off, chi2 = fitted.posterior.held_out(row)
         rms = float(np.sqrt(np.mean(off**2)))
-        entries.append(HeldOutRun(run.run.name, run.run.joint, rms, chi2 / len(off), len(off)))
+        entries.append(HeldOutRun(run.run.name, run.run.joint, rms, chi2 / len(off)))
     return tuple(entries)
 
 
@@ -329,20 +323,16 @@ def _not_separated(
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
     pairs = np.argwhere(np.triu(correlation) > INSEPARABLE)
     for a, b in sorted(pairs.tolist(), key=lambda pair: -correlation[pair[0], pair[1]]):
-        sentences.append(
-            f"{label_of(calibration.keys[a])} and {label_of(calibration.keys[b])} were only determined together (correlation "
-            f"{calibration.correlation[a, b]:+.3f})"
-        )
+        both = f"{label_of(calibration.keys[a])} and {label_of(calibration.keys[b])}"
+        signed = f"(correlation {calibration.correlation[a, b]:+.3f})"
+        sentences.append(f"{both} were only determined together {signed}")
     if not any(run.load is not None and run.load.mass > 0.0 for run in problem.runs) and robot.arm_scale.std > 0.0:
         scale = calibration.quantities.get("arm_scale", robot.arm_scale)
-        sentences.insert(
-            0,
-            f"torque constants and the arm's weight were only determined as a ratio: every mass is uncertain by "
-            f"{100 * scale.std:.1f} % until a run holds a weighed reference (--reference BAG=KG)",
-        )
-    if len(sentences) > SAID_AT_MOST:
-        more = len(sentences) - SAID_AT_MOST
-        sentences = [*sentences[:SAID_AT_MOST], f"and {more} more: see the correlations"]
+        ratio = "torque constants and the arm's weight were only determined as a ratio"
+        until = "until a run holds a weighed reference (--reference BAG=KG)"
+        sentences.insert(0, f"{ratio}: every mass is uncertain by {100 * scale.std:.1f} % {until}")
+    if (more := len(sentences) - SAID_AT_MOST) > 0:
+        sentences[SAID_AT_MOST:] = [f"and {more} more: see the correlations"]
     return tuple(sentences)
 
 

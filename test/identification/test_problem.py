@@ -170,7 +170,7 @@ def pooled() -> Problem:
         bag = root / f"realistic_s00_{name}" / "bag_mcap"
         recording = read_recording(bag, nominal_torque_constants={}, joint_order=list(robot.drive_trains))
         runs += [prepare_run(robot, run, load, FACTS) for run in cut_runs(recording, joints=list(robot.drive_trains))]
-    assert len(runs) == 3 and runs[1].yielding
+    assert len(runs) == 3 and runs[1].yielding_load is not None
     return Problem(robot, runs, FACTS, load_unknowns(robot, runs, FACTS, Role.FREE, 0.03))
 
 

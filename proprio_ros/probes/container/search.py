@@ -252,4 +252,4 @@ def known_until(std: np.ndarray, facts: ContainerFacts) -> int:
 
 def shortened(run: PreparedRun, used: int, reason: str) -> PreparedRun:
     """The first samples of a run, and why no more."""
-    return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason, hit_limit=False)
+    return replace(run, used=used, sigma=run.sigma[:used], cut_reason=reason)
