@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from proprio_ros.sim.payload import PayloadFacts
 STARTS = 6  # start positions of the driven joint, over its range
 POSES = 4  # positions of each locked joint that matters, over its range
 COARSE_STARTS, COARSE_POSES = 4, 2  # the same, where one good run will do
+DURATION_S = 0.6  # of every run
 TYPICAL_KG = 0.02  # for which a calibration says how well it weighs
 ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
 SAME_KIND = 2  # plans shown of one joint and kind
@@ -82,20 +84,9 @@ def plan(
     masses_kg: Sequence[float],
     facts: PayloadFacts | None = None,
     count: int = 10,
-    duration_s: float = 0.6,
-    joints: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[ExcitationPlan]:
-    """Rank weighings by the widest interval they would give over the masses.
-
-    Args:
-        robot: With its calibration where there is one.
-        masses_kg: What the hand may hold; a run must suit all of them.
-        facts: Place and shape of the object.
-        count: At most so many plans.
-        duration_s: Of every run.
-        joints: To drive; default all that carry the hand against gravity.
-        progress: Called with what is being looked at.
+    """Rank weighings by the widest interval they would give over the masses that the hand may hold; a run must suit all of them.
 
     Raises:
         ConfigurationError: A mass is not positive, or no candidate suits all of them.
@@ -103,11 +94,11 @@ def plan(
     if not masses_kg or min(masses_kg) <= 0.0:
         raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
     masses = np.array(sorted(masses_kg))
-    asked = _Asked(robot, masses, facts or PayloadFacts(), None, duration_s)
+    simulate = partial(_candidates, robot, masses, facts or PayloadFacts(), None)
     found: list[ExcitationPlan] = []
-    for joint in joints or candidate_joints(robot):
+    for joint in candidate_joints(robot):
         progress(f"simulating candidate runs of {joint}")
-        for candidates, r in _suitable(asked, [joint], STARTS, POSES):
+        for candidates, r in _suitable(robot, [joint], STARTS, POSES, simulate):
             stds = [_std_of_mass(*candidates.posterior(s, r)) for s in range(len(masses))]
             widest = int(np.argmax(stds))
             interval = f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
@@ -115,7 +106,7 @@ def plan(
     if not found:
         ends = shown("kg", masses[0], masses[-1], spec=".0f", between=" to ")
         cure = "narrow the range, plan for light and heavy objects apart, or allow more time"
-        none = f"no run of {duration_s} s suits all masses from {ends} inside the robot's limits"
+        none = f"no run of {DURATION_S} s suits all masses from {ends} inside the robot's limits"
         raise ConfigurationError(f"{none}: {cure}")
     found.sort(key=lambda p: max(p.std_kg))
     return _varied(found, count)
@@ -151,7 +142,7 @@ def with_advice(
     return replace(estimate, advice=tuple(suggestions), weighable=can_weigh, timing_s=timing_s)
 
 
-def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: float = 0.6) -> list[ExcitationPlan]:
+def advise(robot: Robot, joints: Sequence[str], count: int = 3) -> list[ExcitationPlan]:
     """Empty-hand runs that would teach most about the drive trains of these joints, given the robot's calibration.
 
     Ranked by how much each shrinks the joint uncertainty of torque constants, friction and armatures (D-optimality).
@@ -162,16 +153,17 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
     wanted = [key for key in wanted if key in before.keys]
     place = [before.keys.index(key) for key in wanted]
     old = before.covariance[np.ix_(place, place)]
-    asked = _Asked(robot, np.zeros(1), PayloadFacts(), KnownLoad(), duration_s)
+    simulate = partial(_candidates, robot, np.zeros(1), PayloadFacts(), KnownLoad())
     turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
     found: list[tuple[float, ExcitationPlan]] = []
-    for candidates, r in _suitable(asked, turning, COARSE_STARTS, COARSE_POSES):
+    for candidates, r in _suitable(robot, turning, COARSE_STARTS, COARSE_POSES, simulate):
         keys, covariance = candidates.posterior(0, r)
         # of other joints' drive trains this run determines only what is correlated with its own
         shared = [key for key in wanted if key in keys]
         now = [keys.index(key) for key in shared]
         then = [wanted.index(key) for key in shared]
-        gain = 0.5 * (_log_volume(old[np.ix_(then, then)]) - _log_volume(covariance[np.ix_(now, now)]))
+        before_it, after_it = old[np.ix_(then, then)], covariance[np.ix_(now, now)]
+        gain = 0.5 * float(np.linalg.slogdet(before_it)[1] - np.linalg.slogdet(after_it)[1])
         ratio = np.sqrt(np.diag(covariance)[now] / np.diag(old)[then])
         best = int(np.argmin(ratio))
         words = f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
@@ -180,17 +172,16 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3, duration_s: floa
     return _varied([entry for _, entry in found], count)
 
 
-def weighable(
-    robot: Robot, joints: Sequence[str], mass_kg: float = TYPICAL_KG, duration_s: float = 0.6
-) -> Weighable | None:
-    """What the best runs of two of these joints, each driven both ways, would together determine of an object's mass.
+def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
+    """What the best runs of two of these joints, each driven both ways, would together determine of a typical object's mass.
 
     None where no run of these joints suits such an object.
     """
-    asked = _Asked(robot, np.array([mass_kg]), facts := PayloadFacts(), None, duration_s)
+    facts = PayloadFacts()
+    simulate = partial(_candidates, robot, np.array([TYPICAL_KG]), facts, None)
     best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
     driven = [joint for joint in candidate_joints(robot) if joint in joints]
-    for candidates, r in _suitable(asked, driven, COARSE_STARTS, COARSE_POSES):
+    for candidates, r in _suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate):
         std, run = _std_of_mass(*candidates.posterior(0, r)), candidates.problem.runs[r]
         way, upwards = best.setdefault(run.run.joint, {}), bool(candidates.travel[0, r] > 0.0)
         if upwards not in way or std < way[upwards][0]:
@@ -200,14 +191,10 @@ def weighable(
         return None
     runs = [entry for joint in chosen for entry in best[joint].values()]
     prepared = [run for _, run, _ in runs]
-    problem = Problem(robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, mass_kg))
+    problem = Problem(robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG))
     _, _, dq = problem.simulate(problem.base[None], problem.free)
     keys, covariance = _posterior(problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs)))
-    return Weighable(mass_kg, _std_of_mass(keys, covariance), tuple(joint for joint in joints if joint in chosen))
-
-
-def _log_volume(covariance: np.ndarray) -> float:
-    return float(np.linalg.slogdet(covariance)[1])
+    return Weighable(TYPICAL_KG, _std_of_mass(keys, covariance), tuple(joint for joint in joints if joint in chosen))
 
 
 def _std_of_mass(keys: Sequence[Key], covariance: np.ndarray) -> float:
@@ -226,33 +213,28 @@ def _varied(plans: Sequence[ExcitationPlan], count: int) -> list[ExcitationPlan]
     return kept[:count]
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What candidates are simulated for: each mass in the hand [kg], shape (S,), or a known load (S = 1)."""
-
-    robot: Robot
-    masses: np.ndarray
-    facts: PayloadFacts
-    load: KnownLoad | None
-    duration_s: float
-
-
-def _suitable(asked: _Asked, joints: Sequence[str], starts: int, locked: int) -> Iterator[tuple[_Candidates, int]]:
+def _suitable(
+    robot: Robot,
+    joints: Sequence[str],
+    starts: int,
+    locked: int,
+    simulate: Callable[[str, Mapping[str, float]], _Candidates | None],
+) -> Iterator[tuple[_Candidates, int]]:
     """Candidates that stay inside all limits whatever is in the hand, one after the other, and the place of each among its like."""
     for joint in joints:
-        for pose in start_poses(asked.robot, joint, starts, locked):
-            candidates = _candidates(asked, joint, pose)
-            if candidates is not None:
+        for pose in start_poses(robot, joint, starts, locked):
+            if (candidates := simulate(joint, pose)) is not None:
                 yield from ((candidates, r) for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist())
 
 
-def _candidates(asked: _Asked, joint: str, pose: Mapping[str, float]) -> _Candidates | None:
-    """Simulate the runs of one joint from one pose; None where no current moves it."""
-    robot, masses, facts, load = asked.robot, asked.masses, asked.facts, asked.load
-    still = prepare_run(robot, still_run(joint, pose, 0.01, asked.duration_s), load, facts)
+def _candidates(
+    robot: Robot, masses: np.ndarray, facts: PayloadFacts, load: KnownLoad | None, joint: str, pose: Mapping[str, float]
+) -> _Candidates | None:
+    """Simulate the runs of one joint from one pose with each mass [kg] in the hand, or a known load; None: no current moves it."""
+    still = prepare_run(robot, still_run(joint, pose, 0.01, DURATION_S), load, facts)
     limit = robot.motors[joint].current_limit_A
     currents = dict.fromkeys(current for _, current, _ in currents_beyond(still, facts, masses.tolist()))
-    runs = [still_run(joint, pose, current, asked.duration_s) for current in currents if 0.0 < abs(current) <= limit]
+    runs = [still_run(joint, pose, current, DURATION_S) for current in currents if 0.0 < abs(current) <= limit]
     if not runs:
         return None
     prepared = [replace(still, run=run) for run in runs]
