@@ -217,10 +217,9 @@ class Conclusion:
         if self.apart is not None and self.apart.sentence:
             yield self.apart.sentence
         if assessed.inflation > 1.0 and not self.fit.explains:
-            coarser = (
-                f"{np.sqrt(assessed.inflation):.1f} times coarser than the encoder (rms {1e3 * assessed.rms:.2f} mrad)"
-            )
-            yield Reason("coarse_fit", f"the fit is {coarser}: the interval was widened by that factor")
+            times, rms = f"{np.sqrt(assessed.inflation):.1f} times", f"(rms {1e3 * assessed.rms:.2f} mrad)"
+            said = f"the fit is {times} coarser than the encoder {rms}: the interval was widened by that factor"
+            yield Reason("coarse_fit", said)
         yield from self.remarks()
         if elsewhere := len(solver.paths) - solver.starts_agreeing:
             ended = f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)}"

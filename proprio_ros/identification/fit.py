@@ -302,11 +302,9 @@ def _paths(
     ends, history = fit.physical(name), fit.physical(name, solution.path)
     near = np.abs(ends - ends[solution.best]) <= tolerance
     near &= solution.cost < solution.cost[solution.best] + margin
-    firsts = history[0].tolist() if starts is None else list(itertools.islice(itertools.cycle(starts), len(ends)))
-    rows = zip(
-        firsts, ends.tolist(), solution.cost.tolist(), near.tolist(), history.T, solution.path_cost.T, strict=True
-    )
-    return tuple(StartPath(*row) for row in rows)
+    firsts = history[0].tolist() if starts is None else itertools.cycle(starts)
+    numbers = zip(firsts, ends.tolist(), solution.cost.tolist(), near.tolist(), strict=False)
+    return tuple(StartPath(*row, history[:, s], solution.path_cost[:, s]) for s, row in enumerate(numbers))
 
 
 def other_suspects(robot: Robot) -> list[str]:

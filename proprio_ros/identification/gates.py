@@ -83,11 +83,9 @@ def unusable(run: PreparedRun) -> str:
         why = run.cut_reason or "the probe was too short"
         return Reason("few_samples", f"only {run.used} usable samples, because {why}")
     if abs(run.travel) < STUCK_TRAVEL:
-        moved = (
-            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, so friction and not the weight decides where it is"
-        )
+        so = "so friction and not the weight decides where it is"
         cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
-        return Reason("stuck", f"{moved}: {cure}")
+        return Reason("stuck", f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {so}: {cure}")
     return ""
 
 
@@ -119,10 +117,8 @@ def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:
     margin = 2.0 * run.drive.encoder_resolution
     for limit, side in ((model.lower, -1.0), (model.upper, 1.0)):
         if side * (run.rest.value - limit / run.drive.transmission) > -margin:
-            starts = (
-                f"{joint} starts at its limit ({run.rest.value:.3f} rad), where the stop may carry part of the weight"
-            )
-            yield "starts_at_limit", f"{starts}: start away from it"
+            stop = "where the stop may carry part of the weight: start away from it"
+            yield "starts_at_limit", f"{joint} starts at its limit ({run.rest.value:.3f} rad), {stop}"
     current, allowed = float(np.abs(run.run.input_current_A).max()), robot.motors[joint].current_limit_A
     if current > allowed:
         given = f"{shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}"
@@ -150,15 +146,9 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
 def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Sequence[PreparedRun], mass: float) -> str:
     """A sentence about the first run whose joint stood still and should not have; empty where there is none.
 
-    No simulation follows a joint that friction holds, so such a run is not part of the fit. But what holds it is at most its dry
-    friction, and a current that leaves more than that over would have moved it.
-
-    Args:
-        robot: Of the runs.
-        problem: Of the fit.
-        values: Of its unknowns, shape (N,).
-        still: Runs that are of no use because the joint hardly moved.
-        mass: What the hand holds by the fit [kg].
+    No simulation follows a joint that friction holds, so such a run (one of ``still``) is not part of the fit. But what holds it is
+    at most its dry friction, and a current that leaves more than that over would have moved it, with the fit's ``values`` (N,) of
+    its unknowns and ``mass`` [kg] in the hand.
     """
     for run in still:
         joint, drive = run.run.joint, run.drive
@@ -185,10 +175,9 @@ def stood_still(robot: Robot, problem: Problem, values: np.ndarray, still: Seque
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
         if 0.5 * over / float(inertia) * lasted_s**2 >= LITTLE_TRAVEL:
             stood = f"{run.run.name}: {joint} stood still with {shown('A', current)}"
-            left = (
-                f"{shown('kg', held)} would leave {shown('N m', abs(net))} to move it, more than its friction can hold"
-            )
-            return Reason("stood_still", f"{stood}, where {left}: it sticks, or leans on something")
+            left = f"{shown('kg', held)} would leave {shown('N m', abs(net))} to move it"
+            why = "more than its friction can hold: it sticks, or leans on something"
+            return Reason("stood_still", f"{stood}, where {left}, {why}")
     return ""
 
 

@@ -130,9 +130,8 @@ def prepare_run(
     """
     run, coefficients, motions = _reduced(robot, run)
     if (load is None or load.mass > 0.0) and not coefficients.payload.any():
-        raise RecordingError(
-            f"{run.name}: {run.joint} was driven but does not move {robot.payload_frame}: probe a joint between the base and it"
-        )
+        still = f"{run.joint} was driven but does not move {robot.payload_frame}"
+        raise RecordingError(f"{run.name}: {still}: probe a joint between the base and it")
     drive, joint = robot.drive_trains[run.joint], robot.model.joint(run.joint)
     run = at_the_shaft(robot, run)
     velocity = np.gradient(run.position, run.times_s)

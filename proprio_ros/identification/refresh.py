@@ -56,9 +56,8 @@ def refresh(
     """
     old = robot.calibration
     if old is None or not old.driven:
-        raise ConfigurationError(
-            f"{robot.source.name} holds no calibration of driven runs that could be brought up to date: calibrate from the start"
-        )
+        none = "holds no calibration of driven runs that could be brought up to date"
+        raise ConfigurationError(f"{robot.source.name} {none}: calibrate from the start")
     started = time.perf_counter()
     found = Findings()
 
@@ -70,9 +69,8 @@ def refresh(
     usable = usable_runs(robot, runs, found, refused)
     for run in usable:
         if entry_of(run) in old.runs:
-            raise ConfigurationError(
-                f"{run.run.name} is one of the runs that the calibration was made of: it would count twice"
-            )
+            twice = "is one of the runs that the calibration was made of: it would count twice"
+            raise ConfigurationError(f"{run.run.name} {twice}")
     if not usable:
         return nothing_usable(robot, "a calibrated", len(runs), found)
     progress(f"fitting {len(usable)} runs")

@@ -14,10 +14,8 @@ from proprio_ros.recordings.motions import MOVED_RAD
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 
-NO_MOTIONS = (
-    "there is no calibration of motions; record the arm with an empty hand while it works, run `proprio calibrate BAG --output "
-    "FILE`, and give that file as the parameter calibration"
-)
+_RECORD = "record the arm with an empty hand while it works, run `proprio calibrate BAG --output FILE`"
+NO_MOTIONS = f"there is no calibration of motions; {_RECORD}, and give that file as the parameter calibration"
 
 
 def current_A(effort: float, unit: str, effort_per_current: float) -> float:
