@@ -35,8 +35,6 @@ PAUSE_S, PAUSE_STEPS = 0.03, 4.0
 UNEVEN_S, UNEVEN_SHARE = 1e-3, 0.15
 """Steps that scatter by more than both are uneven; the second in usual steps of their run. At 1 rad/s a millisecond is an encoder's
 count."""
-
-
 Budget = Sequence[tuple[str, float]]
 """Sources of uncertainty, and the standard deviation that each puts on the value, in its unit; the largest first."""
 
@@ -77,17 +75,17 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
         usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
         if len(steps_s) and steps_s.std() > max(UNEVEN_S, UNEVEN_SHARE * usual_s):
             scatters.append((float(steps_s.std()), usual_s, run.name))
-    code, said, elsewhere = "", "", "a computer that is busy elsewhere"
+    busy, again = "a computer that is busy elsewhere", "keep it free and record again"
     if pauses:
         longest_s, name = max(pauses, key=lambda entry: entry[0])
-        code, said = "paused", f"{name}: the joint states pause for {1e3 * longest_s:.0f} ms"
-        elsewhere += " pushes and holds an arm too late"
-    elif scatters:
+        paused = f"{name}: the joint states pause for {1e3 * longest_s:.0f} ms"
+        return [Reason("paused", f"{paused}: {busy} pushes and holds an arm too late; {again}")]
+    if scatters:
         widest_s, every_s, name = max(scatters, key=lambda entry: entry[0])
-        every = f"every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
-        code, said = "uneven", f"{name}: the joint states come {every}"
-        elsewhere += " stamps positions when it did not read them"
-    return [Reason(code, f"{said}: {elsewhere}; keep it free and record again")] if said else []
+        uneven = f"come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
+        why = f"{busy} stamps positions when it did not read them"
+        return [Reason("uneven", f"{name}: the joint states {uneven}: {why}; {again}")]
+    return []
 
 
 @dataclass(frozen=True)

@@ -54,22 +54,18 @@ def swing_error(posterior: Posterior) -> float:
     samples = len(posterior.residual)
     longer = (1.0 + correlation) / (1.0 - correlation)
     independent = samples / longer
-    used = min(float(posterior.leverage().sum()), 0.7 * independent)
-    found = square / samples * longer * independent / (independent - used)
+    left = independent - min(float(posterior.leverage().sum()), 0.7 * independent)
+    found = square / samples * longer * independent / left
     usual = (USUAL_SHARE * max(float(np.ptp(run.position)) for run in posterior.problem.runs)) ** 2
-    left = independent - used
     return float(np.sqrt((left * found + USUAL_SAMPLES * usual) / (left + USUAL_SAMPLES)))
 
 
 def stamp_jitter(posterior: Posterior) -> float:
     """Of the stamps [s]: how much more neighbouring samples differ from each other where the joint is fast."""
     moved, squares = [], []
-    at = 0
-    for run, part in zip(posterior.problem.runs, _missed(posterior), strict=True):
-        velocity = posterior.velocity[at : at + len(part)]
-        at += len(part)
+    for row, (run, part) in enumerate(zip(posterior.problem.runs, _missed(posterior), strict=True)):
         rough = np.sqrt(2.0 / 3.0) * (part[1:-1] - 0.5 * (part[2:] + part[:-2]))
-        moved.append(velocity[1:-1] ** 2)
+        moved.append(posterior.velocity[posterior.run == row][1:-1] ** 2)
         squares.append(rough**2 - run.drive.reading_std**2)
     speed2, square = np.concatenate(moved), np.concatenate(squares)
     return float(np.sqrt(max(float(square @ speed2), 0.0) / max(float(speed2 @ speed2), 1e-300)))
@@ -85,11 +81,9 @@ def missed_share(posterior: Posterior) -> float:
 
 def said_missed(share: float) -> Reason:
     """That no swing of this joint explains the recording."""
-    return Reason(
-        "misfit",
-        f"misfit: the best simulated swing misses the recorded one by {100.0 * share:.1f} % of its span (rms): does the joint hang "
-        "free, was torque off all the time, and are the loads as stated?",
-    )
+    said = f"misfit: the best simulated swing misses the recorded one by {100.0 * share:.1f} % of its span (rms)"
+    question = "does the joint hang free, was torque off all the time, and are the loads as stated?"
+    return Reason("misfit", f"{said}: {question}")
 
 
 def _missed(posterior: Posterior) -> list[np.ndarray]:
