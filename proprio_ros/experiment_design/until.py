@@ -61,21 +61,16 @@ class UntilSure(CatalogueChooser):
     ) -> None:
         super().__init__(robot, sequence, Sought("mass", "kg"), whole)
         self.catalogue = Catalogue(robot, facts)
-        self._known = self.catalogue.nothing_known()
-        self._found = Found(self._known.mass, self._known.std)
-
-    @property
-    def known(self) -> Known:
-        """What the runs so far say."""
-        return self._known
+        self.known = self.catalogue.nothing_known()
+        self._found = Found(self.known.mass, self.known.std)
 
     def learn(self, runs: Sequence[Run]) -> Found:
-        self._known = known = self.catalogue.known(runs, self._known)
+        self.known = known = self.catalogue.known(runs, self.known)
         return Found(known.mass, known.std, known.runs, 0.0 if known.fit is None else known.fit.reduced_chi2)
 
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
         beside = time_of(self.robot, self._sequence, pose)
-        return self.catalogue.rank(self._known, beside, target_std, self._unknown_kg)
+        return self.catalogue.rank(self.known, beside, target_std, self._unknown_kg)
 
 
 def run_of(push: Push, robot: Robot) -> ExcitationRun:
