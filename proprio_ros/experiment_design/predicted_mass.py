@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from proprio_ros.identification.coefficients import axis_and_gravity
+from proprio_ros.identification.coefficients import arm_coefficients
 from proprio_ros.identification.gates import STEADY
 from proprio_ros.identification.regression.motion_equations import HOP_SHARE, STRETCH_S, WINDOW_S, Arm, equations, sizes
 from proprio_ros.identification.regression.motion_prior import LINK_SHARE, body_stds, drive_stds, relative_torque_std
@@ -17,8 +17,8 @@ from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.geometry import rotation_about
 from proprio_ros.robot.regressor import PARAMETERS
+from proprio_ros.sim.payload import PayloadFacts
 
 DRIFT_SHARE = 0.05
 """Torque that no model has and that lasts for seconds, relative to what the arm itself needs: 3 to 12 % on real arms."""
@@ -74,24 +74,14 @@ def mass_from_run(robot: Robot, run: Run) -> float | None:
     driving = run.input_current_A[run.input_times_s < run.times_s[-1]]
     if np.ptp(driving) > STEADY * np.abs(driving).max():
         return None
-    drive = robot.drive_trains[run.joint]
-    held = {name: value for name, value in run.held.items() if name in robot.model.independent_joints}
-    model = robot.model.lock([run.joint], held, robot.gravity)
-    body, body_from_hand = model.frames[robot.payload_frame]
-    if body < 0:
-        return None
-    axis, gravity = axis_and_gravity(model)
-    turned = rotation_about(axis, -float(run.position[len(run.position) // 2])) @ gravity
-    hand = body_from_hand[:3, 3]
-    first, second = model.pseudo_inertia[0][:3, 3], model.pseudo_inertia[0][:3, :3]
     duration, way = max(float(run.times_s[-1] - run.times_s[0]), 1e-3), float(run.position[-1] - run.position[0])
     acceleration, speed, direction = 2.0 * way / duration**2, abs(way) / duration, np.sign(way)
-    across = hand - (hand @ axis) * axis
-    per_kg = -float(axis @ np.cross(hand, turned)) + float(across @ across) * acceleration
-    arm = -float(axis @ np.cross(first, turned)) + float(np.trace(second) - axis @ second @ axis) * acceleration
+    middle, coefficients = float(run.position[len(run.position) // 2]), arm_coefficients(robot, run, ())
+    basis = np.array([acceleration, np.cos(middle), np.sin(middle), 1.0])
+    per_kg, arm = float(coefficients.per_kg(PayloadFacts()) @ basis), float(coefficients.arm @ basis)
     if abs(per_kg) < 1e-6:
         return None
-    current, name = float(driving.mean()), run.joint
+    drive, current, name = robot.drive_trains[run.joint], float(driving.mean()), run.joint
     slope: dict[Key, float] = {
         ("torque_constant", name): current,
         ("coulomb", name): -direction,
