@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.probes.base import Online, Probe
@@ -26,7 +26,7 @@ def registry() -> dict[str, str]:
     """Module and class of each probe, by name, those of the environment last.
 
     Raises:
-        ConfigurationError: the environment variable is not of its form.
+        ConfigurationError: The environment variable is not of its form.
     """
     found = dict(PROBES)
     for line in filter(None, os.environ.get(VARIABLE, "").split(",")):
@@ -52,7 +52,7 @@ def probe_named(name: str) -> Probe[Any]:
     """A probe by its name.
 
     Raises:
-        ConfigurationError: there is none of that name.
+        ConfigurationError: There is none of that name.
     """
     places = registry()
     if name not in places:
@@ -72,8 +72,7 @@ def probe_that(kind: type[Any]) -> Any:
 
 def probe_at_work() -> Online[Any]:
     """The one that says what the hand holds while the arm works: the first of the registry that can."""
-    probe: Online[Any] = probe_that(Online)
-    return probe
+    return cast("Online[Any]", probe_that(Online))
 
 
 def virtual_objects() -> list[type[HandObject]]:

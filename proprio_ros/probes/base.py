@@ -1,11 +1,8 @@
 """What a probe is: something that can be identified from how a joint moves, with all that the package needs to know of it.
 
-A probe is a class in a folder of its own and a line in ``probes.PROBES``. The command line, the identifier's services, the report,
-the demo and the launch file ask the registry and name none. The class itself is light, since the command line reads it to parse its
-arguments: what is heavy (simulators, finite elements) is imported in the methods that need it.
-
 `Probe` is what every probe has. What only some have are classes that stand on it, such as `HasBaseline`: a probe inherits from
-those that it is, and callers ask ``isinstance(probe, HasBaseline)``.
+those that it is, and callers ask ``isinstance(probe, HasBaseline)``. The command line reads these classes to parse its arguments,
+so what is heavy (simulators, finite elements) is imported in the methods that need it.
 """
 
 from __future__ import annotations
@@ -43,10 +40,10 @@ class Recorded:
     """What was read.
 
     Attributes:
-        runs, baseline: of the object, and made with them without it.
-        sources: where each run comes from.
-        text: the text recording among them.
-        motions, baseline_motions: recordings in which several joints were driven at once; then there are no runs.
+        runs, baseline: Of the object, and made with them without it.
+        sources: Where each run comes from.
+        text: The text recording among them.
+        motions, baseline_motions: Recordings in which several joints were driven at once; then there are no runs.
     """
 
     runs: Sequence[Run]
@@ -62,11 +59,11 @@ class Baseline:
     """Runs that are made once, without what is to be identified.
 
     Attributes:
-        noun: what they weigh, such as ``empty container``.
-        hand: what the user is asked for before them, as a sentence.
-        question: what to ask where they do not weigh what they should.
-        missing: what a user does who has none and needs one.
-        probe: what they are identified as.
+        noun: What they weigh, such as ``empty container``.
+        hand: What the user is asked for before them, as a sentence.
+        question: What to ask where they do not weigh what they should.
+        missing: What a user does who has none and needs one.
+        probe: What they are identified as.
     """
 
     noun: str
@@ -92,15 +89,14 @@ class Example:
     """What ``proprio demo`` and the launch file show of a probe on a virtual robot.
 
     Attributes:
-        flag, metavar: the option that states the truth, without its dashes.
-        help: of that option.
-        truth: where it is not given, in the unit of the probe's answer; lowest, highest: its range.
-        units: what to say about a number outside it.
-        held: what the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed.
-        now: the sentence when it is in the hand; was: what the truth is called at the end; takes: how long it takes.
-        sequences: the identifier's parameters for a short demo.
-        reference: whether a weight helps the short calibration.
-        stated: settings that say what the virtual object is, as a user says it of his.
+        flag, metavar, help: Of the option that states the truth, without its dashes.
+        truth, lowest, highest: Where it is not given, and its range, in the unit of the probe's answer.
+        units: What to say about a number outside it.
+        held: What the virtual hand holds, with ``{truth}`` in it, as `virtual_object` is typed.
+        now, was, takes: The sentence when it is in the hand; what the truth is called at the end; how long it takes.
+        sequences: The identifier's parameters for a short demo.
+        reference: Whether a weight helps the short calibration.
+        stated: Settings that say what the virtual object is, as a user says it of his.
     """
 
     flag: str
@@ -124,11 +120,10 @@ class Carried:
     """A rigid load, as others want to hear of it.
 
     Attributes:
-        mass_kg: [kg].
-        com_m: centre of mass in the payload frame, shape (3,).
-        inertia_kg_m2: about it, shape (3, 3).
-        inertia_is: where that comes from: ``identified``, ``stated``, or ``assumed`` where nobody said it and no motion showed it.
-        com_guessed: whether nobody stated the centre and nothing showed it.
+        com_m: Centre of mass in the payload frame, shape (3,).
+        inertia_kg_m2: About it, shape (3, 3).
+        com_guessed: Whether nobody stated the centre and nothing showed it.
+        inertia_is: Where it comes from: ``identified``, ``stated``, or ``assumed`` where nobody said it and no motion showed it.
     """
 
     mass_kg: float
@@ -140,14 +135,7 @@ class Carried:
 
 @dataclass(frozen=True)
 class Body:
-    """A body to be shown.
-
-    Attributes:
-        kind: ``box``, ``cylinder`` (along z) or ``sphere``.
-        size_m: edges or diameters, shape (3,).
-        rotation: payload_R_body, shape (3, 3).
-        opacity: 0 to 1.
-    """
+    """A body to be shown: ``box``, ``cylinder`` (along z) or ``sphere``; edges or diameters, payload_R_body, opacity (0 to 1)."""
 
     kind: str
     size_m: Sequence[float]
@@ -204,11 +192,7 @@ class Probe(ABC, Generic[Facts]):
         """
 
     def compile(self, robot: Robot, facts: Facts) -> None:
-        """Compile the kernels that an identification needs on this computer; again it costs nothing.
-
-        Raises:
-            ConfigurationError: Compiled kernels cannot be kept.
-        """
+        """Compile the kernels that an identification needs on this computer; again it costs nothing."""
         from proprio_ros.sim.joint import compile_kernels
 
         compile_kernels(rises=robot.friction_rises)
@@ -226,9 +210,6 @@ class Probe(ABC, Generic[Facts]):
         return []
 
 
-# --- what some probes have beside that --------------------------------------------------------------------------------
-
-
 class TakesMotions(Probe[Facts]):
     """Motions of several joints at once, or under a controller, determine it, too, and so do free swings."""
 
@@ -238,22 +219,14 @@ class TakesMotions(Probe[Facts]):
 
 
 class HasSolvers(Probe[Facts]):
-    """More than one way to its answer.
-
-    Attributes:
-        solvers, profiles: That ``replay`` may be asked for.
-    """
+    """More than one way to its answer: solvers and profiles that ``replay`` may be asked for."""
 
     solvers: ClassVar[tuple[str, ...]] = ("lm",)
     profiles: ClassVar[tuple[str, ...]] = ("default",)
 
 
 class HasBaseline(Probe[Facts]):
-    """Runs without the object are made first.
-
-    Attributes:
-        baseline: What they are.
-    """
+    """Runs without the object are made first."""
 
     baseline: ClassVar[Baseline]
 
@@ -267,16 +240,12 @@ class HasBaseline(Probe[Facts]):
 
 
 class Prepares(Probe[Facts]):
-    """What takes long is computed before the arm moves.
-
-    Attributes:
-        prepares: Whose simulation, in words.
-    """
+    """What takes long is computed before the arm moves; ``prepares`` says whose simulation, in words."""
 
     prepares: ClassVar[str]
 
     def prepare(self, robot: Robot, facts: Facts) -> None:
-        """Compile and tabulate what an identification needs, so that none of it is done in a probe.
+        """Compile and tabulate what an identification needs.
 
         Raises:
             ConfigurationError: Compiled kernels cannot be kept.
@@ -286,11 +255,7 @@ class Prepares(Probe[Facts]):
 
 
 class Guards(Probe[Facts]):
-    """Something is refused before the arm moves.
-
-    Attributes:
-        limits: Numbers that guard the object.
-    """
+    """Something is refused before the arm moves; ``limits`` are the numbers that guard the object."""
 
     limits: ClassVar[tuple[Limit, ...]] = ()
 
@@ -300,21 +265,13 @@ class Guards(Probe[Facts]):
         Raises:
             ConfigurationError: They cannot; with what to do instead.
         """
-        return
 
     def check(self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]) -> None:
-        """Whether a sequence may be made with this object.
-
-        Args:
-            robot: That would make it.
-            facts: What is stated about the object.
-            sequence: Of runs.
-            limits: Of `limits`, by name.
+        """Whether a sequence may be made with this object; ``limits`` by name.
 
         Raises:
             ConfigurationError: Its runs say nothing about the object, or could break it.
         """
-        return
 
 
 class ChoosesNext(Probe[Facts]):
@@ -324,13 +281,7 @@ class ChoosesNext(Probe[Facts]):
     def chooser(
         self, robot: Robot, facts: Facts, sequence: ExcitationSequence, baseline: Sequence[Run] = ()
     ) -> Chooser:
-        """Who chooses the pushes of a sequence that has `until`, with what is in the hand.
-
-        Args:
-            robot: With its calibration where there is one.
-            facts: What is stated about the object.
-            sequence: With `until`.
-            baseline: Runs made without the object.
+        """Who chooses the pushes of a sequence that has `until`, with what is in the hand; the baseline is without it.
 
         Raises:
             ConfigurationError: Nobody can, for this sequence.
@@ -382,12 +333,7 @@ class Online(Carries[Facts]):
 
     @abstractmethod
     def running(self, robot: Robot, facts: Facts, held: dict[str, float]) -> OnlineEstimator:
-        """An estimate that goes along with the arm's work.
-
-        Args:
-            robot: With a calibration of motions.
-            facts: What is stated about the object.
-            held: Positions of the joints that are not in that calibration [rad or m].
+        """An estimate that goes along with the arm's work; held: positions [rad or m] of joints without a calibration of motions.
 
         Raises:
             RobotError: The calibration is of another arm.

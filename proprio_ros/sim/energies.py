@@ -51,7 +51,7 @@ def check_law(law: str) -> str:
     """The law, if there is such a one.
 
     Raises:
-        SimulationError: there is none of that name.
+        SimulationError: There is none of that name.
     """
     if law not in LAWS:
         raise SimulationError(f"unknown law of elasticity {law!r}: choose one of {', '.join(LAWS)}")
@@ -90,7 +90,7 @@ def check_material(law: str, mu: float, lam: float) -> None:
     """Refuse what no solid is made of.
 
     Raises:
-        SimulationError: shear or bulk modulus at small strain not above zero.
+        SimulationError: Shear or bulk modulus at small strain not above zero.
     """
     shear, lame_lambda = small_strain_lame(law, mu, lam)
     if not (np.isfinite([mu, lam]).all() and shear > 0.0 and 3.0 * lame_lambda + 2.0 * shear > 0.0):
@@ -124,11 +124,7 @@ def shear_energy(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     elif law == "smith":
         w, by_j, by_jj = w - (j - 1.0) + 0.5 * (j - 1.0) ** 2, j - 2.0, np.ones_like(j)
     else:
-        w, by_j, by_jj = (
-            w - 0.75 * (j - 1.0) - 0.5 * np.log(0.25 * (ic + 1.0)),
-            np.full_like(j, -0.75),
-            np.zeros_like(j),
-        )
+        w, by_j = w - 0.75 * (j - 1.0) - 0.5 * np.log(0.25 * (ic + 1.0)), np.full_like(j, -0.75)
         by_ic = 0.5 - 0.5 / (ic + 1.0)
     hessian = 2.0 * by_ic[:, None, None] * np.eye(9) + by_j[:, None, None] * curvature
     if law == "warp_compat":
@@ -142,12 +138,8 @@ def volume(law: str, f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """j of the law, its change of volume, and derivatives: (M,), (M, 9), (M, 9, 9)."""
     if law != "linear":
         return _determinant(f)
-    count = len(f)
-    return (
-        np.trace(f, axis1=1, axis2=2) - 2.0,
-        np.broadcast_to(_ONE, (count, 9)),
-        np.broadcast_to(np.zeros((9, 9)), (count, 9, 9)),
-    )
+    by_f, by_ff = np.broadcast_to(_ONE, (len(f), 9)), np.broadcast_to(np.zeros((9, 9)), (len(f), 9, 9))
+    return np.trace(f, axis1=1, axis2=2) - 2.0, by_f, by_ff
 
 
 def bulk_energy(law: str, j: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

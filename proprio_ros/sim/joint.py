@@ -1,24 +1,15 @@
-"""One driven joint with everything else locked: the law, its exact tangents, and its adjoint.
+"""One driven joint with everything else locked: its exact tangents, and its adjoint.
 
-Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920) for one degree of freedom, with the drive train it leaves out:
-
-    J a + g(q) = tau_m - (f_c + f_l |tau_m|) (1 + s exp(-(v / w)^2)) tanh(v / v_s) - f_v v,      tau_m = k_t i
-    g(q) = g_a cos q + g_b sin q + g_c + e_0(t) + m e_1(t)
-    i    = command, held inside what the supply can push against the back-EMF: |i| <= (V -+ k_e v) / R
-
-``J`` holds the merged arm, the payload and the armature; ``g_a, g_b, g_c`` its gravity load (``payload.py`` says how they come
-from inertial parameters). ``e_0, e_1`` is the torque that the locked joints cause by yielding, with nothing in the hand and per
-kilogram of payload ``m``; it is given with the current, piecewise constant. The rollout starts when the command does, at time 0
-in state (q0, v0); sample k is compared at ``t_k - delay``, so the delay from command to motion shifts the observation and needs
-no moving discontinuity.
+Equation (1) of the paper (Chen et al. 2025, arXiv:2410.03920) for one degree of freedom, as docs/pages/how_it_works.md writes it
+down. The rollout starts when the command does, at time 0 in state (q0, v0); sample k is compared at ``t_k - delay``, so the delay
+from command to motion shifts the observation and needs no moving discontinuity.
 
 Departures from the paper: armature, friction, supply limit and delay are ours (leaving one of them out costs 10 g or more);
 the default integrator is RK4, because the substep error of the paper's equation (2), semi-implicit Euler, is itself grams of
 mass. ``integrator="semi_implicit"`` is equation (2) to the letter.
 
-Two independent derivatives: forward sensitivities in the same launch as the rollout (the default), and ``wp.Tape`` over a
-separate kernel that stores every state (an adjoint is only right when no state is overwritten). The kernels are in
-``joint_kernels.py``, the walk through time in ``rollout.py``.
+Two independent derivatives: forward sensitivities in the rollout (the default), and ``wp.Tape`` over a kernel that stores every
+state. The law is in ``joint_kernels.py``, the walk through time in ``rollout.py``.
 """
 
 from collections.abc import Sequence
@@ -30,15 +21,7 @@ import warp as wp
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
-from proprio_ros.sim.joint_kernels import (
-    DELAY,
-    PARAMETERS,
-    VEC3,
-    JointData,
-    joint_law,
-    plain_joint_law,
-    plain_rate,
-)
+from proprio_ros.sim.joint_kernels import DELAY, PARAMETERS, VEC3, JointData, joint_law, plain_joint_law, plain_rate
 from proprio_ros.sim.rollout import TIME_EPS, PlainLaw, observe, rollout, schedule, taped
 from proprio_ros.sim.runtime import FLOAT
 
@@ -97,15 +80,8 @@ class Schedule:
     steps: wp.array
     sample_step: wp.array
 
-    @classmethod
-    def empty(cls, state: Any, worlds: int, capacity: int, samples: int, device: str) -> "Schedule":
-        """Arrays to be filled by a kernel."""
-        kinds = {"states": (state, samples), "step": (FLOAT, capacity), "step_by_delay": (FLOAT, capacity)}
-        kinds |= {"given": (VEC3, capacity), "sample_step": (wp.int32, samples)}
-        arrays = {name: wp.zeros((worlds, n), dtype=kind, device=device) for name, (kind, n) in kinds.items()}
-        return cls(steps=wp.zeros(worlds, dtype=wp.int32, device=device), **arrays)
-
-    def inputs(self) -> list[wp.array]:
+    @property
+    def taken(self) -> list[wp.array]:
         """What a taped kernel reads, in its order."""
         return [self.step, self.step_by_delay, self.given, self.steps]
 
@@ -115,7 +91,7 @@ class JointSimulator:
 
     Args:
         runs: The runs; worlds refer to them by index. Runs may have different lengths.
-        integrator: ``"rk4"`` or ``"semi_implicit"`` (the paper's equation (2)).
+        integrator: One of ``INTEGRATORS``.
         device: Warp device name.
 
     Raises:
@@ -163,6 +139,9 @@ class JointSimulator:
     def _array(self, values: np.ndarray) -> wp.array:
         return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=FLOAT, device=self.device)
 
+    def _zeros(self, shape: int | tuple[int, ...], kind: Any = FLOAT, **options: bool) -> wp.array:
+        return wp.zeros(shape, dtype=kind, device=self.device, **options)
+
     def windows(self, fraction: float) -> np.ndarray:
         """How many samples of each run lie in the first ``fraction`` of its time, at least three; shape (R,), int32."""
         counts = [
@@ -178,20 +157,17 @@ class JointSimulator:
 
         Args:
             world_run: Run of each world, shape (W,).
-            p: Parameters of each world in the order of ``PARAMETERS``, shape (W, P).
+            p: Parameters of each world in the order of ``PARAMETERS``, shape (W, P); where one is not finite, the world is NaN.
             dp: D tangent directions of each world in parameter space, shape (W, P, D); a read-only array that comes again is
                 not copied again (nor are ``world_run`` and ``counts``).
             counts: Only the first ``counts[r]`` samples of run r are computed, shape (R,); default all.
-
-        Worlds whose parameters are not all finite give NaN.
 
         Returns:
             q (W, T), v (W, T), dq (W, T, D). Columns past a run's count hold stale numbers. The arrays are views of
             buffers that the next call of the same shape overwrites.
         """
-        directions = dp.shape[2]
         q, v, dq, *_ = self._launch(world_run, p, dp, counts)
-        return q, v, dq[:, :, :directions]
+        return q, v, dq[:, :, : dp.shape[2]]
 
     def _launch(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
@@ -217,11 +193,9 @@ class JointSimulator:
         return rollout(law, self.integrator), law.out
 
     def _plain_law(self) -> PlainLaw:
-        """The law for the kernels without tangents."""
         return plain_joint_law(plain_rate, JointData, self.integrator)
 
     def _data(self) -> Any:
-        """What the law knows about the runs."""
         data = JointData()
         data.constants = self._constants
         return data
@@ -233,19 +207,26 @@ class JointSimulator:
 
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
         vec = wp.types.vector(length=size, dtype=FLOAT)
-        return [wp.zeros((worlds, self._width), dtype=kind, device=self.device) for kind in (FLOAT, FLOAT, vec)]
+        return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
 
     def _forward(self, runs: wp.array, p: wp.array, capacity: int, record_cmd: bool = False) -> tuple[Schedule, Any]:
         """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps."""
         law = self._plain_law()
-        plan = Schedule.empty(law.state, len(p), max(capacity, 1), self._width, self.device)
+        worlds, steps, samples = len(p), max(capacity, 1), self._width
+        plan = Schedule(
+            self._zeros((worlds, samples), law.state),
+            self._zeros((worlds, steps)),
+            self._zeros((worlds, steps)),
+            self._zeros((worlds, steps), VEC3),
+            self._zeros(worlds, wp.int32),
+            self._zeros((worlds, samples), wp.int32),
+        )
+        given, out = (
+            [*self._run_data(self._full_counts), runs, p, capacity],
+            [plan.states, *plan.taken, plan.sample_step],
+        )
         command = runtime.launch(
-            schedule(law),
-            dim=len(p),
-            inputs=[*self._run_data(self._full_counts), runs, p, capacity],
-            outputs=[plan.states, *plan.inputs(), plan.sample_step],
-            device=self.device,
-            record_cmd=record_cmd,
+            schedule(law), dim=worlds, inputs=given, outputs=out, device=self.device, record_cmd=record_cmd
         )
         return plan, command
 
@@ -255,16 +236,14 @@ class JointSimulator:
         return q.copy(), v.copy()
 
     def tape(self, world_run: np.ndarray, p: np.ndarray) -> "TapedRollout":
-        """The same rollout recorded on a ``wp.Tape`` (see ``TapedRollout``)."""
+        """The same rollout recorded on a ``wp.Tape``."""
         return TapedRollout(self, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
 
 
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     """Compile and load the kernels of all usual sizes, for whoever cannot wait for one later; again it costs nothing.
 
-    Args:
-        integrator: As for ``JointSimulator``.
-        rises: Whether the robot's friction may rise towards standstill; kernels for that are nearly as many again.
+    Where the robot's friction may rise towards standstill (``rises``), they are nearly as many again.
     """
     # more directions than parameters come only from callers of their own
     sizes = [size for size in _TANGENT_SIZES if size <= len(PARAMETERS)]
@@ -272,12 +251,7 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
 
 
 def kinds_of_kernel(sizes: Sequence[int], rises: bool) -> list[tuple[int, bool]]:
-    """Size, and whether friction rises towards standstill, of each kernel that a robot's fits may need.
-
-    Args:
-        sizes: Numbers of directions, the last that of all parameters.
-        rises: Whether the robot's friction may rise.
-    """
+    """Size, and whether friction rises towards standstill, of each kernel that fits may need; the last size has all parameters."""
     # all parameters at once are more than some fits have unknowns, and the rise is one of them on every robot
     return [
         (size, stribeck) for size in sizes for stribeck in (False, True) if rises or not stribeck or size == sizes[-1]
@@ -295,56 +269,45 @@ class _Launch:
 
     def __init__(self, owner: JointSimulator, worlds: int, size: int, stribeck: bool) -> None:
         vec = wp.types.vector(length=size, dtype=FLOAT)
-        device = owner.device
-        self._given: dict[str, np.ndarray | None] = {}
-        self._world_run = wp.zeros(worlds, dtype=wp.int32, device=device)
-        self._counts = wp.clone(owner._full_counts)
-        self._p = wp.zeros((worlds, len(owner.parameters)), dtype=FLOAT, device=device)
-        self._dp = wp.zeros((worlds, len(owner.parameters)), dtype=vec, device=device)
+        shape = (worlds, len(owner.parameters))
+        counts, world_run = wp.clone(owner._full_counts), owner._zeros(worlds, wp.int32)
+        p, dp = owner._zeros(shape), owner._zeros(shape, vec)
         self._outputs = owner._outputs(worlds, size)
         kernel, out_type = owner._kernel(size, stribeck)
         out = out_type()
         for name, array in zip(out_type.vars, self._outputs, strict=True):
             setattr(out, name, array)
+        inputs = [*owner._run_data(counts), world_run, p, dp]
         self._command = runtime.launch(
-            kernel,
-            dim=worlds,
-            inputs=[*owner._run_data(self._counts), self._world_run, self._p, self._dp],
-            outputs=[out],
-            device=device,
-            record_cmd=True,
+            kernel, dim=worlds, inputs=inputs, outputs=[out], device=owner.device, record_cmd=True
         )
+        self._inputs = [world_run, counts, p, dp]
+        self._given: list[np.ndarray | None] = [None] * len(self._inputs)
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
-        inputs = {"world_run": self._world_run, "counts": self._counts, "p": self._p, "dp": self._dp}
-        self._views = {name: array.numpy() for name, array in inputs.items()} if self._p.device.is_cpu else {}
+        self._views = [array.numpy() for array in self._inputs] if p.device.is_cpu else []
         self._results = self._read() if self._views else None
 
     def __call__(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        self._put("world_run", self._world_run, world_run)
-        self._put("counts", self._counts, counts)
-        self._put("p", self._p, p)
-        self._put("dp", self._dp, dp)
+        for at, values in enumerate((world_run, counts, p, dp)):
+            self._put(at, values)
         self._command.launch()
         return self._results or self._read()
 
     def _read(self) -> tuple[np.ndarray, ...]:
         return tuple(output.numpy() for output in self._outputs)
 
-    def _put(self, what: str, array: wp.array, values: np.ndarray) -> None:
+    def _put(self, at: int, values: np.ndarray) -> None:
         """Hand an input over; a read-only array that was already given has not changed."""
-        if self._given.get(what) is values:
+        if self._given[at] is values:
             return
-        self._given[what] = None if values.flags.writeable else values
-        if self._views:
-            view = self._views[what]
-            view[..., : values.shape[-1]] = values
-            view[..., values.shape[-1] :] = 0
-        else:
-            whole = np.zeros_like(array.numpy())
-            whole[..., : values.shape[-1]] = values
-            array.assign(whole)
+        self._given[at] = None if values.flags.writeable else values
+        whole = self._views[at] if self._views else np.zeros_like(self._inputs[at].numpy())
+        whole[..., : values.shape[-1]] = values
+        whole[..., values.shape[-1] :] = 0
+        if not self._views:
+            self._inputs[at].assign(whole)
 
 
 class TapedRollout:
@@ -358,53 +321,31 @@ class TapedRollout:
     """
 
     def __init__(self, owner: JointSimulator, world_run: np.ndarray, p: np.ndarray) -> None:
-        device = owner.device
-        worlds = len(p)
+        worlds, width, device = len(p), owner._width, owner.device
         longest = max(float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs)
         finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
-        events = owner._width + int(owner._switch_times.shape[1])
-        capacity = int(np.ceil(longest / finest)) + events + 2
+        capacity = int(np.ceil(longest / finest)) + width + int(owner._switch_times.shape[1]) + 2
         if capacity > MAX_STEPS:
             raise SimulationError(
                 f"{capacity} steps of {finest:.2g} s are too many for a tape (at most {MAX_STEPS}): use a longer step, "
                 "or the forward sensitivities"
             )
-        self._worlds = worlds
-        self._samples = owner._width
         runs = wp.array(world_run, dtype=wp.int32, device=device)
         self._p = wp.array(p, dtype=FLOAT, device=device, requires_grad=True)
         plan, _ = owner._forward(runs, self._p, capacity)
         law = owner._plain_law()
-        self._sampled = wp.zeros((worlds, owner._width), dtype=FLOAT, device=device, requires_grad=True)
-        delay_at = wp.array(p[:, DELAY].copy(), dtype=FLOAT, device=device)
+        self._sampled = owner._zeros((worlds, width), requires_grad=True)
+        y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
+        steps = [owner._data(), runs, self._p, owner._array(p[:, DELAY]), *plan.taken]
+        samples = [owner._samples, owner._data(), runs, self._p, plan.sample_step, y]
         self._tape = wp.Tape()
         with self._tape:
-            y = wp.zeros((worlds, capacity + 1), dtype=law.state, device=device, requires_grad=True)
-            runtime.launch(
-                taped(law),
-                dim=worlds,
-                inputs=[owner._data(), runs, self._p, delay_at, *plan.inputs()],
-                outputs=[y],
-                device=device,
-            )
-            runtime.launch(
-                observe(law),
-                dim=(worlds, owner._width),
-                inputs=[owner._samples, owner._data(), runs, self._p, plan.sample_step, y],
-                outputs=[self._sampled],
-                device=device,
-            )
+            runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device=device)
+            runtime.launch(observe(law), dim=(worlds, width), inputs=samples, outputs=[self._sampled], device=device)
         self.q = self._sampled.numpy().copy()
 
     def gradient(self, weights: np.ndarray) -> np.ndarray:
-        """Gradient of ``sum(weights * q)`` by the parameters of each world.
-
-        Args:
-            weights: Shape (W, T).
-
-        Returns:
-            shape (W, P), a copy.
-        """
+        """Gradient of ``sum(weights * q)`` by the parameters of each world: weights (W, T), gradient (W, P), a copy."""
         seed = wp.array(np.ascontiguousarray(weights, dtype=np.float64), dtype=FLOAT, device=self._p.device)
         self._tape.backward(grads={self._sampled: seed})
         gradient = self._p.grad.numpy().copy()  # a view on the CPU, and zero() below would empty it

@@ -8,7 +8,7 @@ import warp as wp
 
 from proprio_ros.sim import runtime
 from proprio_ros.sim.rollout import Law, PlainLaw
-from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 PARAMETERS = (
     "inertia",
@@ -47,7 +47,7 @@ VEC3 = wp.types.vector(length=3, dtype=FLOAT)
 class JointData:
     """What is known about the runs: a row of constants each."""
 
-    constants: wp.array2d(dtype=FLOAT)
+    constants: FLOATS
 
 
 @wp.func
@@ -71,14 +71,7 @@ def limited_current(command: FLOAT, v: FLOAT, volt: FLOAT, emf: FLOAT, ohm: FLOA
 
 @wp.func
 def acceleration(
-    q: FLOAT,
-    v: FLOAT,
-    command: FLOAT,
-    extra: FLOAT,
-    p: wp.array2d(dtype=FLOAT),
-    world: wp.int32,
-    constants: wp.array2d(dtype=FLOAT),
-    run: wp.int32,
+    q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, world: wp.int32, constants: FLOATS, run: wp.int32
 ):
     i, _slope = limited_current(
         command, v, constants[run, VOLTAGE], constants[run, BACK_EMF], constants[run, RESISTANCE]
@@ -111,10 +104,10 @@ def linearised_acceleration(directions: int, stribeck: bool) -> Any:
         command: FLOAT,
         gc: FLOAT,
         d_gc: vec,
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         dp: wp.array2d(dtype=vec),
         w: wp.int32,
-        constants: wp.array2d(dtype=FLOAT),
+        constants: FLOATS,
         r: wp.int32,
     ):
         """``gc`` is the load that neither angle nor speed changes."""
@@ -181,12 +174,12 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
 
     @wp.struct
     class Out:
-        q: wp.array2d(dtype=FLOAT)
-        v: wp.array2d(dtype=FLOAT)
+        q: FLOATS
+        v: FLOATS
         dq: wp.array2d(dtype=vec)
 
     @wp.func
-    def start(p: wp.array2d(dtype=FLOAT), dp: wp.array2d(dtype=vec), w: wp.int32, data: data_type, r: wp.int32):
+    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: data_type, r: wp.int32):
         return VEC2(p[w, Q0], p[w, V0]), wp.matrix_from_rows(dp[w, Q0], dp[w, V0])
 
     @wp.func
@@ -217,14 +210,7 @@ def joint_law(directions: int, stribeck: bool) -> Law:
 
     @wp.func
     def rates(
-        y: VEC2,
-        dy: mat,
-        u: VEC3,
-        p: wp.array2d(dtype=FLOAT),
-        dp: wp.array2d(dtype=vec),
-        w: wp.int32,
-        data: JointData,
-        r: wp.int32,
+        y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: JointData, r: wp.int32
     ):
         load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
@@ -235,16 +221,7 @@ def joint_law(directions: int, stribeck: bool) -> Law:
 
 
 @wp.func
-def plain_rate(
-    q: FLOAT,
-    v: FLOAT,
-    command: FLOAT,
-    extra: FLOAT,
-    p: wp.array2d(dtype=FLOAT),
-    w: wp.int32,
-    data: JointData,
-    r: wp.int32,
-):
+def plain_rate(q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: JointData, r: wp.int32):
     return acceleration(q, v, command, extra, p, w, data.constants, r)
 
 
@@ -260,17 +237,17 @@ def plain_joint_law(rate: Callable[..., Any], data_type: Any, integrator: str) -
     rk4 = integrator == "rk4"
 
     @wp.func
-    def start(p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32):
+    def start(p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
         return VEC2(p[w, Q0], p[w, V0])
 
     @wp.func
-    def rates(y: VEC2, u: VEC3, p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32):
+    def rates(y: VEC2, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32):
         extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         return VEC2(y[1], rate(y[0], y[1], u[CURRENT], extra, p, w, data, r))
 
     @wp.func
     def step(
-        y: VEC2, h: FLOAT, u: VEC3, p: wp.array2d(dtype=FLOAT), w: wp.int32, data: data_type, r: wp.int32
+        y: VEC2, h: FLOAT, u: VEC3, p: FLOATS, w: wp.int32, data: data_type, r: wp.int32
     ):  # fmt: skip
         q = y[0]
         v = y[1]

@@ -33,12 +33,12 @@ class TetMesh:
     """A solid out of tetrahedra.
 
     Attributes:
-        points: reference positions [m], shape (N, 3); x along the squeeze.
-        tets: corners of each tetrahedron, positively oriented, shape (M, 4).
-        cells: number of the cell that each tetrahedron belongs to, shape (M,); the change of volume is shared within a cell.
+        points: Reference positions [m], shape (N, 3); x along the squeeze.
+        tets: Corners of each tetrahedron, positively oriented, shape (M, 4).
+        cells: Number of the cell that each tetrahedron belongs to, shape (M,); the change of volume is shared within a cell.
 
     Raises:
-        ConfigurationError: not a sound mesh; the message says where.
+        ConfigurationError: Not a sound mesh; the message says where.
     """
 
     points: np.ndarray
@@ -68,7 +68,7 @@ class TetMesh:
             )
         if len(np.unique(np.round(points / (_FLAT * self.length)).astype(np.int64), axis=0)) < len(points):
             raise ConfigurationError("two nodes of the mesh lie in the same place, a crack: merge duplicate nodes")
-        if self._face_counts[1].max() > 2:
+        if self._faces[1].max() > 2:
             raise ConfigurationError("a face of the mesh belongs to more than two tetrahedra: tetrahedra overlap")
         edges = tets[:, [0, 1, 2]].ravel(), tets[:, [1, 2, 3]].ravel()
         graph = coo_matrix((np.ones(len(edges[0])), edges), shape=(len(points), len(points)))
@@ -128,30 +128,23 @@ class TetMesh:
         return np.flatnonzero(np.abs(self.points[:, axis] - place) <= _FLAT * self.length)
 
     @cached_property
-    def _face_counts(self) -> tuple[np.ndarray, np.ndarray]:
-        faces = np.sort(self.tets[:, _TET_CORNERS].reshape(-1, 3), axis=1)
-        return np.unique(faces, axis=0, return_counts=True)
+    def _faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Each triangle once, counter-clockwise seen from one of its tetrahedra, and how many it has."""
+        faces = self.tets[:, _TET_CORNERS].reshape(-1, 3)
+        _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return faces[first], counts
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """Triangles that belong to one tetrahedron only: corners, not oriented, shape (B, 3)."""
-        faces, counts = self._face_counts
+        """Triangles that belong to one tetrahedron only: corners, counter-clockwise seen from outside, shape (B, 3)."""
+        faces, counts = self._faces
         return faces[counts == 1]
-
-    @cached_property
-    def outside(self) -> np.ndarray:
-        """The same triangles, counter-clockwise seen from outside, shape (B, 3)."""
-        faces = self.tets[:, _TET_CORNERS].reshape(-1, 3)
-        _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        return faces[first[counts == 1]]
 
     def end_area(self, high: bool) -> float:
         """Of the flat face that a finger pushes [m^2]; 0 where the solid ends in an edge or a tip."""
         flat = np.isin(self.surface, self.end(0, high)).all(axis=1)
-        corners = self.points[self.surface[flat]]
-        return float(
-            np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
-        )
+        first, second, third = self.points[self.surface[flat]].swapaxes(0, 1)
+        return float(np.linalg.norm(np.cross(second - first, third - first), axis=1).sum() / 2)
 
 
 def _volumes(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -171,12 +164,12 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
     """A box of cells, each split into five tetrahedra with alternating parity.
 
     Args:
-        size: edges [m], shape (3,).
-        cells: how many along each axis.
-        corner: where the corner with the smallest coordinates lies [m], shape (3,); default: the box's centre is the origin.
+        size: Edges [m], shape (3,).
+        cells: How many along each axis.
+        corner: Where the corner with the smallest coordinates lies [m], shape (3,); default: the box's centre is the origin.
 
     Raises:
-        ConfigurationError: a size or number that makes no mesh.
+        ConfigurationError: A size or number that makes no mesh.
     """
     size = np.asarray(size, dtype=np.float64)
     if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0.0).any():
@@ -187,12 +180,11 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
         )
     corner = -0.5 * size if corner is None else np.asarray(corner, dtype=np.float64)
     nodes = np.array([int(n) + 1 for n in cells])
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in nodes), indexing="ij"), axis=-1).reshape(-1, 3)
+    index, origins = (np.array(list(product(*map(range, counts)))) for counts in (nodes, nodes - 1))
     points = corner + index / (nodes - 1.0) * size
     strides = np.array([nodes[1] * nodes[2], nodes[2], 1])
 
     corners = np.array(list(product((0, 1), repeat=3)))
-    origins = np.stack(np.meshgrid(*(np.arange(n - 1) for n in nodes), indexing="ij"), axis=-1).reshape(-1, 3)
     tets = np.empty((len(origins), 5, 4), dtype=np.int64)
     for parity in (0, 1):
         mine = origins.sum(axis=1) % 2 == parity
@@ -201,22 +193,17 @@ def box(size: np.ndarray, cells: tuple[int, int, int], corner: np.ndarray | None
         for tip in corners[~even]:
             split.append(np.array([tip, *(np.where(np.arange(3) == axis, 1 - tip, tip) for axis in range(3))]))
         tets[mine] = (origins[mine][:, None, None, :] + np.array(split)) @ strides
-    flat = tets.reshape(-1, 4)
-    return TetMesh(points, _oriented(points, flat), np.repeat(np.arange(len(origins)), 5))
+    return TetMesh(points, _oriented(points, tets.reshape(-1, 4)), np.repeat(np.arange(len(origins)), 5))
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
     """A solid from a file in any format that meshio reads (.msh of Gmsh, .vtk, .vtu, .inp, .mesh ...).
 
     Its tetrahedra of first order are used; where the ends along x are not flat, fingers have nothing to push. Every tetrahedron is
-    a cell of its own, so a Poisson's ratio of 0.4 or more needs a fine mesh.
-
-    Args:
-        path: the file.
-        scale: metres per unit of length in the file.
+    a cell of its own, so a Poisson's ratio of 0.4 or more needs a fine mesh. ``scale``: metres per unit of length in the file.
 
     Raises:
-        ConfigurationError: no such file, meshio is missing, or what it reads is no sound mesh.
+        ConfigurationError: No such file, meshio is missing, or what it reads is no sound mesh.
     """
     try:
         import meshio
@@ -242,8 +229,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
             f"{path}: a tetrahedron has a corner that is no node: numbers go from 0 to {len(found.points) - 1}"
         )
     used, numbers = np.unique(corners, return_inverse=True)
-    points = scale * np.asarray(found.points, dtype=np.float64)[used]
-    corners = numbers.reshape(corners.shape)
+    points, corners = scale * np.asarray(found.points, dtype=np.float64)[used], numbers.reshape(corners.shape)
     try:
         mesh = TetMesh(points, _oriented(points, corners), np.arange(len(corners)))
     except ConfigurationError as error:

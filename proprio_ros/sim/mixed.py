@@ -19,8 +19,8 @@ class MixedSimulator(Generic[_Special]):
 
     Args:
         special: The simulator of the runs with the object, in their order.
-        plain: The other runs.
-        with_object: Which of all runs have the object, shape (R,); the first of its kind is its simulator's first, and so on.
+        plain: The other runs, in theirs.
+        with_object: Which of all runs have the object, shape (R,).
     """
 
     def __init__(

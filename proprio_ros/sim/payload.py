@@ -6,8 +6,6 @@ the ten inertial parameters, so the map from mass to the coefficients of ``joint
 
 Two departures: the payload's own inertia follows from its shape and size (the paper's objects are small, but at 0.1 % of the
 joint's inertia it is already 0.1 g), and the centre of mass may lie off the hand's frame.
-
-A payload on a prismatic or universal joint with its own state is built by ``attach_payload_joint`` of ``paper/chain.py``.
 """
 
 from __future__ import annotations
@@ -19,7 +17,15 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 
-SHAPES = ("point", "sphere", "cube", "box", "cylinder")
+_FORMS = {
+    "sphere": ("its diameter", 1),
+    "cube": ("its edge", 1),
+    "box": ("[x, y, z]", 3),
+    "cylinder": ("[diameter, length]", 2),
+}
+"""What is stated of a solid of each shape, and how many numbers that are."""
+SHAPES = ("point", *_FORMS)
+_SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
@@ -36,11 +42,7 @@ class PayloadShape:
 
     @classmethod
     def of(cls, shape: str, size: float | Sequence[float] | None) -> PayloadShape:
-        """Uniform solid of the given outer size.
-
-        Args:
-            shape: One of ``SHAPES``.
-            size: [m] sphere: diameter; cube: edge; box: [x, y, z]; cylinder: [diameter, length], axis along z; point: none.
+        """Uniform solid of one of ``SHAPES`` and the given outer size [m]; a cylinder's axis is along z, a point has no size.
 
         Raises:
             ConfigurationError: Unknown shape, or a size that does not fit it.
@@ -49,42 +51,29 @@ class PayloadShape:
             raise ConfigurationError(f"payload.shape={shape!r} is unknown: choose one of {', '.join(SHAPES)}")
         if shape == "point":
             return cls(np.zeros((3, 3)), "a point mass")
-        wanted = {"sphere": 1, "cube": 1, "box": 3, "cylinder": 2}[shape]
+        form, wanted = _FORMS[shape]
         try:
             numbers = np.atleast_1d(np.asarray(size, dtype=np.float64)).ravel()
         except (TypeError, ValueError):
             numbers = np.array([])
         if len(numbers) != wanted or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
-            form = {
-                "sphere": "its diameter",
-                "cube": "its edge",
-                "box": "[x, y, z]",
-                "cylinder": "[diameter, length]",
-            }[shape]
             raise ConfigurationError(
                 f"payload.size={size!r} does not fit a {shape}: give {form} in m, e.g. 0.03 for 30 mm"
             )
         if np.any(numbers > 1.0):
             raise ConfigurationError(f"payload.size={size!r} is over 1 m: lengths are in m, so 30 mm is 0.03")
-        if shape == "sphere":
-            spread = np.full(3, numbers[0] ** 2 / 20.0)
-        elif shape == "cube":
-            spread = np.full(3, numbers[0] ** 2 / 12.0)
-        elif shape == "box":
+        if shape == "box":
             spread = numbers**2 / 12.0
-        else:
+        elif shape == "cylinder":
             spread = np.array([numbers[0] ** 2 / 16.0, numbers[0] ** 2 / 16.0, numbers[1] ** 2 / 12.0])
+        else:
+            spread = np.full(3, numbers[0] ** 2 / (20.0 if shape == "sphere" else 12.0))
         text = " x ".join(f"{1e3 * n:g}" for n in numbers)
         return cls(np.diag(spread), f"a solid {shape}, {text} mm")
 
     @classmethod
     def hollow(cls, shape: str, inner_size: np.ndarray) -> PayloadShape:
-        """A closed container with thin walls of the same thickness everywhere.
-
-        Args:
-            shape: ``"box"``, ``"cylinder"`` (axis along z) or ``"sphere"``.
-            inner_size: Along the axes of the container [m], shape (3,).
-        """
+        """A closed box, cylinder (axis along z) or sphere of inner size (3,) [m], whose thin walls are equally thick everywhere."""
         side = np.asarray(inner_size, dtype=np.float64)
         if shape == "sphere":
             spread = side**2 / 12.0
@@ -107,10 +96,7 @@ class PayloadShape:
 
     @classmethod
     def from_inertia_per_mass(cls, values: Sequence[float]) -> PayloadShape:
-        """From a measured or drawn inertia divided by the mass.
-
-        Args:
-            values: [ixx, iyy, izz, ixy, ixz, iyz] / m about the centre of mass [m^2].
+        """From [ixx, iyy, izz, ixy, ixz, iyz] / m about the centre of mass [m^2], measured or drawn.
 
         Raises:
             ConfigurationError: Wrong length, or no physical body.
@@ -151,18 +137,13 @@ class PayloadFacts:
 
 
 def payload_parameters(mass: np.ndarray, com: np.ndarray, second_moment_per_mass: np.ndarray) -> np.ndarray:
-    """The ten inertial parameters (m, m c, second moments) of payloads, linear in the mass.
+    """The ten inertial parameters (m, m c, second moments) of payloads, linear in the mass [kg], shape (...,).
 
-    Args:
-        mass: [kg], shape (...,).
-        com: [m], shape (..., 3).
-        second_moment_per_mass: About the centre of mass [m^2], shape (3, 3).
+    Centres of mass are (..., 3) [m], second moments (3, 3) [m^2] about them.
 
     Returns:
         shape (..., 10): m, hx, hy, hz, Sxx, Syy, Szz, Sxy, Sxz, Syz, the entries of the pseudo-inertia about the payload frame.
     """
-    mass = np.asarray(mass, dtype=np.float64)
-    com = np.asarray(com, dtype=np.float64)
     out = np.empty((*mass.shape, 10))
     out[..., 0] = mass
     out[..., 1:4] = mass[..., None] * com
@@ -173,8 +154,6 @@ def payload_parameters(mass: np.ndarray, com: np.ndarray, second_moment_per_mass
 
 def payload_parameters_by_com(mass: np.ndarray, com: np.ndarray) -> np.ndarray:
     """Derivative of ``payload_parameters`` by the centre of mass, shape (..., 10, 3)."""
-    mass = np.asarray(mass, dtype=np.float64)
-    com = np.asarray(com, dtype=np.float64)
     out = np.zeros((*mass.shape, 10, 3))
     for axis in range(3):
         out[..., 1 + axis, axis] = mass
@@ -182,9 +161,6 @@ def payload_parameters_by_com(mass: np.ndarray, com: np.ndarray) -> np.ndarray:
         out[..., 4 + column, i] += mass * com[..., j]
         out[..., 4 + column, j] += mass * com[..., i]
     return out
-
-
-_SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def pseudo_inertia_basis() -> np.ndarray:

@@ -44,13 +44,7 @@ _SHORTEST = 2.0**-12  # of an increment of the squeeze
 
 
 class Elastic:
-    """Energy, force and stiffness of a mesh.
-
-    Args:
-        mesh: the block.
-        law: one of ``energies.LAWS``.
-        averaged: j as the mean over the cell (the cure of locking); else each tetrahedron its own.
-    """
+    """Energy, force and stiffness of a mesh under a law; ``averaged``: j is the mean over the cell, which cures locking."""
 
     def __init__(self, mesh: TetMesh, law: str = "log", averaged: bool = True) -> None:
         self.mesh = mesh
@@ -127,15 +121,14 @@ class Elastic:
 
 @dataclass(frozen=True)
 class SqueezeCurve:
-    """Equilibria at K squeezes.
+    """Equilibria at K squeezes; all shapes are (K,) but for the nodes' positions.
 
     Attributes:
-        squeeze: how far the faces were moved together [m], shape (K,).
-        force: that the block pushes each finger with [N], shape (K,).
-        by_squeeze: [N/m]; by_mu, by_lambda: [N/Pa]; each shape (K,).
-        points: nodal positions [m], shape (K, N, 3).
-        least_j: smallest relative volume of a tetrahedron, shape (K,).
-        iterations: of Newton's method, in all.
+        squeeze: How far the faces were moved together [m].
+        force: That the block pushes each finger with [N], and its derivatives [N/m, N/Pa, N/Pa].
+        points: Nodal positions [m], shape (K, N, 3).
+        least_j: Smallest relative volume of a tetrahedron.
+        iterations: Of Newton's method, in all.
     """
 
     squeeze: np.ndarray
@@ -152,15 +145,15 @@ class QuasiStatic:
     """Squeezes a block to given distances.
 
     Args:
-        mesh: the block, or its octant.
-        law: one of ``energies.LAWS``.
-        contact: ``"bonded"`` or ``"frictionless"``.
-        octant: the mesh is an eighth of the block, and its faces at the lowest x, y and z are planes of symmetry. Squeeze and
+        mesh: The block, or its octant.
+        law: One of ``energies.LAWS``.
+        contact: One of ``CONTACTS``.
+        octant: The mesh is an eighth of the block, and its faces at the lowest x, y and z are planes of symmetry. Squeeze and
             force are still those of the whole block.
-        averaged: see ``Elastic``.
+        averaged: See ``Elastic``.
 
     Raises:
-        SimulationError: unknown law or contact.
+        SimulationError: Unknown law or contact.
     """
 
     def __init__(
@@ -170,7 +163,6 @@ class QuasiStatic:
             raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
         self.mesh = mesh
         self.elastic = Elastic(mesh, law, averaged)
-        self.contact = contact
         low, high = mesh.end(0, False), mesh.end(0, True)
         held = np.zeros((len(mesh.points), 3), dtype=bool)
         held[low, 0] = held[high, 0] = True
@@ -191,15 +183,10 @@ class QuasiStatic:
         self._length = mesh.length / self._travel
 
     def curve(self, squeeze: Sequence[float] | np.ndarray, mu: float, lam: float) -> SqueezeCurve:
-        """Equilibria at some squeezes, reached from rest one after the other.
-
-        Args:
-            squeeze: how far the faces are moved together [m], in the order in which they are visited, shape (K,).
-            mu: Lamé parameter [Pa].
-            lam: Lamé parameter [Pa].
+        """Equilibria at squeezes (K,) [m] for Lamé parameters [Pa], reached from rest one after the other.
 
         Raises:
-            SimulationError: no such solid, a squeeze of the whole length, or no equilibrium found.
+            SimulationError: No such solid, a squeeze of the whole length, or no equilibrium found.
         """
         check_material(self.elastic.law, mu, lam)
         squeeze = np.asarray(squeeze, dtype=np.float64)
@@ -209,8 +196,8 @@ class QuasiStatic:
             )
         unit = abs(mu) + abs(lam)
         soft = (mu / unit, lam / unit)
-        results = np.zeros((4, len(squeeze)))
-        least_j = np.zeros(len(squeeze))
+        scales = np.array([unit, unit * self._travel, 1.0, 1.0])
+        results, least_j = np.zeros((4, len(squeeze))), np.zeros(len(squeeze))
         places = np.zeros((len(squeeze), *self.mesh.points.shape))
         points, at, iterations = self.mesh.points.copy(), 0.0, 0
         derivatives, slope = self._sensitivities(points, soft)
@@ -218,8 +205,7 @@ class QuasiStatic:
             increment = goal - at
             while at != goal:
                 end = goal if abs(goal - at) <= abs(increment) else at + increment
-                guess = points + (end - at) * slope
-                found, count = self._equilibrium(guess, soft)
+                found, count = self._equilibrium(points + (end - at) * slope, soft)
                 iterations += count
                 if found is None:
                     increment *= 0.5
@@ -231,7 +217,6 @@ class QuasiStatic:
                     continue
                 points, at = found, end
                 derivatives, slope = self._sensitivities(points, soft)
-            scales = np.array([unit, unit * self._travel, 1.0, 1.0])
             results[:, k] = self._fold * scales * derivatives
             least_j[k] = self.elastic.least_j(points)
             places[k] = points

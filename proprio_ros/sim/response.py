@@ -5,9 +5,8 @@ For one law, one contact and one shape of a homogeneous block, what the finite e
     P = E A phi(s, nu),     s = squeeze / length
 
 with Young's modulus E and Poisson's ratio nu at small strain and A the face's area. ``phi`` is tabulated over s and nu with its
-exact derivatives at the nodes and interpolated by bicubic Hermite polynomials, so that it has a continuous gradient everywhere,
-which the interpolation gives, too. It is continued beyond the table by its tangent, and ``reach`` says where that begins. A
-block that is not pressed does not pull: phi is 0 at s <= 0 (``squeeze.py`` makes that choice).
+exact derivatives at the nodes and interpolated by bicubic Hermite polynomials, so that its gradient is continuous, too. It is
+continued beyond the table by its tangent, and ``reach`` says where that begins.
 
 The table depends on the shape only through the ratios of the edges, and with frictionless faces not even on those. It is built
 on an octant of the block (1/8 of the work, the same answer), kept in the user's cache under a hash of the settings and of the
@@ -19,7 +18,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from zipfile import BadZipFile
@@ -50,9 +49,8 @@ class Response:
     """phi over a grid.
 
     Attributes:
-        made_of: settings and a hash of the code, one line of JSON.
-        squeeze: [1], evenly spaced from 0, shape (S,).
-        ratio: Poisson's ratio, evenly spaced, shape (N,).
+        made_of: Settings and a hash of the code, one line of JSON.
+        squeeze, ratio: Relative to the length, and Poisson's, evenly spaced from 0; shapes (S,) and (N,).
         nodes: phi, its derivative by s, by nu, and by both, each multiplied by the spacing of what it is by; shape (S, N, 4).
     """
 
@@ -110,15 +108,15 @@ def build(
     """Compute a table; half a minute for bonded faces.
 
     Args:
-        size: edges of the block [m], x along the squeeze, shape (3,); only their ratios matter.
-        law: one of ``energies.LAWS``.
-        contact: one of ``quasistatic.CONTACTS``.
-        cells: of an octant along a mean edge.
-        far: as ``FARTHEST`` says, where that can be; tables of one simulator must reach equally far.
+        size: Edges of the block [m], x along the squeeze, shape (3,); only their ratios matter.
+        law: One of ``energies.LAWS``.
+        contact: One of ``quasistatic.CONTACTS``.
+        cells: Of an octant along a mean edge.
+        far: As ``FARTHEST`` says, where that can be; tables of one simulator must reach equally far.
 
     Raises:
-        SimulationError: unknown law or contact, or a block of such a shape cannot be squeezed that far.
-        ConfigurationError: no box.
+        SimulationError: Unknown law or contact, or a block of such a shape cannot be squeezed that far.
+        ConfigurationError: No box.
     """
     made_of = _made_of(size, law, contact, cells, far)
     settings = json.loads(made_of)
@@ -143,41 +141,15 @@ def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> 
 
 
 def response(
-    size: np.ndarray,
-    law: str = "log",
-    contact: str = "bonded",
-    cells: int = CELLS,
-    rebuild: bool = False,
-    far: bool = False,
+    size: np.ndarray, law: str = "log", contact: str = "bonded", rebuild: bool = False, far: bool = False
 ) -> Response:
-    """The table of a block: from the cache, or built and put there.
-
-    Args:
-        size: as for ``build``.
-        law: as for ``build``.
-        contact: as for ``build``.
-        cells: as for ``build``.
-        rebuild: build it even where the cache has it.
-        far: as for ``build``.
-    """
-    made_of = _made_of(size, law, contact, cells, far)
-    return _kept(made_of, rebuild, lambda: build(size, law, contact, cells, far))
+    """As ``build``: from the cache, unless it is to be rebuilt, or built and put there."""
+    made_of = _made_of(size, law, contact, CELLS, far)
+    return _kept(made_of, rebuild, lambda: build(size, law, contact, CELLS, far))
 
 
 def response_of_mesh(mesh: TetMesh, law: str = "log", contact: str = "bonded", rebuild: bool = False) -> Response:
-    """The table of a block that is no box: from the cache, or built and put there; minutes for a thousand nodes.
-
-    Length and area that go with it are ``mesh.length`` and ``mesh.area``.
-
-    Args:
-        mesh: all of the block, in the places that it has (see ``mesh.read_mesh``).
-        law: as for ``response``.
-        contact: as for ``response``.
-        rebuild: as for ``response``.
-
-    Raises:
-        SimulationError: as for ``build``.
-    """
+    """As ``response``, for a whole block that is no box, of ``mesh.length`` and ``mesh.area``; minutes for a thousand nodes."""
     solver = QuasiStatic(mesh, law, contact)
     content = b"".join(np.ascontiguousarray(part).tobytes() for part in (mesh.points, mesh.tets, mesh.cells))
     settings = {"law": law, "contact": contact, "mesh": hashlib.sha256(content).hexdigest()}
@@ -194,8 +166,7 @@ def _kept(made_of: str, rebuild: bool, make: Callable[[], Response]) -> Response
     path = kept_at(made_of)
     table = None if rebuild else _load(path, made_of)
     if table is None:
-        table = make()
-        _store(path, table)
+        _store(path, table := make())
     return table
 
 
@@ -255,14 +226,7 @@ def _store(path: Path, table: Response) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as stream:
             temporary = Path(stream.name)
-            np.savez(
-                stream,
-                made_of=table.made_of,
-                squeeze=table.squeeze,
-                ratio=table.ratio,
-                nodes=table.nodes,
-                digest=_digest(table),
-            )
+            np.savez(stream, digest=_digest(table), **asdict(table))
         os.replace(temporary, path)
     except OSError:
         if temporary is not None:

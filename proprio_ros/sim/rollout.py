@@ -23,7 +23,7 @@ from typing import Any
 
 import warp as wp
 
-from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 TIME_EPS = 1e-9  # s; two instants closer than this are one
 
@@ -80,16 +80,16 @@ def rollout(law: Law, integrator: str) -> Any:
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": law.max_unroll})
     def kernel(
         # Run data:
-        sample_times: wp.array2d(dtype=FLOAT),
+        sample_times: FLOATS,
         sample_count: wp.array(dtype=wp.int32),
-        input_times: wp.array2d(dtype=FLOAT),
+        input_times: FLOATS,
         inputs: wp.array2d(dtype=law.input),
         input_count: wp.array(dtype=wp.int32),
-        steps: wp.array2d(dtype=FLOAT),
+        steps: FLOATS,
         data: law.data,
         # World data in:
         world_run: wp.array(dtype=wp.int32),
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         dp: wp.array2d(dtype=vec),
         # World data out:
         out: law.out,
@@ -214,22 +214,22 @@ def schedule(law: PlainLaw) -> Any:
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
         # Run data:
-        sample_times: wp.array2d(dtype=FLOAT),
+        sample_times: FLOATS,
         sample_count: wp.array(dtype=wp.int32),
-        input_times: wp.array2d(dtype=FLOAT),
+        input_times: FLOATS,
         inputs: wp.array2d(dtype=law.input),
         input_count: wp.array(dtype=wp.int32),
-        steps: wp.array2d(dtype=FLOAT),
+        steps: FLOATS,
         data: law.data,
         # World data in:
         world_run: wp.array(dtype=wp.int32),
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         capacity: wp.int32,
         # World data out: the state at each sample; step length, its change with the delay, input, and the step after which each
         # sample is taken
         y_out: wp.array2d(dtype=law.state),
-        step_out: wp.array2d(dtype=FLOAT),
-        step_by_delay_out: wp.array2d(dtype=FLOAT),
+        step_out: FLOATS,
+        step_by_delay_out: FLOATS,
         input_out: wp.array2d(dtype=law.input),
         steps_out: wp.array(dtype=wp.int32),
         sample_step_out: wp.array2d(dtype=wp.int32),
@@ -306,10 +306,10 @@ def taped(law: PlainLaw) -> Any:
         data: law.data,
         # World data in:
         world_run: wp.array(dtype=wp.int32),
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         delay_at: wp.array(dtype=FLOAT),
-        step_in: wp.array2d(dtype=FLOAT),
-        step_by_delay_in: wp.array2d(dtype=FLOAT),
+        step_in: FLOATS,
+        step_by_delay_in: FLOATS,
         input_in: wp.array2d(dtype=law.input),
         steps_in: wp.array(dtype=wp.int32),
         # World data out:
@@ -335,15 +335,15 @@ def observe(law: PlainLaw) -> Any:
     @wp.kernel(module="unique")
     def kernel(
         # Run data:
-        sample_times: wp.array2d(dtype=FLOAT),
+        sample_times: FLOATS,
         data: law.data,
         # World data in:
         world_run: wp.array(dtype=wp.int32),
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         sample_step_in: wp.array2d(dtype=wp.int32),
         y_in: wp.array2d(dtype=law.state),
         # World data out:
-        sampled_out: wp.array2d(dtype=FLOAT),
+        sampled_out: FLOATS,
     ):
         w, k = wp.tid()
         n = sample_step_in[w, k]

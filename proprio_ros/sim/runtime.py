@@ -16,7 +16,7 @@ from proprio_ros.errors import ConfigurationError
 
 FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
-
+FLOATS = wp.array2d(dtype=FLOAT)
 
 _refusal = ""
 _alone = 0
@@ -51,14 +51,10 @@ def _unwritable(error: OSError) -> str:
 
 
 def load(kernels: Sequence[Any], device: Any) -> None:
-    """Compile and load kernels, and say how far that is for those that this computer has not kept from before.
-
-    Args:
-        kernels: each in a module of its own.
-        device: a Warp device, or its name.
+    """Compile and load kernels, each in a module of its own, and say how far that is for those not kept from before.
 
     Raises:
-        ConfigurationError: a compiled kernel cannot be kept.
+        ConfigurationError: A compiled kernel cannot be kept.
     """
     check()
     kept = [_is_kept(kernel.module, device) for kernel in kernels]
@@ -74,7 +70,7 @@ def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
     """``wp.launch``, which first says so where the kernel has to be compiled.
 
     Raises:
-        ConfigurationError: a compiled kernel cannot be kept.
+        ConfigurationError: A compiled kernel cannot be kept.
     """
     global _alone
     if not _is_kept(kernel.module, device):

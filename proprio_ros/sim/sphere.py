@@ -2,29 +2,14 @@
 
 The second interaction of the paper (Chen et al. 2025, arXiv:2410.03920), with its equation (1) for the joint. The sphere is
 a rigid body of its own with three coordinates and a spin; the walls push it with penalty forces, and what they give to it they
-take from the joint:
-
-    J a + g(q) = tau_m - friction - m sum V(x_c) . f           (joint.py has the rest of this line)
-    du/dt = g_C(q) + sum f - Omega x u
-    dw/dt = - sum (n x f) / (kappa r) - Omega x w
-    dx/dt = u - V(x) v
-
-All vectors are in the container's frame C, whose origin is its centre: ``x`` is the sphere's centre, ``u`` its velocity against
-the ground, ``w`` its spin, ``V(x) v`` the velocity of the container at x, ``Omega`` its angular velocity, ``n`` the inward normal
-of a wall, ``kappa m r^2`` the sphere's inertia. ``f`` is the force of a contact *per kilogram of the sphere*.
-
-The law of contact, with depth d, separation velocity v_n and slip v_t:
-
-* ``ramped`` (default): f_n = max(k d - c min(d / d_0, 1) v_n, 0), f_t = -T v_t / sqrt(|v_t|^2 + (T / k_f)^2), T = mu f_n.
-* ``paper``: f_n = k d - c v_n, f_t = -min(k_f |v_t|, mu |f_n|) v_t / |v_t|.
+take from the joint. The equations and both laws of contact, ``ramped`` (default) and ``paper``, are in docs/pages/how_it_works.md.
+All vectors are in the container's frame, whose origin is its centre; forces of contact are *per kilogram of the sphere*.
 
 Departures from the paper. Its damping sets in at once when a wall is touched and can pull the sphere back, which puts false
 minima into the mass; ours is ramped with depth and never pulls. Its constants k_e, k_d, k_f are newtons; as ours stand for no
 material but for "hard", they are given per kilogram (k = omega^2, c = 2 zeta omega): the steps that they need then do not shorten
 with the sphere, its motion in a container that moves as given does not depend on its mass, and a mass of 0 is as good as any
-other. ``paper_contact`` turns the paper's constants into these. The default integrator is RK4 as in ``joint.py``.
-
-Two independent derivatives, as there: forward sensitivities in the rollout, and ``wp.Tape`` over a kernel that keeps every state.
+other. ``paper_contact`` turns the paper's constants into these.
 """
 
 from collections.abc import Sequence
@@ -40,13 +25,7 @@ from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_k
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.rollout import PlainLaw, rollout
 from proprio_ros.sim.runtime import FLOAT
-from proprio_ros.sim.sphere_kernels import (
-    GEOMETRY,
-    SPHERE_PARAMETERS,
-    SphereData,
-    plain_sphere_law,
-    sphere_law,
-)
+from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, plain_sphere_law, sphere_law
 
 SPHERE_INDEX = {name: row for row, name in enumerate(SPHERE_PARAMETERS)}
 SHAPES = ("box", "cylinder", "sphere")
@@ -170,12 +149,11 @@ class SphereSimulator(JointSimulator):
     Args:
         runs: The runs; worlds refer to them by index.
         enclosure: The container's inside and the sphere's size, the same in all runs.
-        law: ``"ramped"`` or ``"paper"``.
-        integrator: ``"rk4"`` or ``"semi_implicit"`` (the paper's equation (2)).
-        device: Warp device name.
+        law: Of contact, one of ``LAWS``.
+        integrator, device: As for ``JointSimulator``.
 
     Raises:
-        SimulationError: Unknown law or integrator, no runs, or a run without samples.
+        SimulationError: Also an unknown law.
     """
 
     parameters = SPHERE_PARAMETERS
@@ -196,19 +174,12 @@ class SphereSimulator(JointSimulator):
         self.sphere_runs = tuple(runs)
         self.enclosure = enclosure
         self.law = law
-        geometry = np.zeros((len(runs), GEOMETRY))
-        for row, run in enumerate(runs):
-            geometry[row] = np.concatenate(
-                [
-                    run.axis,
-                    run.joint_origin,
-                    [float(run.kind == "revolute")],
-                    *run.gravity_terms(),
-                    0.5 * np.asarray(enclosure.inner_size, dtype=np.float64),
-                    [enclosure.radius, enclosure.inertia_factor, enclosure.ramp_depth],
-                ]
-            )
-        self._geometry = self._array(geometry)
+        sphere = [enclosure.radius, enclosure.inertia_factor, enclosure.ramp_depth]
+        inside = [*(0.5 * np.asarray(enclosure.inner_size, dtype=np.float64)), *sphere]
+        places = [
+            [*run.axis, *run.joint_origin, run.kind == "revolute", *np.ravel(run.gravity_terms())] for run in runs
+        ]
+        self._geometry = self._array(np.array([[*place, *inside] for place in places]))
         self._last: tuple[np.ndarray, ...] = ()
 
     def last_path(self, directions: int) -> tuple[np.ndarray, np.ndarray]:
@@ -216,12 +187,7 @@ class SphereSimulator(JointSimulator):
         return self._last[3], self._last[4][..., :directions]
 
     def path(self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the sphere's centre is in the container at the sample instants, and how that changes.
-
-        Args:
-            world_run: As for ``jacobian``.
-            p: As for ``jacobian``.
-            dp: As for ``jacobian``.
+        """Where the sphere's centre is in the container at the sample instants, as for ``jacobian``.
 
         Returns:
             x (W, T, 3) [m], dx (W, T, 3, D), copies.
@@ -255,11 +221,9 @@ class SphereSimulator(JointSimulator):
         if dp.shape[2] <= most:
             self._last = super()._launch(world_run, p, dp, counts)
         else:
+            one = super()._launch
             blocks = [dp[:, :, at : at + most] for at in range(0, dp.shape[2], most)]
-            found = [
-                [each.copy() for each in super(SphereSimulator, self)._launch(world_run, p, block, counts)]
-                for block in blocks
-            ]
+            found = [[each.copy() for each in one(world_run, p, block, counts)] for block in blocks]
             q, v, _, x, _ = found[0]
             dq, dx = (np.concatenate([each[n] for each in found], axis=-1) for n in (2, 4))
             self._last = q, v, dq, x, dx
@@ -283,22 +247,11 @@ class SphereSimulator(JointSimulator):
     def _outputs(self, worlds: int, size: int) -> list[wp.array]:
         mat = wp.types.matrix(shape=(3, size), dtype=FLOAT)
         shape = (worlds, self._width)
-        return [
-            *super()._outputs(worlds, size),
-            wp.zeros(shape, dtype=VEC3, device=self.device),
-            wp.zeros(shape, dtype=mat, device=self.device),
-        ]
+        return [*super()._outputs(worlds, size), self._zeros(shape, VEC3), self._zeros(shape, mat)]
 
 
 def compile_kernels(shape: str = "box", law: str = "ramped", integrator: str = "rk4", *, rises: bool = True) -> None:
-    """Compile and load the kernels of one shape of container, for whoever cannot wait for them later; again it costs nothing.
-
-    Args:
-        shape: Of the container.
-        law: As for ``SphereSimulator``.
-        integrator: The same.
-        rises: Whether friction may rise towards standstill; kernels for that are as many again.
-    """
+    """As ``joint.compile_kernels``, for fits with a sphere in a container of one shape and a law of contact."""
     # of the two launches with all directions either may have that of the rise
     kinds = dict.fromkeys([*kinds_of_kernel(_SIZES, rises), (_SIZES[-2], True)])
     kernels = [rollout(sphere_law(*kind, shape, law), integrator) for kind in kinds]

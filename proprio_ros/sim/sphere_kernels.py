@@ -27,19 +27,9 @@ from proprio_ros.sim.joint_kernels import (
     standstill,
 )
 from proprio_ros.sim.rollout import Law, PlainLaw
-from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.sim.runtime import FLOAT, FLOATS
 
-SPHERE_TERMS = (
-    "sphere_mass",
-    "start_x",
-    "start_y",
-    "start_z",
-    "stiffness",
-    "damping",
-    "traction",
-    "friction",
-    "tilt",
-)
+SPHERE_TERMS = ("sphere_mass", "start_x", "start_y", "start_z", "stiffness", "damping", "traction", "friction", "tilt")
 """What a sphere adds to the parameters of ``joint.py``: kg, m (three, in the container's frame), 1/s^2, 1/s, 1/s, 1, rad. ``tilt``
 is how much further than its encoder shows the joint has turned the container."""
 SPHERE_PARAMETERS = (*PARAMETERS, *SPHERE_TERMS)
@@ -47,8 +37,8 @@ SPHERE_MASS, START_X, START_Y, START_Z, STIFFNESS, DAMPING, TRACTION, FRICTION, 
     len(PARAMETERS), len(SPHERE_PARAMETERS)
 )
 AXIS, ORIGIN, TURNS, GRAVITY, GRAVITY_BY_COS, GRAVITY_BY_SIN, HALF_SIZE = 0, 3, 6, 7, 10, 13, 16
-RADIUS, INERTIA_FACTOR, RAMP_DEPTH, GEOMETRY = 19, 20, 21, 22
-"""Columns of ``SphereData.geometry`` where they start, and how many there are."""
+RADIUS, INERTIA_FACTOR, RAMP_DEPTH = 19, 20, 21
+"""Columns of ``SphereData.geometry`` where they start."""
 FACES = {"box": 6, "cylinder": 3, "sphere": 1}
 MAT33 = wp.types.matrix(shape=(3, 3), dtype=FLOAT)
 STATE = wp.types.vector(length=11, dtype=FLOAT)
@@ -68,12 +58,12 @@ def _part(y: STATE, row: wp.int32):
 class SphereData:
     """What is known about the runs."""
 
-    constants: wp.array2d(dtype=FLOAT)
-    geometry: wp.array2d(dtype=FLOAT)
+    constants: FLOATS
+    geometry: FLOATS
 
 
 @wp.func
-def _triple(table: wp.array2d(dtype=FLOAT), row: wp.int32, column: wp.int32):
+def _triple(table: FLOATS, row: wp.int32, column: wp.int32):
     return VEC3(table[row, column], table[row, column + 1], table[row, column + 2])
 
 
@@ -164,7 +154,7 @@ def _as_in_the_paper(
 
 
 @wp.func
-def _start(p: wp.array2d(dtype=FLOAT), world: wp.int32, geometry: wp.array2d(dtype=FLOAT), run: wp.int32):
+def _start(p: FLOATS, world: wp.int32, geometry: FLOATS, run: wp.int32):
     """Position, velocity and spin of a sphere that moves with the container."""
     x = _triple(p, world, START_X)
     axis = _triple(geometry, run, AXIS)
@@ -182,12 +172,12 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
     faces = FACES[shape]
 
     @wp.func
-    def start(p: wp.array2d(dtype=FLOAT), w: wp.int32, data: SphereData, r: wp.int32):
+    def start(p: FLOATS, w: wp.int32, data: SphereData, r: wp.int32):
         x, u, s = _start(p, w, data.geometry, r)
         return _state(p[w, Q0], p[w, V0], x, u, s)
 
     @wp.func
-    def rates(y: STATE, given: VEC3, p: wp.array2d(dtype=FLOAT), world: wp.int32, data: SphereData, run: wp.int32):
+    def rates(y: STATE, given: VEC3, p: FLOATS, world: wp.int32, data: SphereData, run: wp.int32):
         q = y[0]
         v = y[1]
         x = _part(y, 2)
@@ -233,7 +223,7 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
 
     @wp.func
     def step(
-        y: STATE, h: FLOAT, given: VEC3, p: wp.array2d(dtype=FLOAT), world: wp.int32, data: SphereData, run: wp.int32
+        y: STATE, h: FLOAT, given: VEC3, p: FLOATS, world: wp.int32, data: SphereData, run: wp.int32
     ):  # fmt: skip
         k1 = rates(y, given, p, world, data, run)
         if wp.static(rk4):
@@ -272,10 +262,10 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         du: mat,
         ds: mat,
         dv: vec,
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         dp: wp.array2d(dtype=vec),
         world: wp.int32,
-        geometry: wp.array2d(dtype=FLOAT),
+        geometry: FLOATS,
         run: wp.int32,
     ):
         """Force per kilogram of one contact, what it does to spin and joint, and the tangents of all three."""
@@ -382,10 +372,10 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         dx: mat,
         du: mat,
         ds: mat,
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         dp: wp.array2d(dtype=vec),
         world: wp.int32,
-        geometry: wp.array2d(dtype=FLOAT),
+        geometry: FLOATS,
         run: wp.int32,
     ):
         """Rates of the sphere, its load on the joint, and the tangents of both."""
@@ -432,14 +422,14 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
 
     @wp.struct
     class Out:
-        q: wp.array2d(dtype=FLOAT)
-        v: wp.array2d(dtype=FLOAT)
+        q: FLOATS
+        v: FLOATS
         dq: wp.array2d(dtype=vec)
         x: wp.array2d(dtype=VEC3)
         dx: wp.array2d(dtype=mat)
 
     @wp.func
-    def start(p: wp.array2d(dtype=FLOAT), dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
+    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
         x, u, s = _start(p, w, data.geometry, r)
         axis = _triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
@@ -462,7 +452,7 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         y: STATE,
         dy: whole,
         given: VEC3,
-        p: wp.array2d(dtype=FLOAT),
+        p: FLOATS,
         dp: wp.array2d(dtype=vec),
         w: wp.int32,
         data: SphereData,

@@ -1,21 +1,18 @@
 """A gripper that closes on a soft block: one driven joint, and the block's tabulated resistance.
 
-The joint of ``joint.py`` (armature, friction, supply limits, delay) with the block as a load that depends on its position:
+The joint of ``joint.py`` with the block as a load that depends on its position, as docs/pages/how_it_works.md writes it down:
 
     s = (c(q) - gap) / L                                      squeeze relative to the block's length
     P = A (E phi(s, nu) + eta ds/dt min(s / s_r, 1))          where s > 0, and never below 0: a block that is let go does not pull
-    J a = tau_m - friction - gravity - c'(q) P
 
 ``c`` is how far the fingers have closed on each other: ``travel`` times the joint's coordinate, twice the ratio of one finger;
-with ``bend``, where it was measured that a gripper's linkage does not close evenly. ``c'`` stands in both lines by virtual work.
-``phi`` is the table of ``response.py``, E and nu are those at small strain, whatever the law. ``eta`` is the block's viscosity
-(Kelvin and Voigt), which sets in over the first ``RAMP`` of squeeze, so that the force has no jump where the fingers touch.
+with ``bend``, where it was measured that a gripper's linkage does not close evenly. E and nu are those at small strain, whatever
+the law. ``eta`` is the block's viscosity (Kelvin and Voigt), which sets in over the first ``RAMP`` of squeeze, so that the force
+has no jump where the fingers touch.
 
 Departures from the paper (Chen et al. 2025, arXiv:2410.03920): its block has inertia of its own and its gripper neither armature
 nor friction. The armature, 15 to 76 kg at the finger, is what decides; that the block is in equilibrium at every instant changes
-the encoder by a tenth of a count (``softbody.py`` is the paper's way, and the test's oracle).
-
-Derivatives as in ``joint.py``: forward sensitivities in the rollout, and ``wp.Tape`` over a kernel that keeps every state.
+the encoder by a tenth of a count (``paper/softbody.py`` is the paper's way, and the test's oracle).
 """
 
 from collections.abc import Sequence
@@ -77,11 +74,10 @@ class SqueezeSimulator(JointSimulator):
 
     Args:
         runs: The runs; worlds refer to them by index. Their tables may differ, over the same grid (the same law).
-        integrator: ``"rk4"`` or ``"semi_implicit"`` (the paper's equation (2)).
-        device: Warp device name.
+        integrator, device: As for ``JointSimulator``.
 
     Raises:
-        SimulationError: Unknown integrator, no runs, a run without samples, or tables of different laws.
+        SimulationError: Also tables of different laws.
     """
 
     parameters = SQUEEZE_PARAMETERS
@@ -102,15 +98,9 @@ class SqueezeSimulator(JointSimulator):
         self._nodes = wp.array(np.stack([table.nodes for table in tables]), dtype=VEC4, device=device)
 
     def squeeze(self, world_run: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Squeeze relative to the block's length at some joint positions; where beyond the table's reach, the law is a guess.
+        """Squeeze relative to the block's length at joint positions q (W, T): (W, T), below 0 where the block is not touched.
 
-        Args:
-            world_run: As for ``jacobian``.
-            p: As for ``jacobian``.
-            q: Positions, shape (W, T).
-
-        Returns:
-            shape (W, T), below 0 where the block is not touched.
+        Where it is beyond the table's reach, the law is a guess.
         """
         length, _, travel, _, second, third = self._block.numpy()[np.asarray(world_run)].T[:, :, None]
         return (q * (travel + q * (second + q * third)) - p[:, GAP : GAP + 1]) / length
@@ -129,11 +119,6 @@ class SqueezeSimulator(JointSimulator):
 
 
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
-    """Compile and load the kernels that a fit needs, for whoever cannot wait for them later; again it costs nothing.
-
-    Args:
-        integrator: As for ``SqueezeSimulator``.
-        rises: Whether friction may rise towards standstill; kernels for that are as many again.
-    """
+    """As ``joint.compile_kernels``, for fits with a block."""
     kernels = [rollout(squeeze_law(*kind), integrator) for kind in kinds_of_kernel(_SIZES, rises)]
     runtime.load([*kernels, plain_kernel(len(SQUEEZE_PARAMETERS), integrator)], "cpu")

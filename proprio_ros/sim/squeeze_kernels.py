@@ -19,7 +19,7 @@ from proprio_ros.sim.joint_kernels import (
 )
 from proprio_ros.sim.response_kernels import VEC4, tabulated
 from proprio_ros.sim.rollout import Law
-from proprio_ros.sim.runtime import FLOAT
+from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 BLOCK_TERMS = ("youngs_modulus", "poissons_ratio", "block_viscosity", "gap")
 """What a block adds to the parameters of ``joint.py``: Pa, 1, Pa s, m."""
@@ -35,21 +35,14 @@ RAMP = 1e-3
 class SqueezeData:
     """What is known about the runs, and the tables of the blocks."""
 
-    constants: wp.array2d(dtype=FLOAT)
-    block: wp.array2d(dtype=FLOAT)
+    constants: FLOATS
+    block: FLOATS
     grid: wp.array(dtype=FLOAT)
     nodes: wp.array3d(dtype=VEC4)
 
 
 @wp.func
-def excitation_of_block(
-    q: FLOAT,
-    v: FLOAT,
-    p: wp.array2d(dtype=FLOAT),
-    world: wp.int32,
-    data: SqueezeData,
-    run: wp.int32,
-):
+def excitation_of_block(q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: SqueezeData, run: wp.int32):
     """Load of the block on the joint, and its derivatives: by q and v, and by E, nu, eta and gap."""
     zero = FLOAT(0.0)
     block = data.block
@@ -85,14 +78,7 @@ def excitation_of_block(
 
 @wp.func
 def plain_rate(
-    q: FLOAT,
-    v: FLOAT,
-    command: FLOAT,
-    extra: FLOAT,
-    p: wp.array2d(dtype=FLOAT),
-    w: wp.int32,
-    data: SqueezeData,
-    r: wp.int32,
+    q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: SqueezeData, r: wp.int32
 ):
     load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
     return acceleration(q, v, command, extra + load, p, w, data.constants, r)
@@ -107,14 +93,7 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
 
     @wp.func
     def rates(
-        y: VEC2,
-        dy: mat,
-        u: VEC3,
-        p: wp.array2d(dtype=FLOAT),
-        dp: wp.array2d(dtype=vec),
-        w: wp.int32,
-        data: SqueezeData,
-        r: wp.int32,
+        y: VEC2, dy: mat, u: VEC3, p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SqueezeData, r: wp.int32
     ):
         load, by_q, by_v, by_p = excitation_of_block(y[0], y[1], p, w, data, r)
         d_load = by_q * dy[0] + by_v * dy[1]

@@ -198,10 +198,7 @@ def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Contai
         # the authors keep the states before each step, so the last one they compare lies one substep before
         # frame 36; it meets sample 35
         substeps = changes.get("substeps", paper.substeps)
-        changes["loss_time_s"], changes["loss_sample"] = (
-            (PROBE_FRAMES - 1 / substeps) * FRAME_S,
-            PROBE_FRAMES - 1,
-        )
+        changes["loss_time_s"], changes["loss_sample"] = ((PROBE_FRAMES - 1 / substeps) * FRAME_S, PROBE_FRAMES - 1)
     return replace(paper, **changes)
 
 

@@ -420,7 +420,7 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
     middle[..., 0] = 0.5 * (places.points[..., 0].min(axis=1) + places.points[..., 0].max(axis=1))[:, None]
     scaled = (places.points - middle) / mesh.length
     return tuple(
-        BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.outside)
+        BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface)
         for row, points in zip(at, scaled, strict=True)
     )
 
