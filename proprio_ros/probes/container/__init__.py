@@ -36,13 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ContainerJob:
-    """One container.
-
-    Attributes:
-        container: what is stated about it and its sphere.
-        solving: how to solve.
-        camera: topic or CSV file with places of the sphere; camera_std: of each coordinate [m].
-    """
+    """One container: what is stated about it, how to solve, topic or CSV file with places of the sphere, and their std [m]."""
 
     container: ContainerFacts
     solving: ContainerOptions
@@ -128,11 +122,8 @@ class Container(
 
         shell = facts.container.shell
         per_mass = rotational_inertia(shell.shape.second_moment_per_mass)
-        places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        return {
-            "payload.com": shell.com.tolist(),
-            "payload.inertia_per_mass": [float(per_mass[i, j]) for i, j in places],
-        }
+        six = per_mass[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+        return {"payload.com": shell.com.tolist(), "payload.inertia_per_mass": six}
 
     def compile(self, robot: Robot, facts: ContainerJob) -> None:
         from proprio_ros.sim.sphere import compile_kernels
@@ -153,7 +144,7 @@ class Container(
         return SphereUntilSure(robot, facts.container, facts.solving, sequence, baseline, whole)
 
     def identify(self, robot: Robot, recorded: Recorded, facts: ContainerJob) -> Estimate:
-        from proprio_ros.probes.container.camera import track_of
+        from proprio_ros.probes.container.facts import track_of
         from proprio_ros.probes.container.identify import find_sphere
 
         sources = zip(recorded.runs, recorded.sources, strict=True)

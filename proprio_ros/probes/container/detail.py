@@ -13,13 +13,11 @@ class SpherePath:
     """Where the sphere is believed to have been during a run.
 
     Attributes:
-        run: name of the run.
-        shape, inner_size, radius: of the inside, along the axes of the container, shape (3,), and of the sphere [m].
-        times_s: shape (K,).
-        position: of the sphere's centre in the container's frame [m], shape (K, 3).
-        std: of its position [m], shape (K, 3).
-        world_from_container: shape (K, 3, 3).
-        across: the joint's axis in the container's frame; one looks along it, shape (3,).
+        shape, inner_size, radius: Of the inside, along the axes of the container, shape (3,), and of the sphere [m].
+        times_s: Shape (K,).
+        position, std: Of the sphere's centre in the container's frame [m], shape (K, 3).
+        world_from_container: Shape (K, 3, 3).
+        across: The joint's axis in the container's frame; one looks along it, shape (3,).
     """
 
     run: str

@@ -1,40 +1,39 @@
-"""Size and place of a container and the sphere in it, from the user's settings and the probe's file."""
+"""Size and place of a container and the sphere in it: from the user's settings and the probe's file, and as a camera saw it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError, SimulationError
 from proprio_ros.inputs.forms import Choice, Form, Number, Numbers, Perhaps, Text, Truth
+from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.settings import Settings, read
-from proprio_ros.probes.container.problem import ContainerFacts
+from proprio_ros.probes.container.problem import ContainerFacts, SphereTrack
 from proprio_ros.quantity import Quantity
+from proprio_ros.recordings.contents import read_points
+from proprio_ros.recordings.text import read_point_file
+from proprio_ros.records import Run
 from proprio_ros.robot import rotation_from_rpy
 from proprio_ros.sim.sphere import LAWS, Enclosure
 
+MOST_PLACES = 2000
+"""Places of the sphere in one run: two seconds at 1 kHz."""
 DECIDING = ("container.inner_size", "container.centre", "sphere.radius")
 """Facts without a safe default: those of the probe file are the sample recordings'."""
 _PLACE = "[x, y, z] in m"
+_NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m")
+_ANGLE = Number(unit="rad", lowest=-7.0, highest=7.0)
 _RATIO = Number(lowest=0.0, highest=10.0)
 _INNER = Number(unit="m", lowest=0.0, highest=1.0, open=True, hint="lengths are in m, so 60 mm is 0.06")
 FORMS: dict[str, Form] = {
     "container.shape": Choice("cylinder: its axis along z", ("box", "cylinder", "sphere")),
-    "container.centre": Numbers(
-        "of the container in `payload.frame`",
-        Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m"),
-        3,
-        example=_PLACE,
-    ),
-    "container.rpy": Numbers(
-        "how it is turned against that frame",
-        Number(unit="rad", lowest=-7.0, highest=7.0),
-        3,
-        example="three angles in rad",
-    ),
+    "container.centre": Numbers("of the container in `payload.frame`", _NEAR_HAND, 3, example=_PLACE),
+    "container.rpy": Numbers("how it is turned against that frame", _ANGLE, 3, example="three angles in rad"),
     "container.mass": Perhaps(
         "of the empty container; null: not known, so `--baseline` is needed",
         Number(unit="kg", lowest=0.0, highest=10.0, hint="masses are in kg"),
@@ -65,14 +64,10 @@ FORMS: dict[str, Form] = {
 
 
 def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> ContainerFacts:
-    """Size and place of the container and the sphere, the user's words before the probe file's.
-
-    Args:
-        settings: of the user.
-        defaults: the sections ``container``, ``sphere`` and ``contact`` of the probe file.
+    """Size and place of the container and the sphere, the user's words before those sections of the probe's file.
 
     Raises:
-        ConfigurationError: a value of the wrong form or unit, or a sphere that does not fit.
+        ConfigurationError: A value of the wrong form or unit, or a sphere that does not fit.
     """
 
     def take(key: str) -> Any:
@@ -109,13 +104,33 @@ def container_facts(settings: Settings, defaults: Mapping[str, Any]) -> Containe
             f"sphere.start={place.tolist()} is outside the container: the sphere's centre can only go "
             f"{(1e3 * enclosure.room).tolist()} mm from the middle"
         )
-    return ContainerFacts(
-        enclosure,
-        centre,
-        rotation_from_rpy(turned),
-        0.03 if mass is None else mass,
-        np.inf if mass is None else mass_std,
-        start=place,
-        guessed=tuple(key for key in DECIDING if key not in settings.taken),
-        **stated,
-    )
+    shell, std = (0.03, np.inf) if mass is None else (mass, mass_std)
+    guessed = tuple(key for key in DECIDING if key not in settings.taken)
+    rotation = rotation_from_rpy(turned)
+    return ContainerFacts(enclosure, centre, rotation, shell, std, start=place, guessed=guessed, **stated)
+
+
+def track_of(run: Run, source: Path, camera: str | None, std: float) -> SphereTrack | None:
+    """Places of the sphere during a run of a bag, each coordinate to within std [m]; None without a camera.
+
+    The camera is a topic, which starts with a slash (unless there is such a file), or a CSV file.
+
+    Raises:
+        ConfigurationError: It saw nothing during the run, or too much.
+    """
+    if camera is None:
+        return None
+    topic = camera.startswith("/") and (path_problem(camera) or not Path(camera).is_file())
+    track = read_points(source, camera, "sphere.camera") if topic else read_point_file(camera)
+    times_s, position = track.of_run(run)
+    if not len(times_s):
+        raise ConfigurationError(
+            f"sphere.camera={camera}: saw nothing while {run.name} was recorded: its stamps must be on the clock of the joint "
+            "states"
+        )
+    if len(times_s) > MOST_PLACES:
+        raise ConfigurationError(
+            f"sphere.camera={camera}: saw {len(times_s)} places while {run.name} was recorded, and {MOST_PLACES} are the most that "
+            "are fitted: leave some out"
+        )
+    return SphereTrack(times_s, position, std)

@@ -68,17 +68,11 @@ def find_sphere(
 ) -> Estimate:
     """Identify the mass of the sphere that all ``runs`` share.
 
-    Args:
-        robot: model, drive trains and their uncertainty.
-        runs: at least one, with the container and the sphere.
-        facts: what is stated about both.
-        options: solver and limits.
-        baseline: runs with the empty container.
-        tracks: what a camera saw in each of ``runs``, or nothing at all.
+    The baseline is runs with the empty container, ``tracks`` what a camera saw in each of the ``runs``, or nothing at all.
 
     Raises:
-        ConfigurationError: neither a baseline nor the shell's mass.
-        RecordingError: a run cannot be related to the robot at all.
+        ConfigurationError: Neither a baseline nor the shell's mass.
+        RecordingError: A run cannot be related to the robot at all.
     """
     options = options or ContainerOptions()
     check_shell(facts, baseline)
@@ -107,13 +101,12 @@ def find_sphere(
             )
         search, _ = search.before_lost(cut)
         if not any(search.rolling):
-            found.reasons.insert(
-                0,
-                "the sphere bounces too chaotically to determine its mass: tilt instead of shaking, or use less current",
+            why = (
+                "the sphere bounces too chaotically to determine its mass: tilt instead of shaking, or use less current"
             )
+            found.reasons.insert(0, why)
             return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-        nominal = search.solve(Role.FROZEN)
-        opened = search.solve(Role.FREE, nominal)
+        opened = search.solve(Role.FREE, nominal := search.solve(Role.FROZEN))
     return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
 
 
@@ -190,7 +183,14 @@ class WeighedSphere(Conclusion):
 
     def guess(self) -> list[Guess]:
         """The facts that were not stated, and what being off by their spread would do to the mass."""
-        enclosure = self.facts.enclosure
+        enclosure, share = self.facts.enclosure, f"{100.0 * GUESSED_SHARE:g} %"
+        edges = " x ".join(f"{1e3 * edge:g}" for edge in enclosure.inner_size)
+        centre = ", ".join(f"{1e3 * place:g}" for place in self.facts.centre)
+        words = {
+            "container.inner_size": (f"{edges} mm", f"{share} per side"),
+            "container.centre": (f"[{centre}] mm", f"{1e3 * GUESSED_PLACE_M:g} mm per axis"),
+            "sphere.radius": (f"{1e3 * enclosure.radius:g} mm", share),
+        }
         guesses = []
         for key in self.facts.guessed:
             shifts = []
@@ -202,18 +202,7 @@ class WeighedSphere(Conclusion):
                     # where it lay moves with the walls
                     values[at] = self.fit.values[at] + other.unknowns[at].value - self.problem.unknowns[at].value
                 shifts.append(self._shift(other, values))
-            taken, spread = {
-                "container.inner_size": (
-                    " x ".join(f"{1e3 * edge:g}" for edge in enclosure.inner_size) + " mm",
-                    f"{100.0 * GUESSED_SHARE:g} % per side",
-                ),
-                "container.centre": (
-                    f"[{', '.join(f'{1e3 * place:g}' for place in self.facts.centre)}] mm",
-                    f"{1e3 * GUESSED_PLACE_M:g} mm per axis",
-                ),
-                "sphere.radius": (f"{1e3 * enclosure.radius:g} mm", f"{100.0 * GUESSED_SHARE:g} %"),
-            }[key]
-            guesses.append(Guess(key, taken, spread, float(np.linalg.norm(shifts))))
+            guesses.append(Guess(key, *words[key], float(np.linalg.norm(shifts))))
         return guesses
 
     def _with(self, facts: ContainerFacts) -> ContainerProblem:
@@ -240,13 +229,11 @@ class WeighedSphere(Conclusion):
         mass, name = self.assessed.value, self.runs[outlier].run.name
         others = [row for row in self.rolling if row != outlier]
         if outlier not in self.rolling or not others:
-            return Contradiction(
-                Reason(
-                    "runs_contradict",
-                    f"{name} contradicts the other runs ({1e3 * mass:.1f} g together): was the same sphere in the same container, "
-                    "held in the same place, and the baseline empty?",
-                )
+            sentence = (
+                f"{name} contradicts the other runs ({1e3 * mass:.1f} g together): was the same sphere in the same container, "
+                "held in the same place, and the baseline empty?"
             )
+            return Contradiction(Reason("runs_contradict", sentence))
         # each with the empty container's runs
         one, rest = (fit_opened(self.search.without(rows).solve).value_of(self.name) for rows in (others, [outlier]))
         return compared(name, one, rest, mass)
@@ -258,10 +245,9 @@ class WeighedSphere(Conclusion):
 
     def _bounces(self) -> list[str]:
         """A sentence if the first halves of the runs are explained, and only what comes after is not."""
-        halves = [
-            shortened(run, (run.used + 1) // 2, run.cut_reason) if rolls else run
-            for run, rolls in zip(self.runs, self.search.rolling, strict=True)
-        ]
+        halves = list(self.runs)
+        for row in self.rolling:
+            halves[row] = shortened(halves[row], (halves[row].used + 1) // 2, halves[row].cut_reason)
         if min(halves[row].used for row in self.rolling) < MIN_USED:
             return []
         fit = fit_opened(replace(self.search, runs=tuple(halves)).solve)
@@ -312,37 +298,23 @@ class WeighedSphere(Conclusion):
     @cached_property
     def paths(self) -> tuple[SpherePath, ...]:
         """Where the sphere is believed to have been, in each run that has one."""
-        problem = self.problem
-        free = problem.free
+        problem, free, special = self.problem, self.problem.free, self.problem.simulator.special
         own = self.assessed.covariance[np.ix_(free, free)]
         enclosure = problem.container.enclosure
+        inside = enclosure.shape, enclosure.inner_size, enclosure.radius
         shown, _, _ = problem.simulate(self.fit.values[None], free[:1])
         paths = []
         for row, (x, dx), run in zip(
-            self.rolling, problem.path(self.fit.values, free), problem.simulator.special.sphere_runs, strict=True
+            self.rolling, problem.path(self.fit.values, free), special.sphere_runs, strict=True
         ):
             prepared = problem.runs[row]
             model = reduced_model(self.robot, prepared.run, {})
+            world_from_base = model.placement[0][:3, :3]
             body_from_container = model.frames[self.robot.payload_frame][1][:3, :3] @ problem.container.rotation
-            turns = [
-                model.placement[0][:3, :3]
-                @ motion(model.kinds[0], model.axes[0], float(q))[:3, :3]
-                @ body_from_container
-                for q in shown[0, row, : prepared.used]
-            ]
-            paths.append(
-                SpherePath(
-                    prepared.run.name,
-                    enclosure.shape,
-                    enclosure.inner_size,
-                    enclosure.radius,
-                    prepared.times_s,
-                    x,
-                    np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx)),
-                    np.array(turns),
-                    run.axis,
-                )
-            )
+            turned = [motion(model.kinds[0], model.axes[0], float(q)) for q in shown[0, row, : prepared.used]]
+            turns = np.array([world_from_base @ turn[:3, :3] @ body_from_container for turn in turned])
+            std = np.sqrt(np.einsum("kif,fg,kig->ki", dx, own, dx))
+            paths.append(SpherePath(prepared.run.name, *inside, prepared.times_s, x, std, turns, run.axis))
         return tuple(paths)
 
     def assumptions(self) -> tuple[str, ...]:

@@ -38,20 +38,16 @@ class ContainerFacts:
     """What is stated about the container and the sphere (``config/probes/container.yaml`` and ``--set``).
 
     Attributes:
-        enclosure: its inside, and the sphere's size.
-        centre: of the container in the payload frame [m], shape (3,).
+        enclosure: Its inside, and the sphere's size.
+        centre: Of the container in the payload frame [m], shape (3,).
         rotation: payload_R_container, shape (3, 3).
-        mass, mass_std: of the shell [kg]; an infinite standard deviation means not stated.
-        settled: whether the sphere lay still in the lowest place before the current came on.
-        start: where its centre was instead, in the container's frame [m], shape (3,); None where not stated.
-        start_std: of that [m].
-        contact_frequency: of the sphere on a wall [rad/s]: hard enough that a touch is short beside the motion.
-        damping_ratio: of a touch [1]; 0 bounces for ever, 1 not at all.
-        friction: coefficient of friction between sphere and walls [1].
-        traction: how fast slip is lost while the sphere rolls [1/s].
-        law: of contact, see ``sim/sphere.py``.
-        k_e, k_d, k_f: of the law ``paper`` [N/m, N s/m, N s/m], instead of frequency, damping ratio and traction.
-        guessed: keys of sizes and places that the user did not state.
+        mass, mass_std: Of the shell [kg]; an infinite standard deviation means not stated.
+        settled: Whether the sphere lay still in the lowest place before the current came on.
+        start, start_std: Where its centre was instead, in the container's frame [m], shape (3,); None where not stated.
+        contact_frequency: Of the sphere on a wall [rad/s]: hard enough that a touch is short beside the motion.
+        damping_ratio, friction, traction, law: Of contact, see ``sim/sphere.py`` [1, 1, 1/s].
+        k_e, k_d, k_f: Of the law ``paper`` [N/m, N s/m, N s/m], instead of frequency, damping ratio and traction.
+        guessed: Keys of sizes and places that the user did not state.
     """
 
     enclosure: Enclosure
@@ -80,8 +76,7 @@ class ContainerFacts:
 
     def sinks(self, pull: np.ndarray | float) -> np.ndarray | float:
         """How deep a wall lets a sphere of usual mass sink that is pulled into it [m], per pull [m/s^2]."""
-        stiffness = self.k_e / 0.01 if self.law == "paper" else self.contact_frequency**2
-        return pull / stiffness
+        return pull / (self.k_e / 0.01 if self.law == "paper" else self.contact_frequency**2)
 
     @property
     def contact(self) -> Contact:
@@ -93,12 +88,7 @@ class ContainerFacts:
 
 @dataclass(frozen=True)
 class StartPrior:
-    """Where the sphere may be when the current comes on, in the container's frame.
-
-    Attributes:
-        mean, std, lower, upper: [m], shape (3,).
-        guesses: places that a search should start from [m], shape (G, 3).
-    """
+    """Where the sphere may be when the current comes on [m], shape (3,), and where a search should start from, shape (G, 3)."""
 
     mean: np.ndarray
     std: np.ndarray
@@ -115,9 +105,9 @@ class SphereTrack:
     """Where a camera saw the sphere during a run: a second signal beside the joint's encoder.
 
     Attributes:
-        times_s: since the run's onset [s], increasing, shape (C,).
-        position: of the sphere's centre in the container's frame [m], shape (C, 3).
-        std: of each coordinate [m].
+        times_s: Since the run's onset, increasing, shape (C,).
+        position: Of the sphere's centre in the container's frame [m], shape (C, 3).
+        std: Of each coordinate [m].
     """
 
     times_s: np.ndarray
@@ -131,13 +121,7 @@ class SphereTrack:
 
 
 def start_prior(run: SphereRun, facts: ContainerFacts, position: float) -> StartPrior:
-    """What is known about the sphere's start before the run.
-
-    Args:
-        run: which turns with the driven joint.
-        facts: what is stated about container and sphere.
-        position: of the driven joint at the start [rad or m].
-    """
+    """What is known about the sphere's start before a run, from the driven joint's position at its start [rad or m]."""
     room = facts.enclosure.room
     gravity = run.gravity_at(position)
     weight = float(np.linalg.norm(gravity))
@@ -197,13 +181,7 @@ def container_unknowns(
 ) -> list[Unknown]:
     """All unknowns: those of a weighing with the shell as its payload, and the sphere's.
 
-    Args:
-        robot: of the runs.
-        runs: fitted together.
-        rolling: which runs have a sphere.
-        facts: what is stated about container and sphere.
-        priors: one for each of those.
-        drive_role: what the recording may move of the robot and of the contact.
+    ``priors`` are of the runs that have one; ``drive_role`` is what the recording may move of the robot and of the contact.
     """
     unknowns = load_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
     unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
@@ -224,12 +202,7 @@ def container_unknowns(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A track laid beside the samples of its run.
-
-    Attributes:
-        row: which run; rolling_row: which of those with a sphere.
-        between: from positions at the run's used samples to positions at the track's times, shape (C, K).
-    """
+    """A track beside the samples of its run: ``row`` of all, ``rolling_row`` of those with a sphere; see ``_between``."""
 
     row: int
     rolling_row: int
@@ -241,18 +214,17 @@ def _between(known_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
     """What takes values at some instants to others between them, shape (C, K): a cubic spline."""
     from scipy.interpolate import CubicSpline  # half of a second to import, and few runs have a camera
 
-    spline: np.ndarray = CubicSpline(known_s, np.eye(len(known_s)))(wanted_s)
-    return spline
+    return np.asarray(CubicSpline(known_s, np.eye(len(known_s)))(wanted_s))
 
 
 class ContainerProblem(Problem):
-    """Whitened residuals of runs with and without a sphere in the container.
+    """Whitened residuals of runs with and without a sphere in the container, as in ``Problem``.
 
     Args:
-        robot, runs, unknowns, integrator, step_s: as for ``Problem``, with the unknowns of ``container_unknowns``.
-        facts: what is stated about container and sphere.
-        rolling: which runs have a sphere, length R; at least one.
-        tracks: what a camera saw in each run, length R; None is nothing.
+        robot, runs, facts, integrator, step_s: As there.
+        rolling: Which runs have a sphere, length R; at least one.
+        unknowns: Those of ``container_unknowns``.
+        tracks: What a camera saw in each run, length R; None is nothing.
         signals: ``"both"``, or which one of ``SIGNALS`` a run that has both is fitted to.
     """
 
@@ -282,8 +254,8 @@ class ContainerProblem(Problem):
                 continue
             times_s = runs[row].times_s
             inside = track.within(times_s[0], times_s[-1])
-            between = _between(times_s, inside.times_s)
-            self._seen.append(_Seen(row, int(self.rolling[:row].sum()), inside, between))
+            rolling_row = int(self.rolling[:row].sum())
+            self._seen.append(_Seen(row, rolling_row, inside, _between(times_s, inside.times_s)))
             if signals == "camera":
                 self.weight[row] = 0.0
 
@@ -300,9 +272,8 @@ class ContainerProblem(Problem):
         step_s = self.container.contact.step_s(self.container.enclosure.inertia_factor, integrator)
         rolling: list[SphereRun] = []
         for row in np.flatnonzero(self.rolling):
-            joint = replace(
-                runs[row], step_s=min(runs[row].step_s, step_s), fine_step_s=min(runs[row].fine_step_s, step_s)
-            )
+            run = runs[row]
+            joint = replace(run, step_s=min(run.step_s, step_s), fine_step_s=min(run.fine_step_s, step_s))
             rolling.append(sphere_run(self.robot, self._rolling_runs[row], self.container, joint))
         special = SphereSimulator(rolling, self.container.enclosure, self.container.law, integrator)
         return MixedSimulator(special, [runs[row] for row in np.flatnonzero(~self.rolling)], self.rolling, integrator)
@@ -318,18 +289,13 @@ class ContainerProblem(Problem):
         facts = self.container
         mass = values[:, at["sphere_mass"]]
         for row in np.flatnonzero(self.rolling).tolist():
-            direct: list[tuple[Key, str, float]] = [
-                ("sphere_mass", "sphere_mass", 1.0),
-                ("sphere_mass", "carried", 1.0),
-                ("contact_friction", "friction", 1.0),
-                *(((f"sphere_{axis}", row), f"start_{axis}", 1.0) for axis in "xyz"),
-            ]
-            zero = ("zero", self.runs[row].run.joint)
-            if zero in at:
-                direct.append((zero, "tilt", 1.0))
-            for key, parameter, factor in direct:
-                p[:, row, to[parameter]] += factor * values[:, at[key]]
-                dp[:, row, to[parameter], at[key]] += factor
+            direct: list[tuple[Key, str]] = [("sphere_mass", "sphere_mass"), ("sphere_mass", "carried")]
+            direct += [("contact_friction", "friction"), (("zero", self.runs[row].run.joint), "tilt")]
+            direct += [((f"sphere_{axis}", row), f"start_{axis}") for axis in "xyz"]
+            for key, parameter in direct:
+                if key in at:  # the zero may be known
+                    p[:, row, to[parameter]] += values[:, at[key]]
+                    dp[:, row, to[parameter], at[key]] += 1.0
             for name, share in self._turns[row]:
                 shift, by_unknown = self._shift(name, self.runs[row].run.held[name], values)
                 p[:, row, to["tilt"]] += share * shift
@@ -403,8 +369,8 @@ class ContainerProblem(Problem):
         """What runs that have not been made would show, all of them with a sphere, in one launch.
 
         Args:
-            values: of all unknowns, shape (N,).
-            columns: of those that matter to each run, shape (R, F).
+            values: Of all unknowns, shape (N,).
+            columns: Of those that matter to each run, shape (R, F).
 
         Returns:
             q, v (R, T) and dq (R, T, F) of what the encoder shows; x (R, T, 3) [m] and dx (R, T, 3, F) of the sphere in the
@@ -425,20 +391,15 @@ class ContainerProblem(Problem):
         return q, v, dq, x, dx
 
     def path(self, values: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns.
-
-        Args:
-            values: of all unknowns, shape (N,).
-            columns: shape (F,).
+        """Where the sphere is in the container in each run that has one, and how that changes with chosen unknowns (F,).
 
         Returns:
             x (K, 3) [m] and dx (K, 3, F) at the used samples of each rolling run.
         """
         p, dp = self.parameters(values[None], columns)
         rows = np.flatnonzero(self.rolling)
-        width = len(self.simulator.parameters)
-        identity = np.tile(np.eye(width), (len(rows), 1, 1))
-        x, by_parameter = self.simulator.special.path(np.arange(len(rows)), p[0, rows], identity)
+        every = np.tile(np.eye(len(self.simulator.parameters)), (len(rows), 1, 1))
+        x, by_parameter = self.simulator.special.path(np.arange(len(rows)), p[0, rows], every)
         dx = np.einsum("rtkp,rpf->rtkf", by_parameter, dp[0, rows])
         return [(x[n, : self.runs[row].used], dx[n, : self.runs[row].used]) for n, row in enumerate(rows)]
 
@@ -454,9 +415,6 @@ def _turning_with(robot: Robot, run: PreparedRun) -> list[tuple[str, float]]:
     if robot.model.joint(run.run.joint).kind == "prismatic":
         return []
     driven = axis(run.run.joint)
-    shares = [
-        (name, float(axis(name) @ driven))
-        for name in run.coefficients.pose
-        if robot.model.joint(name).kind != "prismatic"
-    ]
+    turning = [name for name in run.coefficients.pose if robot.model.joint(name).kind != "prismatic"]
+    shares = [(name, float(axis(name) @ driven)) for name in turning]
     return [(name, share) for name, share in shares if abs(share) > 1e-3]

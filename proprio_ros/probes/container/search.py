@@ -44,10 +44,10 @@ class ContainerOptions:
     """How to solve, and when to refuse.
 
     Attributes:
-        integrator, step_s: see ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
-        starts_kg: first guesses of the sphere's mass.
-        wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
-        signals: what runs that a camera saw are fitted to: ``"both"``, ``"joint"`` or ``"camera"``.
+        integrator, step_s: See ``SphereSimulator``; with a sphere the step is what the contact needs, if that is shorter.
+        starts_kg: First guesses of the sphere's mass.
+        wide_share, wide_floor_kg: An answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
+        signals: What runs that a camera saw are fitted to, one of ``SIGNALS``.
     """
 
     integrator: str = "rk4"
@@ -64,15 +64,7 @@ class ContainerOptions:
 
 @dataclass(frozen=True)
 class SphereSearch:
-    """Runs that are fitted together, and how.
-
-    Attributes:
-        robot: Model, drive trains and their uncertainty.
-        facts: What is stated about container and sphere.
-        options: Solver and limits.
-        runs: In any order.
-        rolling: Which have a sphere; tracks: what a camera saw of it, or None.
-    """
+    """Runs that are fitted together, and how; ``rolling`` is which have a sphere, ``tracks`` what a camera saw of it."""
 
     robot: Robot
     facts: ContainerFacts
@@ -87,43 +79,27 @@ class SphereSearch:
 
     def without(self, rows: Sequence[int]) -> SphereSearch:
         """All runs but some."""
-        kept = [row for row in range(len(self.runs)) if row not in rows]
-        return replace(
-            self,
-            runs=tuple(self.runs[row] for row in kept),
-            rolling=tuple(self.rolling[row] for row in kept),
-            tracks=tuple(self.tracks[row] for row in kept),
-        )
+        search = replace(self, runs=(), rolling=(), tracks=())
+        for row, made in enumerate(zip(self.runs, self.rolling, self.tracks, strict=True)):
+            search = search if row in rows else search.added(*made)
+        return search
 
     def before_lost(self, cut: Mapping[int, int]) -> tuple[SphereSearch, list[int]]:
-        """The runs up to where the sphere's place gets lost, and which are too short then and left out.
-
-        Args:
-            cut: How many samples come before that, by run; see `lost_at`.
-        """
+        """The runs up to where `lost_at` says that the sphere's place gets lost, and which are too short then and left out."""
         runs = [shortened(run, cut[row], UNPREDICTABLE) if row in cut else run for row, run in enumerate(self.runs)]
         lost = [row for row in cut if runs[row].used < MIN_USED]
         return replace(self, runs=tuple(runs)).without(lost), lost
 
     def problem(self, role: Role) -> tuple[ContainerProblem, list[np.ndarray]]:
         """The problem, and the guesses of where the sphere lies in each run that has one."""
-        robot, facts, options = self.robot, self.facts, self.options
+        robot, runs, facts, rolling, options = self.robot, self.runs, self.facts, self.rolling, self.options
         priors = []
-        for run in (run for run, rolls in zip(self.runs, self.rolling, strict=True) if rolls):
+        for run in (run for run, rolls in zip(runs, rolling, strict=True) if rolls):
             nothing = JointRun(run.times_s, run.run.input_times_s, run.run.input_current_A)
             priors.append(start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value))
-        unknowns = container_unknowns(robot, self.runs, self.rolling, facts, priors, role)
-        problem = ContainerProblem(
-            robot,
-            self.runs,
-            facts,
-            self.rolling,
-            unknowns,
-            options.integrator,
-            options.step_s,
-            self.tracks,
-            options.signals,
-        )
+        unknowns = container_unknowns(robot, runs, rolling, facts, priors, role)
+        steps, seen = (options.integrator, options.step_s), (self.tracks, options.signals)
+        problem = ContainerProblem(robot, runs, facts, rolling, unknowns, *steps, *seen)
         return problem, [prior.guesses for prior in priors]
 
     def solve(self, role: Role, start: FitResult | None = None, rough: bool = False) -> FitResult:
@@ -138,13 +114,9 @@ class SphereSearch:
             if self.robot.calibration is None:
                 starts = np.concatenate([starts, *_with_friction(problem, starts)])
             iterations, tolerance = (10, 0.03) if rough else (30, 1e-3)
+            internal = problem.coordinates.internal(starts)
             solution = solvers.levenberg_marquardt(
-                problem,
-                problem.coordinates.internal(starts),
-                None,
-                iterations=iterations,
-                tolerance=tolerance,
-                persistent=not rough,
+                problem, internal, None, iterations=iterations, tolerance=tolerance, persistent=not rough
             )
             return FitResult.of(problem, solution)
         # every guess of the place goes with every guess of the mass; runs take their n-th guess together
@@ -213,11 +185,7 @@ def fit_empty(
 
 
 def check_shell(facts: ContainerFacts, baseline: Sequence[Run]) -> None:
-    """Whether the shell is known at all.
-
-    Raises:
-        ConfigurationError: neither a baseline nor the shell's mass.
-    """
+    """Raises: ConfigurationError: Neither a baseline nor the shell's mass is known."""
     if not baseline and not np.isfinite(facts.mass_std):
         raise ConfigurationError(
             "a sphere cannot be separated from the container that holds it: give recordings of the empty container with "
@@ -231,10 +199,8 @@ def lost_at(fit: FitResult) -> dict[int, int]:
     assert isinstance(problem, ContainerProblem)
     covariance = Posterior(problem, fit.values).covariance
     cut: dict[int, int] = {}
-    for row, (_, dx), run in zip(
-        np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free), problem.simulator.special.sphere_runs,
-        strict=True,
-    ):  # fmt: skip
+    rows, paths = np.flatnonzero(problem.rolling), problem.path(fit.values, problem.free)
+    for row, (_, dx), run in zip(rows, paths, problem.simulator.special.sphere_runs, strict=True):
         off = np.einsum("ij,kjf->kif", run.across, dx)
         std = np.sqrt(np.einsum("kif,fg,kig->ki", off, covariance, off).max(axis=1))
         used = known_until(std, problem.container)

@@ -74,15 +74,8 @@ class Softness(
     default_sequence = "softness"
     virtual_object = SoftBlock
     prepares = "a block: a shape is tabulated once, up to half a minute"
-    limits = (
-        Limit(
-            LIMIT,
-            0.4,
-            "A softness_sequence that may squeeze the block further, as a share of its length, is refused.",
-            0.01,
-            0.95,
-        ),
-    )
+    refusal = "A softness_sequence that may squeeze the block further, as a share of its length, is refused."
+    limits = (Limit(LIMIT, 0.4, refusal, 0.01, 0.95),)
     example = Example(
         flag="modulus",
         metavar="PA",
@@ -193,14 +186,7 @@ class Softness(
 
 
 def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:
-    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by `travel_m`.
-
-    Args:
-        robot: whose `joint` slides the finger.
-        joint: of the probe.
-        travel_m: as positions are published.
-        facts: of the block.
-    """
+    """How far a block is squeezed, relative to its length, when a finger that touches it goes on by so much, as published."""
     drive = robot.drive_trains[joint]
     measured = drive.finger_travel
     steepest = 1.0 if measured is None else float(measured.ratio_at(measured.at_rad).max()) / drive.transmission

@@ -25,8 +25,8 @@ from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.probes.softness.identify import SqueezeOptions, fit_squeezes
-from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
+from proprio_ros.probes.softness.identify import SqueezeOptions, SqueezeSearch, fit_squeezes
+from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.quantity import Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -41,12 +41,7 @@ RAISE_BY = 1.4
 
 
 class SqueezesUntilSure(Chooser):
-    """One block whose squeezes are chosen one by one.
-
-    Args:
-        robot, sequence, whole: See `Chooser`; the runs of the sequence say which joint squeezes, and how far at most.
-        facts: What is stated about the block.
-        options: How to solve.
+    """One block whose squeezes are chosen one by one; the runs of the sequence say which joint squeezes, and how far at most.
 
     Raises:
         ConfigurationError: The sequence has no `until`, or no run of its own.
@@ -113,12 +108,9 @@ class SqueezesUntilSure(Chooser):
         self, currents: Sequence[float], runs: Sequence[PreparedRun], start: dict[str, float], beside_s: float
     ) -> list[Push]:
         """What squeezes from one start would tell of the modulus, each with every duration in which the fingers move far enough."""
-        fit, robot = self._fit, self.robot
+        fit, robot, facts, options = self._fit, self.robot, self._facts, self._options
         assert fit is not None
-        squeezing = [True] * len(runs)
-        unknowns = block_unknowns(robot, runs, squeezing, self._facts, Role.FREE)
-        options = self._options
-        problem = SqueezeProblem(robot, runs, self._facts, squeezing, unknowns, options.integrator, options.step_s)
+        problem = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options).problem(Role.FREE)
         found = list(zip(fit.problem.unknowns, fit.values.tolist(), strict=True))
         gap = float(np.mean([value for unknown, value in found if unknown.kind == "gap"]))
         known = {unknown.key: value for unknown, value in found if unknown.shared}
@@ -159,15 +151,9 @@ class SqueezesUntilSure(Chooser):
         return pushes
 
     def run_of(self, push: Push) -> ExcitationRun:
-        return replace(
-            self._first,
-            current_A=push.current_A,
-            duration_s=push.duration_s,
-            start={push.joint: push.start[push.joint]},
-            max_travel=self._farthest_m,
-            raise_by=RAISE_BY,
-            max_current_A=self._limit_A,
-        )
+        start = {push.joint: push.start[push.joint]}
+        first = replace(self._first, max_travel=self._farthest_m, max_current_A=self._limit_A, raise_by=RAISE_BY)
+        return replace(first, current_A=push.current_A, duration_s=push.duration_s, start=start)
 
     def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:
         """A sequence of one squeeze, after which the fingers let go."""

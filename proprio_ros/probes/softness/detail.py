@@ -12,13 +12,12 @@ from proprio_ros.identification.estimate import picked
 
 @dataclass(frozen=True)
 class BlockShape:
-    """A block at one instant of a squeeze, by finite elements.
+    """A block at one instant after the current came on, by finite elements.
 
     Attributes:
-        time_s: after the current came on.
-        squeeze: relative to the length, below 0 while it is not touched.
-        points: x along the squeeze, in lengths of the block from its middle, shape (N, 3).
-        triangles: of its surface, seen from outside, shape (F, 3).
+        squeeze: Relative to the length, below 0 while it is not touched.
+        points: X along the squeeze, in lengths of the block from its middle, shape (N, 3).
+        triangles: Of its surface, seen from outside, shape (F, 3).
     """
 
     time_s: float
@@ -29,15 +28,13 @@ class BlockShape:
 
 @dataclass(frozen=True)
 class SqueezeCurve:
-    """What a block did in one closing of the gripper, as simulated at the estimate.
+    """What a block did in one closing of the gripper, as simulated at the estimate, at K instants.
 
     Attributes:
-        run: name of the run.
-        length: of the block along the squeeze [m].
-        times_s: shape (K,).
-        squeeze: relative to the length, below 0 while it is not touched, shape (K,).
-        force_N: on each finger, by the law of elasticity alone, shape (K,).
-        shapes: of the block from the first sample to the largest squeeze, where they are to be shown.
+        length: Of the block along the squeeze [m].
+        squeeze: Relative to the length, below 0 while it is not touched, shape (K,).
+        force_N: On each finger, by the law of elasticity alone, shape (K,).
+        shapes: Of the block from the first sample to the largest squeeze, where they are to be shown.
     """
 
     run: str
@@ -50,13 +47,9 @@ class SqueezeCurve:
 
 @dataclass(frozen=True)
 class JointInterval:
-    """Two values that are known better together than each alone.
+    """Two values of one unit that are known better together than each alone: shape (2,), covariance (2, 2).
 
     Attributes:
-        names: Of the two values.
-        unit: Of both.
-        value: Shape (2,).
-        covariance: Shape (2, 2).
         outline: Of the region that holds both with 95 %, shape (M, 2); no ellipse where the values are no linear functions of what
             was fitted.
         determined: Whether both values are the recording's rather than the prior's.
@@ -75,12 +68,7 @@ class JointInterval:
 
 @dataclass(frozen=True)
 class SoftnessDetail:
-    """What the block did in each closing, and both of its moduli together.
-
-    Attributes:
-        curves: one for each closing on the block.
-        joint: of the Lamé parameters; None where none is determined.
-    """
+    """What the block did in each closing on it, and both Lamé parameters together; None where none is determined."""
 
     curves: tuple[SqueezeCurve, ...]
     joint: JointInterval | None = None

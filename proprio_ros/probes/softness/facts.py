@@ -40,14 +40,10 @@ _SIZE = Number(unit="m", lowest=0.0, highest=0.5, open=True, hint="these are len
 
 
 def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
-    """Size of the soft block and how it is held, the user's words before the probe file's.
-
-    Args:
-        settings: of the user.
-        defaults: the section ``block`` of the probe file.
+    """Size of the soft block and how it is held, the user's words before the section ``block`` of the probe file.
 
     Raises:
-        ConfigurationError: a value of the wrong form or unit.
+        ConfigurationError: A value of the wrong form or unit.
     """
 
     def take(name: str) -> Any:
@@ -65,14 +61,8 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     three = size if isinstance(size, list) else [size] * 3
     edges = np.array(read("block.size", three, Numbers("", _SIZE, 3, example="[x, y, z] in m")))
     take("mass")  # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used
-    return BlockFacts(
-        edges,
-        take("law"),
-        take("contact"),
-        take("fingers"),
-        Quantity(take("gap"), take("gap_std")),
-        Quantity(take("poissons_ratio"), take("poissons_ratio_std")),
-        Quantity(take("relaxation_s"), take("relaxation_std_s")),
-        mesh,
-        guessed=("block.size",) if mesh is None and "block.size" not in settings.taken else (),
-    )
+    law, contact, fingers = (take(name) for name in ("law", "contact", "fingers"))
+    uncertain = (("gap", "gap_std"), ("poissons_ratio", "poissons_ratio_std"), ("relaxation_s", "relaxation_std_s"))
+    gap, ratio, relaxation = (Quantity(take(value), take(std)) for value, std in uncertain)
+    guessed = ("block.size",) if mesh is None and "block.size" not in settings.taken else ()
+    return BlockFacts(edges, law, contact, fingers, gap, ratio, relaxation, mesh, guessed)

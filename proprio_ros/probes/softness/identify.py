@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -66,10 +67,10 @@ class SqueezeOptions:
     """How to solve, and when to refuse.
 
     Attributes:
-        integrator, step_s: see ``SqueezeSimulator``.
-        starts_Pa: first guesses of Young's modulus, two orders of magnitude apart or more.
-        widest_relative: half width of the 95 % interval of Young's modulus over its value beyond which none is given.
-        wide_share: an answer whose half width exceeds this share of the value is ``too_wide``.
+        integrator, step_s: See ``SqueezeSimulator``.
+        starts_Pa: First guesses of Young's modulus, two orders of magnitude apart or more.
+        widest_relative: Half width of the 95 % interval of Young's modulus over its value beyond which none is given.
+        wide_share: An answer whose half width exceeds this share of the value is ``too_wide``.
     """
 
     integrator: str = "rk4"
@@ -81,15 +82,7 @@ class SqueezeOptions:
 
 @dataclass(frozen=True)
 class SqueezeSearch:
-    """Runs that are fitted together, and how.
-
-    Attributes:
-        robot: Model, drive trains and their uncertainty.
-        runs: Those with the block first.
-        squeezing: Which have it.
-        facts: What is stated about it.
-        options: Solver and limits.
-    """
+    """Runs that are fitted together, those with the block first, and how; ``squeezing`` is which have it."""
 
     robot: Robot
     runs: tuple[PreparedRun, ...]
@@ -99,28 +92,27 @@ class SqueezeSearch:
 
     def part(self, rows: Sequence[int]) -> SqueezeSearch:
         """Some of the runs."""
-        return replace(
-            self, runs=tuple(self.runs[row] for row in rows), squeezing=tuple(self.squeezing[row] for row in rows)
-        )
+        runs, squeezing = tuple(self.runs[row] for row in rows), tuple(self.squeezing[row] for row in rows)
+        return replace(self, runs=runs, squeezing=squeezing)
+
+    def problem(self, role: Role) -> SqueezeProblem:
+        """The problem, in which the recording may move of the robot what the role says."""
+        robot, runs, squeezing, facts, options = self.robot, self.runs, self.squeezing, self.facts, self.options
+        unknowns = block_unknowns(robot, runs, squeezing, facts, role)
+        return SqueezeProblem(robot, runs, facts, squeezing, unknowns, options.integrator, options.step_s)
 
     def solve(self, role: Role, start: FitResult | None = None) -> FitResult:
         """Fit the runs from every guess, or from the values of another fit, which may have had fewer runs."""
-        options = self.options
-        unknowns = block_unknowns(self.robot, self.runs, self.squeezing, self.facts, role)
-        problem = SqueezeProblem(
-            self.robot, self.runs, self.facts, self.squeezing, unknowns, options.integrator, options.step_s
-        )
-        coordinates = problem.coordinates
+        problem, guesses = self.problem(role), self.options.starts_Pa
         if start is None:
-            starts = np.tile(coordinates.prior_mean, (len(options.starts_Pa), 1))
-            starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = options.starts_Pa
+            starts = np.tile(problem.coordinates.prior_mean, (len(guesses), 1))
+            starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = guesses
             windows, tolerance = problem.simulator.windows, 1e-3
         else:
             starts = start.values_of(problem.unknowns)[problem.free][None]
             windows, tolerance = None, 1e-4
-        solution = solvers.levenberg_marquardt(
-            problem, coordinates.internal(starts), windows, iterations=40, tolerance=tolerance
-        )
+        internal = problem.coordinates.internal(starts)
+        solution = solvers.levenberg_marquardt(problem, internal, windows, iterations=40, tolerance=tolerance)
         return FitResult.of(problem, solution)
 
 
@@ -131,17 +123,10 @@ def find_softness(
     options: SqueezeOptions | None = None,
     baseline: Sequence[Run] = (),
 ) -> Estimate:
-    """Identify the elastic moduli of the block that all ``runs`` squeeze.
-
-    Args:
-        robot: model, drive trains and their uncertainty.
-        runs: at least one, each a closing of the gripper on the block.
-        facts: what is stated about it.
-        options: solver and limits.
-        baseline: closings of the empty gripper.
+    """Identify the elastic moduli of the block that all ``runs`` squeeze; the baseline is closings of the empty gripper.
 
     Raises:
-        RecordingError: a run cannot be related to the robot at all, or does not squeeze.
+        RecordingError: A run cannot be related to the robot at all, or does not squeeze.
     """
     options = options or SqueezeOptions()
     found = Findings()
@@ -164,9 +149,8 @@ def find_softness(
     (found.notes if any(squeezes for _, squeezes in usable) else found.reasons).extend(unmoved)
     if not any(squeezes for _, squeezes in usable):
         return no_answer("softness", "youngs_modulus", "Pa", robot.name, len(runs), found.reasons, found.notes)
-    search = SqueezeSearch(
-        robot, tuple(run for run, _ in usable), tuple(squeezes for _, squeezes in usable), facts, options
-    )
+    prepared_runs, squeezing = zip(*usable, strict=True)
+    search = SqueezeSearch(robot, prepared_runs, squeezing, facts, options)
     nominal, opened = fit_both(search.solve, unexplained)
     return Squeezed(nominal, opened, found, len(runs), search).estimate()
 
@@ -178,15 +162,7 @@ def fit_squeezes(
     options: SqueezeOptions,
     before: FitResult | None = None,
 ) -> FitResult:
-    """Fit squeezes, gripper and block together, without a verdict.
-
-    Args:
-        robot: model, drive trains and their uncertainty.
-        runs: at least one, each prepared as an empty hand's.
-        facts: what is stated about the block.
-        options: how to solve.
-        before: what some of the same runs said: the fit starts there.
-    """
+    """Fit squeezes, gripper and block together, without a verdict; ``before`` is what some of the same runs said."""
     search = SqueezeSearch(robot, tuple(runs), (True,) * len(runs), facts, options)
     if before is not None:
         fit = search.solve(Role.FREE, before)
@@ -265,37 +241,29 @@ class Squeezed(Conclusion):
                 "right?",
             )
         if modulus >= unknown.upper * 0.99 or Z95 * std > self.search.options.widest_relative * modulus:
+            better = "calibrate the gripper on closings without the block"
             yield not_identifiable(
                 "one_sided",
                 "the recording bounds the modulus on one side at most",
                 f"Young's modulus can only be determined to +-{100.0 * Z95 * std / modulus:.0f} %, mostly because of "
-                f"{source_label(self.budget[0][0])}: "
-                + (
-                    "squeeze with other currents, too"
-                    if self.known
-                    else "calibrate the gripper on closings without the block"
-                ),
+                f"{source_label(self.budget[0][0])}: {'squeeze with other currents, too' if self.known else better}",
             )
 
     def remarks(self) -> Iterator[str]:
         if self.largest > CRUSHED:
             squeezed = f"the block was squeezed by {100.0 * self.largest:.0f} %"
             yield f"{squeezed}, where what is known about elasticity ends: use less current"
-        yield from _beyond_measured(
-            [run for run, squeezes in zip(self.runs, self.search.squeezing, strict=True) if squeezes]
-        )
+        yield from _beyond_measured(list(compress(self.runs, self.search.squeezing)))
 
     def useful(self) -> Useful:
         return Useful(self.search.options.wide_share)
 
     def solver(self) -> SolverSummary:
         nominal, options = self.nominal, self.search.options
-        best = float(nominal.physical(self.name)[nominal.solution.best])
-        return summary(
-            nominal, self.name, options.starts_Pa, max(0.02 * best, 0.1 * self.assessed.std),
-            nominal.solution.iterations + self.fit.solution.iterations,
-            SearchOptions(integrator=options.integrator, step_s=options.step_s), final=self.fit,
-        )  # fmt: skip
+        alike = max(0.02 * float(nominal.physical(self.name)[nominal.solution.best]), 0.1 * self.assessed.std)
+        iterations = nominal.solution.iterations + self.fit.solution.iterations
+        steps = SearchOptions(integrator=options.integrator, step_s=options.step_s)
+        return summary(nominal, self.name, options.starts_Pa, alike, iterations, steps, final=self.fit)
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         names = {"youngs_modulus": "Pa", "poissons_ratio": "1", "lame_mu": "Pa", "lame_lambda": "Pa"}
@@ -305,20 +273,22 @@ class Squeezed(Conclusion):
         std_e, std_nu = np.sqrt(np.diag(both)).tolist()
         mu, lam = lame(modulus, ratio)
         std_mu, std_lambda = np.sqrt(np.diag(_lame_covariance(modulus, ratio, both))).tolist()
-        force, strain, length = max(
-            ((c.force_N.max(), c.squeeze.max(), c.length) for c in self.curves), key=lambda each: each[1]
-        )
-        secant = float(force / (strain * length))
+        if undetermined:
+            nu = Value("poissons_ratio", "1", None, std_nu, reason=undetermined)
+            lame_lambda = Value("lame_lambda", "Pa", None, reason=undetermined)
+        else:
+            nu = positive("poissons_ratio", "1", ratio, std_nu, highest=HIGHEST_RATIO)
+            lame_lambda = positive("lame_lambda", "Pa", float(lam), std_lambda)
+        widest = max(self.curves, key=lambda curve: curve.squeeze.max())
+        strain = widest.squeeze.max()
+        secant = float(
+            widest.force_N.max() / (strain * widest.length)
+        )  # force over travel: whatever the block's size is
         return (
             positive("youngs_modulus", "Pa", modulus, std_e),
-            Value("poissons_ratio", "1", None, std_nu, reason=undetermined)
-            if undetermined
-            else positive("poissons_ratio", "1", ratio, std_nu, highest=HIGHEST_RATIO),
+            nu,
             positive("lame_mu", "Pa", float(mu), std_mu),
-            Value("lame_lambda", "Pa", None, reason=undetermined)
-            if undetermined
-            else positive("lame_lambda", "Pa", float(lam), std_lambda),
-            # force over travel: whatever the block's size is
+            lame_lambda,
             positive("secant_stiffness", "N/m", secant, secant * self.measured_std / modulus),
             Value("largest_squeeze", "1", float(strain)),
         )
@@ -366,10 +336,9 @@ class Squeezed(Conclusion):
         circle = np.stack([np.cos(turn), np.sin(turn)])
         ellipse = sizes[:, None] * (axes * np.sqrt(CHI2_95_OF_TWO * np.maximum(scale, 0.0)) @ circle)
         around = np.maximum(modulus + ellipse[0], 0.0), np.clip(ratio + ellipse[1], 0.0, HIGHEST_RATIO)
-        return JointInterval(
-            ("lame_mu", "lame_lambda"), "Pa", np.array(lame(modulus, ratio)), _lame_covariance(modulus, ratio, both),
-            np.stack(lame(*around), axis=1), not undetermined,
-        )  # fmt: skip
+        covariance, outline = _lame_covariance(modulus, ratio, both), np.stack(lame(*around), axis=1)
+        value = np.array(lame(modulus, ratio))
+        return JointInterval(("lame_mu", "lame_lambda"), "Pa", value, covariance, outline, not undetermined)
 
     def assumptions(self) -> tuple[str, ...]:
         facts, options = self.search.facts, self.search.options
@@ -379,9 +348,8 @@ class Squeezed(Conclusion):
         measured = drive.finger_travel
         ratio = f"{1e3 * drive.transmission:g} mm per rad"
         if measured is not None:
-            span = ", ".join(
-                f"{1e3 * each:.2f}" for each in measured.ratio_at([measured.at_rad[0], measured.at_rad[-1]])
-            )
+            ends = measured.ratio_at([measured.at_rad[0], measured.at_rad[-1]])
+            span = ", ".join(f"{1e3 * each:.2f}" for each in ends)
             ratio = f"{span} mm per rad at both ends of what was measured ({len(measured.at_rad)} openings)"
         return (
             f"a homogeneous block of {size} mm (the first along the squeeze){shape}, faces {facts.contact}, law of elasticity "
@@ -405,20 +373,21 @@ def _shapes(facts: BlockFacts, ratio: float, times_s: np.ndarray, squeeze: np.nd
     mesh = facts.mesh
     if mesh is None:
         counts = np.clip(np.round(SHOWN_CELLS * facts.size / facts.size.max()), 1, None).astype(int)
-        mesh = box(facts.size, (int(counts[0]), int(counts[1]), int(counts[2])))
+        mesh = box(facts.size, tuple(counts.tolist()))
     at = np.linspace(0, int(np.argmax(squeeze)), SHOWN_SHAPES).round().astype(int)
     if len(mesh.tets) > MOST_SHOWN_TETS:
         return ()
-    solver = QuasiStatic(mesh, facts.law, facts.contact)
+    moduli = lame_of_small_strain(facts.law, *lame(1.0, ratio))
     try:
-        places = solver.curve(
-            mesh.length * np.maximum(squeeze[at], 0.0), *lame_of_small_strain(facts.law, *lame(1.0, ratio))
+        squeezed = QuasiStatic(mesh, facts.law, facts.contact).curve(
+            mesh.length * np.maximum(squeeze[at], 0.0), *moduli
         )
     except SimulationError:
         return ()
-    middle = places.points.mean(axis=1, keepdims=True)
-    middle[..., 0] = 0.5 * (places.points[..., 0].min(axis=1) + places.points[..., 0].max(axis=1))[:, None]
-    scaled = (places.points - middle) / mesh.length
+    places = squeezed.points
+    middle = places.mean(axis=1, keepdims=True)
+    middle[..., 0] = 0.5 * (places[..., 0].min(axis=1) + places[..., 0].max(axis=1))[:, None]
+    scaled = (places - middle) / mesh.length
     return tuple(
         BlockShape(float(times_s[row]), float(squeeze[row]), points, mesh.surface)
         for row, points in zip(at, scaled, strict=True)
@@ -431,10 +400,11 @@ def _beyond_measured(runs: Sequence[PreparedRun]) -> list[str]:
     if measured is None:
         return []
     low, high = (end(float(end(run.position)) for run in runs) for end in (min, max))
-    spare = 0.1 * (measured.at_rad[-1] - measured.at_rad[0])
-    if measured.at_rad[0] - spare <= low and high <= measured.at_rad[-1] + spare:
+    first, last = measured.at_rad[0], measured.at_rad[-1]
+    spare = 0.1 * (last - first)
+    if first - spare <= low and high <= last + spare:
         return []
     return [
-        f"the motor was between {low:.2f} and {high:.2f} rad, finger_travel was measured from {measured.at_rad[0]:g} to "
-        f"{measured.at_rad[-1]:g} rad: measure there, too"
+        f"the motor was between {low:.2f} and {high:.2f} rad, finger_travel was measured from {first:g} to {last:g} rad: measure "
+        "there, too"
     ]

@@ -26,7 +26,7 @@ from proprio_ros.sim.payload import PayloadFacts
 from proprio_ros.sim.response import Response, response, response_of_mesh
 from proprio_ros.sim.squeeze import SQUEEZE_INDEX, SqueezeRun, SqueezeSimulator
 
-SOFTEST_PA, STIFFEST_PA = 1e2, 1e8
+SOFTEST_PA, START_PA, STIFFEST_PA = 1e2, 3e4, 1e8
 """Moduli that are looked for: foam has a thousand pascals, hard rubber ten millions."""
 LEAST_RELAXATION_S = -2e-4
 """No block gives energy back, but a force that comes a little late looks as if it did."""
@@ -39,15 +39,14 @@ class BlockFacts:
     """What is stated about the block and how it is held (``config/probes/softness.yaml`` and ``--set``).
 
     Attributes:
-        size: of the block, x along the squeeze [m], shape (3,); of a mesh its extent.
-        law: of elasticity, one of ``energies.LAWS``.
-        contact: of its faces with the fingers, one of ``quasistatic.CONTACTS``.
-        fingers: how many move, each by the joint's transmission or measured travel.
-        gap: how far the fingers together close before they touch it [m].
-        poissons_ratio: prior.
-        relaxation_s: viscosity over Young's modulus, prior [s].
-        mesh: of a block that is no box.
-        guessed: keys of sizes that the user did not state.
+        size: Of the block, x along the squeeze [m], shape (3,); of a mesh its extent.
+        law: Of elasticity, one of ``energies.LAWS``.
+        contact: Of its faces with the fingers, one of ``quasistatic.CONTACTS``.
+        fingers: How many move, each by the joint's transmission or measured travel.
+        gap: How far the fingers together close before they touch it [m].
+        poissons_ratio, relaxation_s: Priors, of the latter viscosity over Young's modulus.
+        mesh: Of a block that is no box.
+        guessed: Keys of sizes that the user did not state.
     """
 
     size: np.ndarray
@@ -71,13 +70,10 @@ class BlockFacts:
         return float(self.size[1] * self.size[2]) if self.mesh is None else self.mesh.area
 
     def table(self, rebuild: bool = False) -> Response:
-        """What finite elements say about this block: from the cache, or built and put there.
-
-        Args:
-            rebuild: even where the cache has it.
+        """What finite elements say about this block: from the cache, unless it is to be rebuilt, or built and put there.
 
         Raises:
-            SimulationError: a block of such a shape cannot be squeezed as far as the table goes.
+            SimulationError: A block of such a shape cannot be squeezed as far as the table goes.
         """
         if self.mesh is not None:
             return response_of_mesh(self.mesh, self.law, self.contact, rebuild)
@@ -85,12 +81,9 @@ class BlockFacts:
 
 
 def closing_of(run: PreparedRun, facts: BlockFacts) -> np.ndarray:
-    """By how much the fingers close on each other, by the first three powers of the angle of the motor's shaft; shape (3,).
-
-    The current says which way is closing.
-    """
+    """By how much the fingers close on each other, by the first three powers of the angle of the motor's shaft; shape (3,)."""
     current = run.run.input_current_A
-    towards = float(np.sign(current[np.argmax(np.abs(current))]))
+    towards = float(np.sign(current[np.argmax(np.abs(current))]))  # the current says which way is closing
     return towards * facts.fingers * np.array(run.drive.travel_coefficients)
 
 
@@ -100,40 +93,25 @@ def block_unknowns(
     squeezing: Sequence[bool],
     facts: BlockFacts,
     drive_role: Role,
-    start_pa: float = 3e4,
 ) -> list[Unknown]:
-    """All unknowns: those of the robot, and the block's.
-
-    Args:
-        robot: of the runs.
-        runs: fitted together.
-        squeezing: which runs have the block.
-        facts: what is stated about the block.
-        drive_role: what the recording may move of the robot.
-        start_pa: Young's modulus from which a fit starts [Pa].
-    """
+    """All unknowns: the block's, and those of the robot, of which the recording may move what ``drive_role`` says."""
     ratio, relaxation, gap = facts.poissons_ratio, facts.relaxation_s, facts.gap
     unknowns = [
-        Unknown("youngs_modulus", start_pa, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA),
+        Unknown("youngs_modulus", START_PA, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA),
         Unknown("poissons_ratio", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(Role.FREE),
         Unknown("block_relaxation", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0).at_role(Role.FREE),
     ]
-    for row in np.flatnonzero(squeezing).tolist():
-        unknowns.append(Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row).at_role(Role.FREE))
-    return [*unknowns, *robot_unknowns(robot, runs, drive_role)]
+    gaps = [Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row) for row in np.flatnonzero(squeezing).tolist()]
+    return [*unknowns, *(gap.at_role(Role.FREE) for gap in gaps), *robot_unknowns(robot, runs, drive_role)]
 
 
 class SqueezeProblem(Problem):
-    """Whitened residuals of runs with and without a block between the fingers.
+    """Whitened residuals of runs with and without a block between the fingers, as in ``Problem``.
 
-    Args:
-        robot, runs, unknowns, integrator, step_s: as for ``Problem``, with the unknowns of ``block_unknowns`` and runs
-            that were prepared as empty hands.
-        facts: what is stated about the block.
-        squeezing: which runs have it, length R; at least one.
+    Runs are prepared as empty hands; ``squeezing`` is which have the block (at least one), unknowns are of ``block_unknowns``.
 
     Raises:
-        RecordingError: a run that squeezes drives a joint whose motion does not slide a finger.
+        RecordingError: A run that squeezes drives a joint whose motion does not slide a finger.
     """
 
     simulator: MixedSimulator[SqueezeSimulator]
@@ -160,16 +138,13 @@ class SqueezeProblem(Problem):
         self._affine = False  # viscosity is a product of two unknowns
 
     def _simulator(self, runs: list[JointRun], integrator: str) -> MixedSimulator[SqueezeSimulator]:
-        table = self.block.table()
-        squeezed = [
-            SqueezeRun(runs[row], self.block.length, self.block.area, first, table, (second, third))
-            for row in np.flatnonzero(self.squeezing)
-            for first, second, third in [self._closing[row].tolist()]
-        ]
-        special = SqueezeSimulator(squeezed, integrator)
-        return MixedSimulator(
-            special, [runs[row] for row in np.flatnonzero(~self.squeezing)], self.squeezing, integrator
-        )
+        block, table = self.block, self.block.table()
+        squeezed = []
+        for row in np.flatnonzero(self.squeezing):
+            first, *bend = self._closing[row].tolist()
+            squeezed.append(SqueezeRun(runs[row], block.length, block.area, first, table, tuple(bend)))
+        others = [runs[row] for row in np.flatnonzero(~self.squeezing)]
+        return MixedSimulator(SqueezeSimulator(squeezed, integrator), others, self.squeezing, integrator)
 
     def _touches(self, unknown: Unknown, row: int) -> bool:
         if unknown.kind in ("youngs_modulus", "poissons_ratio", "block_relaxation"):

@@ -87,12 +87,7 @@ class SoftBlock(HandObject):
         force[arm.finger] += arm.fingers * self.force_N(arm.fingers * closed, arm.fingers * rate)
 
     def force_N(self, compression_m: float, rate_m_s: float) -> float:
-        """Force on each of the two sides.
-
-        Args:
-            compression_m: By how much the block is shorter than it is free.
-            rate_m_s: Its time derivative.
-        """
+        """Force on each of the two sides of a block that is by so much shorter than it is free."""
         if compression_m <= 0.0:
             return 0.0
         nu = self.poissons_ratio
