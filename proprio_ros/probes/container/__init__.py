@@ -10,18 +10,7 @@ from typing import TYPE_CHECKING
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
-from proprio_ros.probes.base import (
-    Baseline,
-    Body,
-    ChoosesNext,
-    Example,
-    Guards,
-    HasBaseline,
-    Prepares,
-    Recorded,
-    Shapes,
-    Shown,
-)
+from proprio_ros.probes import base
 from proprio_ros.probes.container.virtual_object import Container as VirtualContainer
 
 if TYPE_CHECKING:
@@ -45,11 +34,11 @@ class ContainerJob:
 
 
 class Container(
-    HasBaseline[ContainerJob],
-    Prepares[ContainerJob],
-    Guards[ContainerJob],
-    ChoosesNext[ContainerJob],
-    Shown[ContainerJob],
+    base.HasBaseline[ContainerJob],
+    base.Prepares[ContainerJob],
+    base.Guards[ContainerJob],
+    base.ChoosesNext[ContainerJob],
+    base.Shown[ContainerJob],
 ):
     """A closed container with a sphere in it."""
 
@@ -71,14 +60,14 @@ class Container(
     default_sequence = "container"
     virtual_object = VirtualContainer
     prepares = "a sphere: once on a computer it is compiled, half a minute"
-    baseline = Baseline(
+    baseline = base.Baseline(
         noun="empty container",
         hand="the container has to be in the hand without its sphere",
         question="is the container empty?",
         missing="put it into the hand without its sphere and call ~/record_container_baseline, or state its mass (settings: "
         "container.mass=KG)",
     )
-    example = Example(
+    example = base.Example(
         flag="mass",
         metavar="KG",
         help="of the sphere in it",
@@ -143,7 +132,7 @@ class Container(
 
         return SphereUntilSure(robot, facts.container, facts.solving, sequence, baseline, whole)
 
-    def identify(self, robot: Robot, recorded: Recorded, facts: ContainerJob) -> Estimate:
+    def identify(self, robot: Robot, recorded: base.Recorded, facts: ContainerJob) -> Estimate:
         from proprio_ros.probes.container.facts import track_of
         from proprio_ros.probes.container.identify import find_sphere
 
@@ -156,11 +145,11 @@ class Container(
 
         return sections(estimate)
 
-    def shapes(self, robot: Robot, facts: ContainerJob, estimate: Estimate) -> Shapes | None:
+    def shapes(self, robot: Robot, facts: ContainerJob, estimate: Estimate) -> base.Shapes | None:
         """The container, with a sphere in its middle."""
         import numpy as np
 
         container, enclosure = facts.container, facts.container.enclosure
-        sphere = Body("sphere", [2.0 * enclosure.radius] * 3, np.eye(3), 0.9)
-        walls = Body(enclosure.shape, enclosure.inner_size.tolist(), container.rotation, 0.25)
-        return Shapes(container.centre.tolist(), [sphere, walls])
+        sphere = base.Body("sphere", [2.0 * enclosure.radius] * 3, np.eye(3), 0.9)
+        walls = base.Body(enclosure.shape, enclosure.inner_size.tolist(), container.rotation, 0.25)
+        return base.Shapes(container.centre.tolist(), [sphere, walls])

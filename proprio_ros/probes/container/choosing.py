@@ -66,21 +66,11 @@ ROLLED_SHARE = 0.5
 
 
 class SphereUntilSure(CatalogueChooser):
-    """One weighing of a sphere whose pushes are chosen one by one.
-
-    Args:
-        robot: with its calibration where there is one.
-        facts: what is stated about container and sphere.
-        options: how to solve.
-        sequence, whole: see `Chooser`.
-        baseline: runs with the empty container.
-
-    Attributes:
-        catalogue: of all pushes with shell and sphere as one rigid load.
+    """One weighing of a sphere whose pushes are chosen one by one; the catalogue has shell and sphere as one rigid load.
 
     Raises:
-        ConfigurationError: the sequence has no `until`, or neither a baseline nor the shell's mass is given.
-        RecordingError: a run of the baseline cannot be related to the robot at all.
+        ConfigurationError: The sequence has no `until`, or neither a baseline nor the shell's mass is given.
+        RecordingError: A run of the baseline cannot be related to the robot at all.
     """
 
     def __init__(
@@ -124,14 +114,9 @@ class SphereUntilSure(CatalogueChooser):
         self._taken = 0
         self.catalogue = Catalogue(robot, facts.shell, joints, STARTS, self._can_roll)
         # a rigid load is shell and sphere together
-        as_rigid = np.zeros((len(self.catalogue.keys), len(self._shared.keys)))
-        for row, key in enumerate(self.catalogue.keys):
-            as_rigid[row, self._shared.at[key]] = 1.0
-        as_rigid[self.catalogue.at["payload_mass"], self._shared.at["sphere_mass"]] = 1.0
-        self._as_rigid = as_rigid
+        self._as_rigid = np.eye(len(self._shared.keys))[[self._shared.at[key] for key in self.catalogue.keys]]
+        self._as_rigid[self.catalogue.at["payload_mass"], self._shared.at["sphere_mass"]] = 1.0
         self._found = Found(float(np.mean(self._unknown_kg)), UNKNOWN_STD_KG)
-
-    # ------------------------------------------------------------------------------------------------- what is known
 
     def learn(self, runs: Sequence[Run]) -> Found:
         new = [prepare_run(self.robot, run, None, self._search.facts.shell) for run in runs[self._taken :]]
@@ -146,12 +131,8 @@ class SphereUntilSure(CatalogueChooser):
             return replace(self._found, runs=0)
         self._believe(self._fit)
         at = self._shared.at["sphere_mass"]
-        return Found(
-            self._values["sphere_mass"],
-            float(np.sqrt(self._covariance[at, at])),
-            int(sum(self._search.rolling)),
-            self._fit.reduced_chi2,
-        )
+        mass, std = self._values["sphere_mass"], float(np.sqrt(self._covariance[at, at]))
+        return Found(mass, std, sum(self._search.rolling), self._fit.reduced_chi2)
 
     def _fitted(self, before: FitResult | None) -> FitResult:
         """All runs together, from where those before ended."""
@@ -180,21 +161,15 @@ class SphereUntilSure(CatalogueChooser):
         self._values |= {key: float(fit.values[index[key]]) for key in self._shared.keys if key in index}
         self._covariance = self._shared.covariance_after(fit)
 
-    # ----------------------------------------------------------------------------------------------- what comes next
-
     def ranked(self, pose: Mapping[str, float], target_std: float) -> list[Push]:
         beside = time_of(self.robot, self._sequence, pose)
         shell = self._values["payload_mass"]
         low, high = (shell + mass for mass in self._unknown_kg)
         sphere = self._found.value if self._found.runs else float(np.mean(self._unknown_kg))
-        cross = self._covariance[:, self._shared.at["sphere_mass"]]
-        rigid = Known(
-            shell + sphere,
-            self._found.std,
-            self._as_rigid @ self._covariance @ self._as_rigid.T,
-            self._found.runs,
-            towards=(self._as_rigid @ cross, float(cross[self._shared.at["sphere_mass"]])),
-        )
+        at, as_rigid = self._shared.at["sphere_mass"], self._as_rigid
+        towards = as_rigid @ self._covariance[:, at], float(self._covariance[at, at])
+        covariance = as_rigid @ self._covariance @ as_rigid.T
+        rigid = Known(shell + sphere, self._found.std, covariance, self._found.runs, towards=towards)
         chosen: list[Push] = []
         blocked: list[Push] = []
         ways: dict[tuple[object, ...], bool] = {}
@@ -210,12 +185,9 @@ class SphereUntilSure(CatalogueChooser):
         return best_first(self.promised(chosen, sphere, beside), target_std) if chosen else blocked
 
     def promised(self, pushes: Sequence[Push], sphere_kg: float, time_beside: TimeOf) -> list[Push]:
-        """What pushes would tell of the sphere, each with every duration in which joint and sphere move far enough.
+        """What pushes of the catalogue would tell of a sphere, each with every duration in which joint and sphere move far enough.
 
-        Args:
-            pushes: of `catalogue`.
-            sphere_kg: for which they are simulated [kg].
-            time_beside: how long a push takes beside itself, as in `Catalogue.rank`.
+        ``time_beside`` is how long a push takes beside itself, as in `Catalogue.rank`.
         """
         times = self.catalogue.still(pushes[0]).times_s
         off, rolled, counts, stds = self._simulated(pushes, sphere_kg)
@@ -236,10 +208,9 @@ class SphereUntilSure(CatalogueChooser):
                 far = int(np.argmax(np.abs(off[n, :last])))
                 if abs(off[n, far]) < LITTLE_TRAVEL or rolled[n, :last].max() < STILL_M:
                     continue
-                std = float(stds[n, min(last, told) - 1])
+                std, travel = float(stds[n, min(last, told) - 1]), float(off[n, far])
                 seconds = float(beside[n] + times[last - 1])
                 gain = 0.5 * float(np.log(now / max(std**2, 1e-12))) / seconds
-                travel = float(off[n, far])
                 found.append(replace(push, duration_s=duration, time_s=seconds, std=std, gain=gain, travel=travel))
         return found
 
@@ -274,8 +245,6 @@ class SphereUntilSure(CatalogueChooser):
         rolled = np.linalg.norm(np.einsum("rij,rtj->rti", across, x - x[:, :1]), axis=2)
         return off, rolled, np.stack([counted, told], axis=1), stds
 
-    # -------------------------------------------------------------------------------------------------- the sphere
-
     def _problem(self, runs: Sequence[PreparedRun]) -> ContainerProblem:
         """Runs that have not been made as a problem."""
         every = (True,) * len(runs)
@@ -293,8 +262,9 @@ class SphereUntilSure(CatalogueChooser):
         """Whether the sphere rests in a known end where the joint stands, and a push can roll it out of there."""
         run = self._geometry(still)
         tilted = [start_prior(run, self._resting, position + tilt) for tilt in (-TILT_MARGIN, 0.0, TILT_MARGIN)]
-        known = all(len(prior.guesses) == 1 for prior in tilted)
-        if not known or self._apart(run, position - TILT_MARGIN, position + TILT_MARGIN):
+        if any(len(prior.guesses) > 1 for prior in tilted):
+            return False
+        if self._apart(run, position - TILT_MARGIN, position + TILT_MARGIN):
             return False
         return any(self._apart(run, position, position + travel) for travel in (-MAX_TRAVEL, MAX_TRAVEL))
 

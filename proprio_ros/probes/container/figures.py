@@ -67,13 +67,8 @@ def drawable(path: SpherePath) -> SpherePath | None:
     if not len(rows):
         return None
     rows = rows[_evenly(len(rows), MOST_SAMPLES)]
-    return replace(
-        path,
-        times_s=path.times_s[rows],
-        position=path.position[rows],
-        std=path.std[rows],
-        world_from_container=path.world_from_container[rows],
-    )
+    by_time = ("times_s", "position", "std", "world_from_container")
+    return replace(path, **{name: getattr(path, name)[rows] for name in by_time})
 
 
 def path_figure(path: SpherePath, number: int) -> str:
@@ -91,16 +86,14 @@ def path_figure(path: SpherePath, number: int) -> str:
     x0, y0 = left - scale * low[0], top + scale * high[1]
 
     marks, names = [], []
-    for side in (0, 1):
-        for tick in _ticks(low[side], high[side]):
-            if side == 0:
-                at = x0 + scale * tick
-                marks.append(f"M{_n(at)} {_n(top)}V{_n(top + size[1])}")
-                names.append(_text(at, top + size[1] + 15, _signed(tick), "middle"))
-            else:
-                at = y0 - scale * tick
-                marks.append(f"M{_n(left)} {_n(at)}H{_n(left + size[0])}")
-                names.append(_text(left - 6, at + 4, _signed(tick), "end"))
+    for tick in _ticks(low[0], high[0]):
+        at = x0 + scale * tick
+        marks.append(f"M{_n(at)} {_n(top)}V{_n(top + size[1])}")
+        names.append(_text(at, top + size[1] + 15, _signed(tick), "middle"))
+    for tick in _ticks(low[1], high[1]):
+        at = y0 - scale * tick
+        marks.append(f"M{_n(left)} {_n(at)}H{_n(left + size[0])}")
+        names.append(_text(left - 6, at + 4, _signed(tick), "end"))
     names.append(_text(left + size[0] / 2, top + size[1] + 34, f"{_direction(plane[0], 'right')} (mm)", "middle"))
     turned = f' transform="rotate(-90 {_n(left - 38)} {_n(top + size[1] / 2)})"'
     names.append(_text(left - 38, top + size[1] / 2, f"{_direction(plane[1], 'up')} (mm)", "middle", turned))
@@ -115,9 +108,8 @@ def path_figure(path: SpherePath, number: int) -> str:
     for k in _instants(path.times_s)[::-1]:  # the start on top: where nothing moved it would not be seen
         drawn = f'cx="{_n(centres[k, 0])}" cy="{_n(centres[k, 1])}" r="{_n(MM * path.radius)}" stroke="{colors[k]}"'
         if k == 0:
-            drawn += (
-                f' class="start" stroke-dasharray="{_n(5 / scale)} {_n(4 / scale)}" stroke-width="{_n(1.8 / scale)}"'
-            )
+            dashes = f"{_n(5 / scale)} {_n(4 / scale)}"
+            drawn += f' class="start" stroke-dasharray="{dashes}" stroke-width="{_n(1.8 / scale)}"'
         elif k == len(centres) - 1:
             drawn += f' class="end" stroke-width="{_n(2.6 / scale)}"'
         shapes.append(f"<circle {drawn}/>")

@@ -10,19 +10,7 @@ from typing import TYPE_CHECKING
 from proprio_ros.errors import RecordingError
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
-from proprio_ros.probes.base import (
-    Body,
-    Carried,
-    ChoosesNext,
-    EstimatesLive,
-    Example,
-    HasSolvers,
-    Online,
-    Recorded,
-    Shapes,
-    Shown,
-    TakesMotions,
-)
+from proprio_ros.probes import base
 from proprio_ros.virtual.objects import Payload as VirtualPayload
 
 if TYPE_CHECKING:
@@ -42,14 +30,7 @@ LIVE_STARTS_KG = (0.01, 0.1)
 
 @dataclass(frozen=True)
 class PayloadJob:
-    """One weighing.
-
-    Attributes:
-        payload: shape and place.
-        weighing: how to solve.
-        paper: the paper's setting, where its own method was asked for.
-        stated: keys that the user stated himself.
-    """
+    """One weighing: shape and place, how to solve, the paper's setting where its own method was asked for, and keys stated."""
 
     payload: PayloadFacts
     weighing: WeighingOptions
@@ -58,12 +39,12 @@ class PayloadJob:
 
 
 class Payload(
-    TakesMotions[PayloadJob],
-    HasSolvers[PayloadJob],
-    Online[PayloadJob],
-    EstimatesLive[PayloadJob],
-    ChoosesNext[PayloadJob],
-    Shown[PayloadJob],
+    base.TakesMotions[PayloadJob],
+    base.HasSolvers[PayloadJob],
+    base.Online[PayloadJob],
+    base.EstimatesLive[PayloadJob],
+    base.ChoosesNext[PayloadJob],
+    base.Shown[PayloadJob],
 ):
     """A rigid payload."""
 
@@ -77,7 +58,7 @@ class Payload(
     virtual_object = VirtualPayload
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
-    example = Example(
+    example = base.Example(
         flag="mass",
         metavar="KG",
         help="of the object in the virtual hand",
@@ -110,7 +91,7 @@ class Payload(
 
         return payload_facts(settings, probe_file(self.name, ("payload",))["payload"])
 
-    def identify(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
+    def identify(self, robot: Robot, recorded: base.Recorded, facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.identify import weigh
         from proprio_ros.probes.payload.paper import as_published, identify_as_paper
 
@@ -118,12 +99,11 @@ class Payload(
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
         if swings := [run.name for run in recorded.runs if run.free]:
             raise RecordingError(f"{swings[0]} is a free swing; the paper's method wants a joint that a current drives")
-        stated = facts.paper
-        if recorded.text is not None:
-            stated = as_published(stated, recorded.text.setting, facts.stated)
-        return identify_as_paper(robot, recorded.runs, facts.payload, stated)
+        text = recorded.text
+        setting = facts.paper if text is None else as_published(facts.paper, text.setting, facts.stated)
+        return identify_as_paper(robot, recorded.runs, facts.payload, setting)
 
-    def identify_motions(self, robot: Robot, recorded: Recorded, facts: PayloadJob) -> Estimate:
+    def identify_motions(self, robot: Robot, recorded: base.Recorded, facts: PayloadJob) -> Estimate:
         from proprio_ros.probes.payload.known_joint import identify_known_joint
         from proprio_ros.probes.payload.moving import identify_in_motion
         from proprio_ros.probes.payload.one_joint import identify_one_joint
@@ -135,9 +115,8 @@ class Payload(
             )
         if robot.joint_calibration is not None:
             if baseline:
-                raise RecordingError(
-                    f"{baseline[0].name}: a joint that was calibrated with known loads takes no --baseline"
-                )
+                why = "a joint that was calibrated with known loads takes no --baseline"
+                raise RecordingError(f"{baseline[0].name}: {why}")
             return identify_known_joint(robot, motions, robot.joint_calibration, facts.payload)
         if len(motions[0].joints) == 1:
             return identify_one_joint(robot, motions, baseline, facts.payload)
@@ -168,15 +147,15 @@ class Payload(
         std_m = float(max(facts.payload.com_std)) or CENTRE_STD_M
         return OnlineEstimator(robot, robot.motion_calibration, centre_m=centre_m, centre_std_m=std_m, held=held)
 
-    def load(self, facts: PayloadJob, mass_kg: float) -> Carried:
+    def load(self, facts: PayloadJob, mass_kg: float) -> base.Carried:
         from proprio_ros.probes.payload.facts import inertia_tensor
 
         payload = facts.payload
         source = "assumed" if payload.shape_std_relative > 0.0 else "stated"
         centre_m = [float(axis) for axis in payload.com]
-        return Carried(mass_kg, centre_m, inertia_tensor(payload, mass_kg), payload.com_guessed, source)
+        return base.Carried(mass_kg, centre_m, inertia_tensor(payload, mass_kg), payload.com_guessed, source)
 
-    def carried(self, facts: PayloadJob, estimate: Estimate) -> Carried | None:
+    def carried(self, facts: PayloadJob, estimate: Estimate) -> base.Carried | None:
         import numpy as np
 
         mass = estimate.values[0].value
@@ -189,11 +168,10 @@ class Payload(
         if not isinstance(found, list) or None in found:
             return load
         xx, xy, xz, yy, yz, zz = found
-        return replace(
-            load, inertia_kg_m2=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), inertia_is="identified"
-        )
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return replace(load, inertia_kg_m2=tensor, inertia_is="identified")
 
-    def shapes(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> Shapes | None:
+    def shapes(self, robot: Robot, facts: PayloadJob, estimate: Estimate) -> base.Shapes | None:
         import numpy as np
 
         mass = estimate.values[0].value
@@ -201,7 +179,8 @@ class Payload(
             return None
         # the ball of water that weighs as much
         size = max((6.0 * max(mass, 1e-4) / (1000.0 * np.pi)) ** (1.0 / 3.0), 0.01)
-        return Shapes(self._centre(facts, estimate), [Body("sphere", [size] * 3, np.eye(3), 0.7)])
+        centre = self._found_centre(estimate) or [float(axis) for axis in facts.payload.com]
+        return base.Shapes(centre, [base.Body("sphere", [size] * 3, np.eye(3), 0.7)])
 
     @staticmethod
     def _found_centre(estimate: Estimate) -> list[float] | None:
@@ -209,8 +188,3 @@ class Payload(
         found = next((value.value for value in estimate.values if value.name == "payload_com"), None)
         known = [axis for axis in found if axis is not None] if isinstance(found, list) else []
         return known if len(known) == 3 else None
-
-    @classmethod
-    def _centre(cls, facts: PayloadJob, estimate: Estimate) -> list[float]:
-        """Centre of mass [m]: as identified, else as stated."""
-        return cls._found_centre(estimate) or [float(axis) for axis in facts.payload.com]

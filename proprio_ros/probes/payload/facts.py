@@ -12,18 +12,13 @@ from proprio_ros.inputs.forms import Choice, Form, Number, Numbers
 from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.sim.payload import SHAPES, PayloadFacts, PayloadShape
 
+_PLACE = "[x, y, z] in m"
+_NEAR_HAND = Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m")
+_LENGTH = Number(unit="m", lowest=0.0, highest=1.0, hint="lengths are in m")
 FORMS: dict[str, Form] = {
-    "payload.com": Numbers(
-        "centre of mass in `payload.frame`",
-        Number(unit="m", lowest=-1.0, highest=1.0, hint="over 1 m away from the hand: lengths are in m"),
-        3,
-        example="[x, y, z] in m",
-    ),
+    "payload.com": Numbers("centre of mass in `payload.frame`", _NEAR_HAND, 3, example=_PLACE),
     "payload.com_std": Numbers(
-        "how far the true centre may lie from it; above 0 it is estimated, too",
-        Number(unit="m", lowest=0.0, highest=1.0, hint="lengths are in m"),
-        3,
-        example="[x, y, z] in m",
+        "how far the true centre may lie from it; above 0 it is estimated, too", _LENGTH, 3, example=_PLACE
     ),
     "payload.shape": Choice("of uniform density", SHAPES),
     "payload.size_std_relative": Number(
@@ -44,7 +39,7 @@ def payload_facts(settings: Settings, defaults: Mapping[str, Any]) -> PayloadFac
     """Shape and place of the payload, the user's words before the probe file's.
 
     Raises:
-        ConfigurationError: a value of the wrong form, or a size that cannot be in metres.
+        ConfigurationError: A value of the wrong form, or a size that cannot be in metres.
     """
 
     def take(key: str, default: Any) -> Any:
@@ -81,5 +76,4 @@ def inertia_tensor(facts: PayloadFacts, mass_kg: float) -> np.ndarray:
 
 def rotational_inertia(second_moment: np.ndarray) -> np.ndarray:
     """From the integral of r r^T dm to that of r^2 - r r^T, shape (3, 3)."""
-    tensor: np.ndarray = np.trace(second_moment) * np.eye(3) - second_moment
-    return tensor
+    return np.asarray(np.trace(second_moment) * np.eye(3) - second_moment)

@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 
+from proprio_ros.identification import gates, swings
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
 from proprio_ros.identification.fit import (
@@ -30,31 +31,10 @@ from proprio_ros.identification.fit import (
     solve_load,
     summary,
 )
-from proprio_ros.identification.gates import (
-    LITTLE_TRAVEL,
-    MIN_USED,
-    MOVING_START,
-    Contradiction,
-    Findings,
-    admitted,
-    contradiction,
-    never_reversed,
-    stood_still,
-)
 from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identifiable, positive, rejected
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.swings import (
-    FRICTION_LAW,
-    FRICTION_LAW_SHARE,
-    MISSED_SHARE,
-    MUCH_WORSE,
-    are_free_responses,
-    missed_share,
-    said_missed,
-    swing_error,
-)
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
@@ -79,11 +59,7 @@ SWING_ROUNDS = 4
 
 @dataclass(frozen=True)
 class WeighingOptions(SearchOptions):
-    """How to solve, and when to refuse.
-
-    Attributes:
-        wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``.
-    """
+    """How to solve; an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``."""
 
     wide_share: float = 0.5
     wide_floor_kg: float = 0.005
@@ -96,35 +72,29 @@ def weigh(
     options: WeighingOptions | None = None,
     baseline: Sequence[Run] = (),
 ) -> Estimate:
-    """Identify the payload that all ``runs`` share.
+    """Identify the payload that all ``runs`` share; without facts it is a ball of unknown size at the payload frame.
 
-    Args:
-        robot: model, drive trains and their uncertainty.
-        runs: at least one, of any of the robot's joints.
-        facts: shape and place of the payload; default a ball of unknown size at the payload frame.
-        options: solver and limits.
-        baseline: runs with nothing in the hand, fitted together with the others; they show whether the robot has changed since
-            its calibration.
+    The baseline is runs with nothing in the hand, fitted together with the others; they show whether the robot has changed since
+    its calibration.
 
     Raises:
-        RecordingError: a run cannot be related to the robot at all (unknown joint, missing held joint).
+        RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
     facts = facts or PayloadFacts()
     options = options or WeighingOptions()
-    found = Findings()
+    found, weighing = gates.Findings(), 0
     usable: list[PreparedRun] = []
     still: list[PreparedRun] = []
-    weighing = 0
     for run, load in [*((run, None) for run in runs), *((run, KnownLoad()) for run in baseline)]:
         prepared = prepare_run(robot, run, load, facts)
-        if admitted(robot, prepared, found):
+        if gates.admitted(robot, prepared, found):
             usable.append(prepared)
             weighing += load is None
-        elif prepared.used >= MIN_USED:
+        elif prepared.used >= gates.MIN_USED:
             still.append(prepared)
     if not weighing:
         return no_answer("payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-    if are_free_responses(usable):
+    if swings.are_free_responses(usable):
         return _weigh_swings(robot, usable, facts, options, found, len(runs))
     drift = _drift(robot, usable[weighing:], facts, options)
     known = robot.is_calibrated(joints_of(usable))
@@ -147,8 +117,8 @@ def _weigh_swings(
     runs: Sequence[PreparedRun],
     facts: PayloadFacts,
     options: WeighingOptions,
-    found: Findings,
-    run_count: int,
+    found: gates.Findings,
+    count: int,
 ) -> Estimate:
     """From free swings; those that are followed worse than the calibration's count for less."""
     known = robot.swing_error
@@ -156,7 +126,7 @@ def _weigh_swings(
     opened = searched = solve_load(robot, runs, facts, options, Role.FREE)
     for _ in range(SWING_ROUNDS):
         posterior = Posterior(opened.problem, opened.values)
-        error = max(swing_error(posterior), known)
+        error = max(swings.swing_error(posterior), known)
         if error <= 1.05 * robot.swing_error:
             break
         robot = replace(robot, swing_error=error)
@@ -164,9 +134,9 @@ def _weigh_swings(
         opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
     against: list[Refusal] = []
     unexplained = "the model does not explain the recording"
-    if (share := missed_share(posterior)) > MISSED_SHARE:
-        against.append(rejected("misfit", unexplained, said_missed(share)))
-    elif known and error > MUCH_WORSE * known:
+    if (share := swings.missed_share(posterior)) > swings.MISSED_SHARE:
+        against.append(rejected("misfit", unexplained, swings.said_missed(share)))
+    elif known and error > swings.MUCH_WORSE * known:
         worse = (
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
             "torque off all the time, and is the object's place and shape as stated?"
@@ -179,7 +149,7 @@ def _weigh_swings(
             "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)"
         )
         against.append(not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing))
-    return Weighed(searched, opened, found, run_count, facts, options, against=against).estimate()
+    return Weighed(searched, opened, found, count, facts, options, against=against).estimate()
 
 
 def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:
@@ -199,7 +169,6 @@ def _drift(
     fit = fit_opened(partial(solve_load, robot, runs, facts, options))
     mass, std = fit.determined("payload_mass")
     since = "its calibration" if robot.is_calibrated() else "its robot file was written"
-    drift = ""
     if not fit.explains:
         drift = (
             f"drift: the empty-hand run is no longer explained by the robot as it was at {since} (reduced chi-square "
@@ -210,18 +179,14 @@ def _drift(
             f"drift: the empty hand now weighs {1e3 * mass:+.1f} g, where {1e3 * std:.1f} g is the standard deviation: the robot "
             f"has changed since {since}; calibrate again"
         )
-    return [rejected("drift", "the robot has changed since its calibration", drift)] if drift else []
+    else:
+        return []
+    return [rejected("drift", "the robot has changed since its calibration", drift)]
 
 
 @dataclass(eq=False)
 class Weighed(Conclusion):
-    """What a fit says about the mass in the hand.
-
-    Args:
-        facts: Shape and place of the payload.
-        options: Solver and limits.
-        still: Runs that are of no use because their joint hardly moved.
-    """
+    """What a fit says about the mass in the hand; ``still`` are runs that are of no use because their joint hardly moved."""
 
     facts: PayloadFacts
     options: WeighingOptions
@@ -242,7 +207,7 @@ class Weighed(Conclusion):
     def widen(self) -> None:
         mass = self.assessed.value
         if self.swings:
-            self.count(FRICTION_LAW_SHARE * abs(mass), FRICTION_LAW)
+            self.count(swings.FRICTION_LAW_SHARE * abs(mass), swings.FRICTION_LAW)
         elif not self.known:
             # the nominal mass may sit anywhere inside the open fit's interval: count how far
             self.assessed.widen(mass - float(self.opened.values[self.assessed.row]))
@@ -252,24 +217,22 @@ class Weighed(Conclusion):
     def comparable(self) -> bool:
         return True
 
-    def contradiction(self, outlier: int) -> Contradiction:
+    def contradiction(self, outlier: int) -> gates.Contradiction:
         mass, name = self.assessed.value, self.runs[outlier].run.name
         if self.runs[outlier].load is not None:
-            return Contradiction(
-                f"{name}: the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
-            )
+            why = "the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
+            return gates.Contradiction(f"{name}: {why}")
         others = [run for row, run in enumerate(self.runs) if row != outlier]
         if all(run.load is not None for run in others):
-            return Contradiction(
-                f"{name} contradicts the empty-hand runs ({1e3 * mass:.1f} g together): has the robot changed meanwhile?"
-            )
+            together = f"the empty-hand runs ({1e3 * mass:.1f} g together)"
+            return gates.Contradiction(f"{name} contradicts {together}: has the robot changed meanwhile?")
         # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
         one, rest = (
             fit_opened(partial(solve_load, self.robot, group, self.facts, self.options)).value_of(self.name)
             for group in ([self.runs[outlier]], others)
         )
         question = "was the same object held in the same place?"
-        return contradiction(name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
+        return gates.contradiction(name, "kg", one, rest, ALIKE_SHARE * abs(mass), ALIKE_KG, question)
 
     def guess(self) -> list[Guess]:
         """Where the centre of mass is, unless that was stated: on a wrist joint 5 mm are 4 % of the mass."""
@@ -283,24 +246,20 @@ class Weighed(Conclusion):
         return [Guess("payload.com", taken, f"{1e3 * GUESSED_PLACE_M:g} mm per axis", off)]
 
     def refusals(self) -> Iterator[Refusal]:
-        fit, mass = self.fit, self.assessed.value
-        if sticks := stood_still(self.robot, fit.problem, fit.values, self.still, mass):
+        fit, mass, unknown = self.fit, self.assessed.value, self.fit.problem.unknowns[self.assessed.row]
+        if sticks := gates.stood_still(self.robot, fit.problem, fit.values, self.still, mass):
             yield rejected("stood_still", "a joint stood still that should have moved", sticks)
-        if self._on_bound:
+        if mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6):
+            bound = "the mass ended on a bound of the search"
             yield rejected(
-                "on_bound",
-                "the mass ended on a bound of the search",
-                f"the mass ended on a bound of the search ({mass:.3g} kg): is this the right robot, joint and unit of current?",
+                "on_bound", bound, f"{bound} ({mass:.3g} kg): is this the right robot, joint and unit of current?"
             )
         if moving := [] if fit.explains or self.swings else self._moving_starts():
             yield self.misfit_of(*moving)
         yield from self.misfit()
-        yield from self.lighter(
-            "the hand",
-            "has the robot changed since? calibrate it again" if self.known else "calibrate the robot",
-            " with its load",
-        )
-        slow = [run for run in self.runs if abs(run.travel) < LITTLE_TRAVEL]
+        calibrate = "has the robot changed since? calibrate it again" if self.known else "calibrate the robot"
+        yield from self.lighter("the hand", calibrate, " with its load")
+        slow = [run for run in self.runs if abs(run.travel) < gates.LITTLE_TRAVEL]
         if fit is self.opened and not self.known and len(slow) == len(self.runs):
             yield not_identifiable(
                 "short_travel",
@@ -309,17 +268,6 @@ class Weighed(Conclusion):
                 "calibrate the robot on empty-hand runs, or probe with more current",
             )
         yield from self.several(0.02)
-
-    @property
-    def _is_open(self) -> bool:
-        """Whether neither calibration nor file knows the joints that were driven."""
-        return not self.known and not known_exactly(self.robot, self.runs)
-
-    @property
-    def _on_bound(self) -> bool:
-        """Whether the mass went as far as the search allows."""
-        unknown, mass = self.fit.problem.unknowns[self.assessed.row], self.assessed.value
-        return mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6)
 
     def _moving_starts(self) -> list[str]:
         """A sentence for each run that fits far better if it did not start from rest."""
@@ -333,7 +281,7 @@ class Weighed(Conclusion):
         reasons = []
         for row, run in enumerate(self.runs):
             velocity = moving.value_of(("v0", row))
-            if abs(velocity) > MOVING_START:
+            if abs(velocity) > gates.MOVING_START:
                 reasons.append(
                     f"start velocity: {run.run.name} fits better if {run.run.joint} already moves at {velocity:+.2f} rad/s when "
                     f"the current comes on (then {1e3 * mass:.0f} g, rms {1e3 * rms:.2f} mrad): a probe must start from rest"
@@ -345,8 +293,8 @@ class Weighed(Conclusion):
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
         yield from super().cautions(solver)
-        if self._is_open and not self.swings:
-            yield from never_reversed(self.runs)
+        if not self.known and not self.swings and not known_exactly(self.robot, self.runs):
+            yield from gates.never_reversed(self.runs)
 
     def solver(self) -> SolverSummary:
         searched = self.opened
@@ -354,11 +302,9 @@ class Weighed(Conclusion):
             searched = self.nominal
         best = float(searched.physical(self.name)[searched.solution.best])
         # starts agree when they explain the recording alike, at masses that the interval cannot separate
-        tolerance = max(1e-4, 0.01 * abs(best), 0.1 * self.assessed.std)
-        iterations, options = searched.solution.iterations, self.options
-        return summary(
-            searched, self.name, options.starts_kg, tolerance, iterations, options, margin=0.5, final=self.fit
-        )
+        alike = max(1e-4, 0.01 * abs(best), 0.1 * self.assessed.std)
+        made, options = searched.solution.iterations, self.options
+        return summary(searched, self.name, options.starts_kg, alike, made, options, margin=0.5, final=self.fit)
 
     def values(self, withheld: str) -> tuple[Value, ...]:
         problem = self.fit.problem
@@ -372,14 +318,12 @@ class Weighed(Conclusion):
         facts, robot, options = self.facts, self.robot, self.options
         place = ", ".join(f"{1e3 * c:g}" for c in facts.com)
         size = " (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else ""
-        starts = (
-            "friction differs from swing to swing, by one factor each" if self.swings else "each probe starts from rest"
-        )
+        free = "friction differs from swing to swing, by one factor each"
         stay = self.fit is self.nominal and not self.swings
         file = "its values stay where the file puts them" if stay else "what it leaves open was fitted under its priors"
         return (
             f"the payload is rigid, {facts.shape.description}{size}, its centre at [{place}] mm in {robot.payload_frame}",
-            f"{starts}; the held joints stand at their recorded mean",
+            f"{free if self.swings else 'each probe starts from rest'}; the held joints stand at their recorded mean",
             f"{stated_in(robot)}; {file}",
             f"integrator {options.integrator}, steps of at most {1e3 * options.step_s:.3g} ms, "
             f"Coulomb's law smoothed over {robot.friction_velocity:g} rad/s",
@@ -388,31 +332,22 @@ class Weighed(Conclusion):
 
 def _centre_of_mass(fit: FitResult, covariance: np.ndarray, rows: list[int], withheld: str) -> Value:
     """Each coordinate on its own: what the probe did not excite stays at its prior, and is not called an estimate."""
-    numbers: list[float | None] = []
-    stds: list[float | None] = []
-    intervals: list[list[float] | None] = []
-    unexcited = []
-    for axis, r in zip("xyz", rows, strict=True):
-        std, prior = float(np.sqrt(covariance[r, r])), fit.problem.unknowns[r].std
-        if withheld or (prior > 0.0 and std > 0.7 * prior):
-            unexcited.append(axis)
-            numbers.append(None)
-            stds.append(None)
-            intervals.append(None)
-        else:
-            value = float(fit.values[r])
-            numbers.append(value)
-            stds.append(std)
-            intervals.append([value - Z95 * std, value + Z95 * std])
-    reason = withheld or (
-        f"{', '.join(unexcited)} not excited: the probe adds nothing to the prior" if unexcited else ""
+    values, stds = fit.values[rows], np.sqrt(np.diag(covariance)[rows])
+    priors = np.array([fit.problem.unknowns[row].std for row in rows])
+    silent = (priors > 0.0) & (stds > 0.7 * priors) | bool(withheld)
+    intervals = np.stack([values - Z95 * stds, values + Z95 * stds], axis=1)
+    value, std, interval = (
+        [None if off else each for each, off in zip(of.tolist(), silent, strict=True)]
+        for of in (values, stds, intervals)
     )
-    return Value("payload_com", "m", numbers, stds, intervals, reason)
+    unexcited = ", ".join(axis for axis, off in zip("xyz", silent, strict=True) if off)
+    reason = f"{unexcited} not excited: the probe adds nothing to the prior" if unexcited else ""
+    return Value("payload_com", "m", value, std, interval, withheld or reason)
 
 
 def _static_std(problem: Problem, runs: Sequence[PreparedRun]) -> float:
     """What the open friction and torque constant are worth as a weight at rest [kg]; 0 if any run moved far enough."""
-    if any(abs(run.travel) >= LITTLE_TRAVEL for run in runs):
+    if any(abs(run.travel) >= gates.LITTLE_TRAVEL for run in runs):
         return 0.0
     per_kg = [abs(run.weight_at_rest(run.coefficients.per_kg(problem.facts))) for run in runs]
     return min(float(np.hypot.reduce(run.torque_stds)) / max(w, 1e-9) for run, w in zip(runs, per_kg, strict=True))

@@ -41,12 +41,10 @@ class PaperOptions:
 
     Attributes:
         substeps: Euler steps per 1/60 s frame, 4 to 64 in the paper.
-        iterations: length of the cosine schedule.
-        extended_iterations: length of the schedule that is allowed to converge.
+        iterations, extended_iterations: Lengths of the cosine schedule, and of one that is allowed to converge.
         learning_rate: Adam's, at the start [kg per iteration].
-        starts_kg: first guesses.
-        loss_time_s: simulated instant that is compared; default the last sample's.
-        loss_sample: index of the sample it is compared with; default the last.
+        starts_kg: First guesses.
+        loss_time_s, loss_sample: Simulated instant that is compared, and index of the sample; default the last's.
     """
 
     substeps: int = 16
@@ -73,8 +71,8 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
     trajectory, and from the default profile, whose reasons are repeated.
 
     Raises:
-        ConfigurationError: more than one run.
-        RecordingError: see ``weigh``.
+        ConfigurationError: More than one run.
+        RecordingError: See ``weigh``.
     """
     if len(runs) != 1:
         raise ConfigurationError(
@@ -85,50 +83,42 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
     if honest.fit is None:  # the joint did not move, or nothing of the run is usable: there is nothing to fit
         return honest
     loss = last_frame_loss(robot, run, facts, options)
-    prepared, step, loss_time = loss.prepared, loss.step_s, loss.time_s
     starts = np.array(options.starts_kg)[:, None]
-    scheduled = adam_descent(loss, starts, options.learning_rate, options.iterations, lower=1e-6)
-    extended = adam_descent(loss, starts, options.learning_rate, options.extended_iterations, lower=1e-6)
-    best = float(extended.internal[extended.best, 0])
-    paths = tuple(
-        StartPath(
-            float(starts[s, 0]),
-            float(extended.internal[s, 0]),
-            float(extended.cost[s]),
-            bool(abs(extended.internal[s, 0] - best) <= 0.005 * best),
-            extended.path[:, s, 0],
-            extended.path_cost[:, s],
-            scheduled=float(scheduled.internal[s, 0]),
-        )
-        for s in range(len(starts))
+    scheduled, extended = (
+        adam_descent(loss, starts, options.learning_rate, iterations, lower=1e-6)
+        for iterations in (options.iterations, options.extended_iterations)
     )
-    fits, rms, expected = run_fits(loss.whole, loss.whole.all_values(np.array([[best]]))[0], [prepared])
+    frozen, found = scheduled.internal[:, 0], extended.internal[:, 0].tolist()
+    best = found[extended.best]
+    paths = []
+    for s, start in enumerate(starts[:, 0].tolist()):
+        agrees, path = abs(found[s] - best) <= 0.005 * best, (extended.path[:, s, 0], extended.path_cost[:, s])
+        paths.append(StartPath(start, found[s], float(extended.cost[s]), agrees, *path, scheduled=float(frozen[s])))
+    fits, rms, expected = run_fits(loss.whole, loss.whole.all_values(np.array([[best]]))[0], [loss.prepared])
     reduced = float(np.mean(((fits[0].simulated - fits[0].measured) / fits[0].sigma) ** 2))
     masses = scan_masses(best)
     reasons = [_without_interval(reason) for reason in honest.reasons]
     verdict = honest.verdict
     if reduced > MISFIT_LIMIT:
         verdict = Verdict.REJECTED
-        reasons.insert(
-            0,
+        missed = (
             f"the mass that meets the last frame ({shown('kg', best, spec='.1f')}) misses the trajectory by "
             f"{shown('rad', rms, spec='.1f')} rms where the encoder explains "
-            f"{shown('rad', expected, spec='.2f')}: the last frame alone is no weighing",
+            f"{shown('rad', expected, spec='.2f')}: the last frame alone is no weighing"
         )
-    frozen = scheduled.internal[:, 0]
+        reasons.insert(0, missed)
     reasons.append(
         f"the schedule of {options.iterations} iterations stops at {shown('kg', *frozen, spec='.1f', between=', ')}; "
         f"the least error is at {shown('kg', best, spec='.1f')}"
     )
+    mass = Value("payload_mass", "kg", best, reason="least error of the last frame; the method gives no interval")
     return replace(
         honest,
         verdict=verdict,
         reasons=tuple(reasons),
-        values=(
-            Value("payload_mass", "kg", best, reason="least error of the last frame; the method gives no interval"),
-        ),
+        values=(mass,),
         fit=Fit(rms, expected, reduced),
-        solver=SolverSummary("adam", "paper", options.iterations, paths, "semi_implicit", step),
+        solver=SolverSummary("adam", "paper", options.iterations, tuple(paths), "semi_implicit", loss.step_s),
         run_fits=fits,
         unknowns=(),
         budget=(),
@@ -136,7 +126,7 @@ def identify_as_paper(robot: Robot, runs: Sequence[Run], facts: PayloadFacts, op
         assumptions=(
             "the mass is the only unknown; torque constant, friction, armature and timing are taken as the robot file states them",
             "the run starts at rest at its first sample",
-            f"semi-implicit Euler, {options.substeps} steps per frame; loss: squared error of the frame at {loss_time:.3f} s",
+            f"semi-implicit Euler, {options.substeps} steps per frame; loss: squared error of the frame at {loss.time_s:.3f} s",
             f"Adam, learning rate {options.learning_rate:g} kg, cosine annealing over {options.iterations} iterations "
             f"({options.extended_iterations} for the least error), gradient from the tape",
         ),
@@ -148,8 +138,8 @@ def last_frame_loss(robot: Robot, run: Run, facts: PayloadFacts, options: PaperO
     """The paper's loss of a run, as a function of the mass.
 
     Raises:
-        ConfigurationError: the loss wants a sample that the run does not have.
-        RecordingError: see ``prepare_run``.
+        ConfigurationError: The loss wants a sample that the run does not have.
+        RecordingError: See ``prepare_run``.
     """
     prepared = prepare_run(
         robot, replace(run, before_times_s=np.zeros(0), before_position=np.zeros(0), held_position={})
@@ -177,13 +167,7 @@ def _without_interval(reason: str) -> str:
 
 
 def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Container[str]) -> PaperOptions:
-    """The setting in which the authors fitted a recording of theirs.
-
-    Args:
-        paper: as the user set it.
-        setting: that came with it.
-        stated: keys that the user stated himself; these stay.
-    """
+    """The setting that came with a recording of the authors, in which they fitted it; keys that the user stated stay."""
     simulation = setting.get("simulation", {})
     changes: dict[str, Any] = {}
     if "substeps" in simulation and "paper.substeps" not in stated:
@@ -198,7 +182,7 @@ def as_published(paper: PaperOptions, setting: Mapping[str, Any], stated: Contai
         # the authors keep the states before each step, so the last one they compare lies one substep before
         # frame 36; it meets sample 35
         substeps = changes.get("substeps", paper.substeps)
-        changes["loss_time_s"], changes["loss_sample"] = ((PROBE_FRAMES - 1 / substeps) * FRAME_S, PROBE_FRAMES - 1)
+        changes |= {"loss_time_s": (PROBE_FRAMES - 1 / substeps) * FRAME_S, "loss_sample": PROBE_FRAMES - 1}
     return replace(paper, **changes)
 
 
@@ -206,9 +190,9 @@ class LastFrame:
     """Equation (5): squared error of one frame, and its gradient by the tape, for all starts at once.
 
     Attributes:
-        prepared: the run, from rest at its first sample.
-        step_s: of semi-implicit Euler; time_s: simulated instant that is compared.
-        whole: the same robot and run with all samples, to see how the rest of the trajectory fits.
+        prepared: The run, from rest at its first sample.
+        step_s, time_s: Of semi-implicit Euler, and the simulated instant that is compared.
+        whole: The same robot and run with all samples, to see how the rest of the trajectory fits.
     """
 
     def __init__(
@@ -216,8 +200,8 @@ class LastFrame:
     ) -> None:
         self._target = target
         self.prepared, self.step_s, self.time_s = run, step_s, time_s
-        at_rest = replace(run, run=replace(run.run, times_s=np.array([time_s]), position=np.array([target])), used=1)
-        at_rest = replace(at_rest, sigma=run.sigma[-1:])
+        last = replace(run.run, times_s=np.array([time_s]), position=np.array([target]))
+        at_rest = replace(run, run=last, used=1, sigma=run.sigma[-1:])
         # nothing but the mass is unknown: everything else keeps the value of the robot file
         unknowns = [
             u if u.kind == "payload_mass" else replace(u, role=Role.FROZEN)

@@ -10,18 +10,7 @@ from typing import TYPE_CHECKING, Any
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
-from proprio_ros.probes.base import (
-    Body,
-    ChoosesNext,
-    Example,
-    Guards,
-    HasTable,
-    Limit,
-    Prepares,
-    Recorded,
-    Shapes,
-    Shown,
-)
+from proprio_ros.probes import base
 from proprio_ros.probes.softness.virtual_object import SoftBlock
 
 if TYPE_CHECKING:
@@ -49,7 +38,11 @@ class SoftnessJob:
 
 
 class Softness(
-    HasTable[SoftnessJob], Prepares[SoftnessJob], Guards[SoftnessJob], ChoosesNext[SoftnessJob], Shown[SoftnessJob]
+    base.HasTable[SoftnessJob],
+    base.Prepares[SoftnessJob],
+    base.Guards[SoftnessJob],
+    base.ChoosesNext[SoftnessJob],
+    base.Shown[SoftnessJob],
 ):
     """A soft block between the fingers."""
 
@@ -75,8 +68,8 @@ class Softness(
     virtual_object = SoftBlock
     prepares = "a block: a shape is tabulated once, up to half a minute"
     refusal = "A softness_sequence that may squeeze the block further, as a share of its length, is refused."
-    limits = (Limit(LIMIT, 0.4, refusal, 0.01, 0.95),)
-    example = Example(
+    limits = (base.Limit(LIMIT, 0.4, refusal, 0.01, 0.95),)
+    example = base.Example(
         flag="modulus",
         metavar="PA",
         help="Young's modulus of the block",
@@ -155,14 +148,14 @@ class Softness(
         from proprio_ros.quantity import Z95
 
         def whole(runs: Sequence[Run]) -> float | None:
-            modulus = self.identify(robot, Recorded(runs, baseline), facts).value("youngs_modulus")
+            modulus = self.identify(robot, base.Recorded(runs, baseline), facts).value("youngs_modulus")
             if not isinstance(modulus.value, float) or not isinstance(modulus.std, float):
                 return None
             return Z95 * modulus.std / modulus.value
 
         return SqueezesUntilSure(robot, facts.block, facts.solving, sequence, whole)
 
-    def identify(self, robot: Robot, recorded: Recorded, facts: SoftnessJob) -> Estimate:
+    def identify(self, robot: Robot, recorded: base.Recorded, facts: SoftnessJob) -> Estimate:
         from proprio_ros.probes.softness.identify import find_softness
 
         return find_softness(robot, recorded.runs, facts.block, facts.solving, recorded.baseline)
@@ -180,9 +173,9 @@ class Softness(
             return f", Poisson's ratio {ratio.value:.2f} +- {Z95 * ratio.std:.2f}"
         return ", Poisson's ratio not determined"
 
-    def shapes(self, robot: Robot, facts: SoftnessJob, estimate: Estimate) -> Shapes | None:
+    def shapes(self, robot: Robot, facts: SoftnessJob, estimate: Estimate) -> base.Shapes | None:
         rotation = block_rotation(robot, estimate.run_fits[0].joint)
-        return Shapes([0.0, 0.0, 0.0], [Body("box", facts.block.size.tolist(), rotation, 0.6)])
+        return base.Shapes([0.0, 0.0, 0.0], [base.Body("box", facts.block.size.tolist(), rotation, 0.6)])
 
 
 def largest_squeeze(robot: Robot, joint: str, travel_m: float, facts: BlockFacts) -> float:

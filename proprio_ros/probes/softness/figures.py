@@ -24,10 +24,9 @@ def sections(estimate: Estimate) -> list[str]:
         return []
     parts = ["<h2>The block</h2>", framed(squeeze_figure(detail.curves), size="small-one")]
     if detail.joint is not None:
-        caption = (
-            "" if detail.joint.determined else "Poisson's ratio is the prior's here, and so is how long the region is."
-        )
-        parts += ["<h3>Both Lamé parameters together</h3>", framed(joint_figure(detail.joint), caption, "small-one")]
+        prior = "Poisson's ratio is the prior's here, and so is how long the region is."
+        picture = framed(joint_figure(detail.joint), "" if detail.joint.determined else prior, "small-one")
+        parts += ["<h3>Both Lamé parameters together</h3>", picture]
     return parts
 
 
@@ -38,9 +37,8 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
 
     def flat(points: np.ndarray) -> np.ndarray:
         """On paper: what lies deeper is drawn a little to the right and higher."""
-        return np.stack(
-            [left + points[..., 0] - VIEW[0] * points[..., 1], points[..., 2] - VIEW[2] * points[..., 1]], -1
-        )
+        x, deep, z = np.moveaxis(points, -1, 0)
+        return np.stack([left + x - VIEW[0] * deep, z - VIEW[2] * deep], -1)
 
     aside = np.array([0.5 * (1.0 - shape.squeeze), 0.0, 0.0])
     half = 1.15 * np.abs(shape.points[:, 1:]).max(axis=0)
@@ -53,11 +51,9 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
     order = np.argsort(-(seen.mean(axis=1) @ VIEW))
     light = 0.35 + 0.65 * np.clip(normal @ np.array([0.3, -0.5, 0.81]), 0.0, 1.0)
     faces = np.clip(1.0 - (1.0 - np.array(to_rgb(ACCENT))) * (1.15 - 0.75 * light[:, None]), 0.0, 1.0)[order]
-    for polygons, colors, edges, alpha in (
-        ([flat(corners - aside)], MUTED, MUTED, 0.9),
-        ([*flat(seen[order])], faces, f"{INK}40", None),
-        ([flat(corners + aside)], MUTED, MUTED, 0.45),
-    ):
+    far, near = ([flat(corners + side)] for side in (-aside, aside))
+    block = [*flat(seen[order])], faces, f"{INK}40", None
+    for polygons, colors, edges, alpha in ((far, MUTED, MUTED, 0.9), block, (near, MUTED, MUTED, 0.45)):
         axes.add_collection(PolyCollection(polygons, facecolors=colors, edgecolors=edges, linewidths=0.3, alpha=alpha))
     words = f"{shape.time_s:.2f} s\n{100.0 * max(shape.squeeze, 0.0):.0f} %"
     axes.text(left, floor, words, ha="center", va="top")
@@ -76,14 +72,8 @@ def squeeze_figure(curves: Sequence[SqueezeCurve]) -> str:
         above.axis("off")
         for curve in curves:
             order = np.argsort(curve.squeeze)
-            below.plot(
-                100.0 * curve.squeeze[order],
-                curve.force_N[order],
-                "-o",
-                markersize=3,
-                linewidth=1.2,
-                label=plain(curve.run),
-            )
+            percent, force = 100.0 * curve.squeeze[order], curve.force_N[order]
+            below.plot(percent, force, "-o", markersize=3, linewidth=1.2, label=plain(curve.run))
         below.set_xlabel("squeeze (% of the block's length)")
         percent_mm = 10.0 * curves[0].length
         travel = below.secondary_xaxis("top", functions=(lambda p: p * percent_mm, lambda mm: mm / percent_mm))
