@@ -62,30 +62,6 @@ class JointRun:
     input_load: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Some rollouts without tangents, on the device, with every step for the adjoint to follow.
-
-    Attributes:
-        states: At the samples, shape (W, T).
-        step, step_by_delay: Length of each step and its change with the delay, shape (W, N).
-        given: The input during each step, shape (W, N).
-        steps: How many of each world, shape (W,); sample_step: after which each sample is taken, -1 before all, shape (W, T).
-    """
-
-    states: wp.array
-    step: wp.array
-    step_by_delay: wp.array
-    given: wp.array
-    steps: wp.array
-    sample_step: wp.array
-
-    @property
-    def taken(self) -> list[wp.array]:
-        """What a taped kernel reads, in its order."""
-        return [self.step, self.step_by_delay, self.given, self.steps]
-
-
 class JointSimulator:
     """Rolls out many worlds (guesses) of one or more runs of single joints in one launch.
 
@@ -192,9 +168,6 @@ class JointSimulator:
         law = joint_law(size, stribeck)
         return rollout(law, self.integrator), law.out
 
-    def _plain_law(self) -> PlainLaw:
-        return plain_joint_law(plain_rate, JointData, self.integrator)
-
     def _data(self) -> Any:
         data = JointData()
         data.constants = self._constants
@@ -209,35 +182,33 @@ class JointSimulator:
         vec = wp.types.vector(length=size, dtype=FLOAT)
         return [self._zeros((worlds, self._width), kind) for kind in (FLOAT, FLOAT, vec)]
 
-    def _forward(self, runs: wp.array, p: wp.array, capacity: int, record_cmd: bool = False) -> tuple[Schedule, Any]:
-        """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps."""
-        law = self._plain_law()
+    def forward(
+        self, law: PlainLaw, runs: wp.array, p: wp.array, capacity: int = 0, record_cmd: bool = False
+    ) -> tuple[list[wp.array], Any]:
+        """Launch the rollout without tangents, or record it; with a ``capacity`` it writes down so many steps.
+
+        Returns:
+            The outputs of ``rollout.schedule``, on the device, and the recorded command.
+        """
         worlds, steps, samples = len(p), max(capacity, 1), self._width
-        plan = Schedule(
-            self._zeros((worlds, samples), law.state),
-            self._zeros((worlds, steps)),
-            self._zeros((worlds, steps)),
-            self._zeros((worlds, steps), VEC3),
-            self._zeros(worlds, wp.int32),
-            self._zeros((worlds, samples), wp.int32),
-        )
-        given, out = (
-            [*self._run_data(self._full_counts), runs, p, capacity],
-            [plan.states, *plan.taken, plan.sample_step],
-        )
+        out = [self._zeros((worlds, samples), law.state), self._zeros((worlds, steps)), self._zeros((worlds, steps))]
+        out += [self._zeros((worlds, steps), VEC3), self._zeros(worlds, wp.int32)]
+        out += [self._zeros((worlds, samples), wp.int32)]
+        given = [*self._run_data(self._full_counts), runs, p, capacity]
         command = runtime.launch(
             schedule(law), dim=worlds, inputs=given, outputs=out, device=self.device, record_cmd=record_cmd
         )
-        return plan, command
+        return out, command
 
     def rollout(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities at the sample instants, shapes (W, T); arguments as in ``jacobian``."""
         q, v, _ = self.jacobian(world_run, p, np.zeros((*p.shape, 1)))
         return q.copy(), v.copy()
 
-    def tape(self, world_run: np.ndarray, p: np.ndarray) -> "TapedRollout":
-        """The same rollout recorded on a ``wp.Tape``."""
-        return TapedRollout(self, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
+    def tape(self, world_run: np.ndarray, p: np.ndarray, law: PlainLaw | None = None) -> "TapedRollout":
+        """The same rollout recorded on a ``wp.Tape``, by a law without tangents; None is the joint's own."""
+        law = plain_joint_law(plain_rate, JointData, self.integrator) if law is None else law
+        return TapedRollout(self, law, np.asarray(world_run, dtype=np.int32), np.asarray(p, dtype=np.float64))
 
 
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
@@ -320,7 +291,7 @@ class TapedRollout:
         q: Positions at the sample instants, shape (W, T).
     """
 
-    def __init__(self, owner: JointSimulator, world_run: np.ndarray, p: np.ndarray) -> None:
+    def __init__(self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray) -> None:
         worlds, width, device = len(p), owner._width, owner.device
         longest = max(float(run.sample_times_s[-1]) + abs(float(p[:, DELAY].min())) for run in owner.runs)
         finest = min(min(run.fine_step_s, run.step_s) for run in owner.runs)
@@ -332,12 +303,11 @@ class TapedRollout:
             )
         runs = wp.array(world_run, dtype=wp.int32, device=device)
         self._p = wp.array(p, dtype=FLOAT, device=device, requires_grad=True)
-        plan, _ = owner._forward(runs, self._p, capacity)
-        law = owner._plain_law()
+        (_, *taken, sample_step), _ = owner.forward(law, runs, self._p, capacity)
         self._sampled = owner._zeros((worlds, width), requires_grad=True)
         y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
-        steps = [owner._data(), runs, self._p, owner._array(p[:, DELAY]), *plan.taken]
-        samples = [owner._samples, owner._data(), runs, self._p, plan.sample_step, y]
+        steps = [owner._data(), runs, self._p, owner._array(p[:, DELAY]), *taken]
+        samples = [owner._samples, owner._data(), runs, self._p, sample_step, y]
         self._tape = wp.Tape()
         with self._tape:
             runtime.launch(taped(law), dim=worlds, inputs=steps, outputs=[y], device=device)

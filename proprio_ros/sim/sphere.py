@@ -23,9 +23,9 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
 from proprio_ros.sim.joint_kernels import VEC3
-from proprio_ros.sim.rollout import PlainLaw, rollout
+from proprio_ros.sim.rollout import rollout
 from proprio_ros.sim.runtime import FLOAT
-from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, plain_sphere_law, sphere_law
+from proprio_ros.sim.sphere_kernels import SPHERE_PARAMETERS, SphereData, sphere_law
 
 SPHERE_INDEX = {name: row for row, name in enumerate(SPHERE_PARAMETERS)}
 SHAPES = ("box", "cylinder", "sphere")
@@ -196,24 +196,6 @@ class SphereSimulator(JointSimulator):
         x, dx = self.last_path(dp.shape[2])
         return x.copy(), dx.copy()
 
-    def states(self, world_run: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Forward pass alone: q, v (W, T) and the sphere's position, velocity and spin (W, T, 3) at the sample instants."""
-        states, command = self.record_forward(world_run, p)
-        command.launch()
-        return self.parts(states)
-
-    def record_forward(self, world_run: np.ndarray, p: np.ndarray) -> tuple[wp.array, Any]:
-        """The forward pass as a command to launch again and again, and the states that it fills, shape (W, T)."""
-        runs = wp.array(np.asarray(world_run, dtype=np.int32), dtype=wp.int32, device=self.device)
-        plan, command = self._forward(runs, self._array(p), 0, record_cmd=True)
-        return plan.states, command
-
-    @staticmethod
-    def parts(states: wp.array) -> tuple[np.ndarray, ...]:
-        """A copy of states: q, v (W, T), x, u and spin (W, T, 3)."""
-        y = states.numpy().copy()
-        return y[..., 0], y[..., 1], y[..., 2:5], y[..., 5:8], y[..., 8:]
-
     def _launch(
         self, world_run: np.ndarray, p: np.ndarray, dp: np.ndarray, counts: np.ndarray | None
     ) -> tuple[np.ndarray, ...]:
@@ -235,9 +217,6 @@ class SphereSimulator(JointSimulator):
     def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
         law = sphere_law(size, stribeck, self.enclosure.shape, self.law)
         return rollout(law, self.integrator), law.out
-
-    def _plain_law(self) -> PlainLaw:
-        return plain_sphere_law(self.enclosure.shape, self.law, self.integrator)
 
     def _data(self) -> Any:
         data = SphereData()

@@ -22,11 +22,10 @@ from proprio_ros.sim.joint_kernels import (
     Q0,
     V0,
     VEC3,
-    acceleration,
     linearised_acceleration,
     standstill,
 )
-from proprio_ros.sim.rollout import Law, PlainLaw
+from proprio_ros.sim.rollout import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
 SPHERE_TERMS = ("sphere_mass", "start_x", "start_y", "start_z", "stiffness", "damping", "traction", "friction", "tilt")
@@ -45,12 +44,12 @@ STATE = wp.types.vector(length=11, dtype=FLOAT)
 
 
 @wp.func
-def _state(q: FLOAT, v: FLOAT, x: VEC3, u: VEC3, s: VEC3):
+def joined_state(q: FLOAT, v: FLOAT, x: VEC3, u: VEC3, s: VEC3):
     return STATE(q, v, x[0], x[1], x[2], u[0], u[1], u[2], s[0], s[1], s[2])
 
 
 @wp.func
-def _part(y: STATE, row: wp.int32):
+def part(y: STATE, row: wp.int32):
     return VEC3(y[row], y[row + 1], y[row + 2])
 
 
@@ -63,7 +62,7 @@ class SphereData:
 
 
 @wp.func
-def _triple(table: FLOATS, row: wp.int32, column: wp.int32):
+def triple(table: FLOATS, row: wp.int32, column: wp.int32):
     return VEC3(table[row, column], table[row, column + 1], table[row, column + 2])
 
 
@@ -75,13 +74,13 @@ def _cross_of(a: VEC3):
 
 
 @wp.func
-def _container_velocity(x: VEC3, axis: VEC3, origin: VEC3, turn: FLOAT):
+def container_velocity(x: VEC3, axis: VEC3, origin: VEC3, turn: FLOAT):
     """Velocity of the container at x per velocity of the joint."""
     return turn * wp.cross(axis, x - origin) + (FLOAT(1.0) - turn) * axis
 
 
 @cache
-def _wall(shape: str) -> Any:
+def wall_of(shape: str) -> Any:
     if shape == "box":
 
         @wp.func
@@ -131,122 +130,23 @@ def _wall(shape: str) -> Any:
 
 
 @wp.func
-def _ramped(depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, kf: FLOAT, mu: FLOAT, ramp_depth: FLOAT):
-    normal = wp.max(k * depth - c * wp.min(depth / ramp_depth, FLOAT(1.0)) * v_n, FLOAT(0.0))
-    most = mu * normal
-    bottom = wp.sqrt(kf * kf * wp.dot(slip, slip) + most * most)
-    force = normal * n
-    if bottom > FLOAT(0.0):
-        force = force - (kf * most / bottom) * slip
-    return force
-
-
-@wp.func
-def _as_in_the_paper(
-    depth: FLOAT, v_n: FLOAT, slip: VEC3, n: VEC3, k: FLOAT, c: FLOAT, kf: FLOAT, mu: FLOAT, ramp_depth: FLOAT
-):
-    normal = k * depth - c * v_n
-    speed = wp.length(slip)
-    force = normal * n
-    if speed > FLOAT(0.0):
-        force = force - (wp.min(kf * speed, mu * wp.abs(normal)) / speed) * slip
-    return force
-
-
-@wp.func
-def _start(p: FLOATS, world: wp.int32, geometry: FLOATS, run: wp.int32):
+def start_of(p: FLOATS, world: wp.int32, geometry: FLOATS, run: wp.int32):
     """Position, velocity and spin of a sphere that moves with the container."""
-    x = _triple(p, world, START_X)
-    axis = _triple(geometry, run, AXIS)
+    x = triple(p, world, START_X)
+    axis = triple(geometry, run, AXIS)
     turn = geometry[run, TURNS]
     v = p[world, V0]
-    return x, v * _container_velocity(x, axis, _triple(geometry, run, ORIGIN), turn), (turn * v) * axis
-
-
-@cache
-def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
-    """Joint and sphere without tangents: q, v, then the sphere's position, velocity and spin."""
-    wall = _wall(shape)
-    contact = _ramped if law == "ramped" else _as_in_the_paper
-    rk4 = integrator == "rk4"
-    faces = FACES[shape]
-
-    @wp.func
-    def start(p: FLOATS, w: wp.int32, data: SphereData, r: wp.int32):
-        x, u, s = _start(p, w, data.geometry, r)
-        return _state(p[w, Q0], p[w, V0], x, u, s)
-
-    @wp.func
-    def rates(y: STATE, given: VEC3, p: FLOATS, world: wp.int32, data: SphereData, run: wp.int32):
-        q = y[0]
-        v = y[1]
-        x = _part(y, 2)
-        u = _part(y, 5)
-        s = _part(y, 8)
-        geometry = data.geometry
-        axis = _triple(geometry, run, AXIS)
-        origin = _triple(geometry, run, ORIGIN)
-        turn = geometry[run, TURNS]
-        half = _triple(geometry, run, HALF_SIZE)
-        radius = geometry[run, RADIUS]
-        angle = q + p[world, TILT]
-        push = _triple(geometry, run, GRAVITY) + wp.cos(angle) * _triple(geometry, run, GRAVITY_BY_COS)
-        push = push + wp.sin(angle) * _triple(geometry, run, GRAVITY_BY_SIN)
-        spin = VEC3(FLOAT(0.0), FLOAT(0.0), FLOAT(0.0))
-        reaction = FLOAT(0.0)
-        for face in range(faces):
-            depth, n = wall(face, x, half, radius)
-            if depth > FLOAT(0.0):
-                touch = x - radius * n
-                lever = _container_velocity(touch, axis, origin, turn)
-                relative = u - radius * wp.cross(s, n) - v * lever
-                v_n = wp.dot(relative, n)
-                f = contact(
-                    depth, v_n, relative - v_n * n, n, p[world, STIFFNESS], p[world, DAMPING], p[world, TRACTION],
-                    p[world, FRICTION], geometry[run, RAMP_DEPTH],
-                )  # fmt: skip
-                push = push + f
-                spin = spin - wp.cross(n, f) / (geometry[run, INERTIA_FACTOR] * radius)
-                reaction = reaction + wp.dot(lever, f)
-        extra = given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + p[world, SPHERE_MASS] * reaction
-        a = acceleration(q, v, given[CURRENT], extra, p, world, data.constants, run)
-        turning = (turn * v) * axis
-        moving = u - v * _container_velocity(x, axis, origin, turn)
-        return _state(v, a, moving, push - wp.cross(turning, u), spin - wp.cross(turning, s))
-
-    @wp.func
-    def moved(y: STATE, z: STATE, k: STATE, data: SphereData, r: wp.int32):
-        """The paper's equation (2): velocities first, and positions with them."""
-        axis = _triple(data.geometry, r, AXIS)
-        lever = _container_velocity(_part(y, 2), axis, _triple(data.geometry, r, ORIGIN), data.geometry[r, TURNS])
-        return _state(z[1], k[1], _part(z, 5) - z[1] * lever, _part(k, 5), _part(k, 8))
-
-    @wp.func
-    def step(
-        y: STATE, h: FLOAT, given: VEC3, p: FLOATS, world: wp.int32, data: SphereData, run: wp.int32
-    ):  # fmt: skip
-        k1 = rates(y, given, p, world, data, run)
-        if wp.static(rk4):
-            half = FLOAT(0.5)
-            two = FLOAT(2.0)
-            k2 = rates(y + (half * h) * k1, given, p, world, data, run)
-            k3 = rates(y + (half * h) * k2, given, p, world, data, run)
-            k4 = rates(y + h * k3, given, p, world, data, run)
-            return y + (h / FLOAT(6.0)) * (k1 + two * k2 + two * k3 + k4)
-        else:
-            return y + h * moved(y, y + h * k1, k1, data, run)
-
-    return PlainLaw(STATE, VEC3, SphereData, DELAY, start, rates, step, standstill(STATE, SphereData))
+    return x, v * container_velocity(x, axis, triple(geometry, run, ORIGIN), turn), (turn * v) * axis
 
 
 @cache
 def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
-    """Joint and sphere with tangents; state as in `plain_sphere_law`."""
+    """Joint and sphere with tangents; the state is q, v, then the sphere's position, velocity and spin."""
     vec = wp.types.vector(length=directions, dtype=FLOAT)
     mat = wp.types.matrix(shape=(3, directions), dtype=FLOAT)
     whole = wp.types.matrix(shape=(11, directions), dtype=FLOAT)
     linearised = linearised_acceleration(directions, stribeck)
-    wall = _wall(shape)
+    wall = wall_of(shape)
     curved = shape != "box"
     ramped = law == "ramped"
 
@@ -269,8 +169,8 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         run: wp.int32,
     ):
         """Force per kilogram of one contact, what it does to spin and joint, and the tangents of all three."""
-        axis = _triple(geometry, run, AXIS)
-        origin = _triple(geometry, run, ORIGIN)
+        axis = triple(geometry, run, AXIS)
+        origin = triple(geometry, run, ORIGIN)
         turn = geometry[run, TURNS]
         radius = geometry[run, RADIUS]
         k = p[world, STIFFNESS]
@@ -278,7 +178,7 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         kf = p[world, TRACTION]
         mu = p[world, FRICTION]
         across = _cross_of(n)
-        lever = _container_velocity(x - radius * n, axis, origin, turn)
+        lever = container_velocity(x - radius * n, axis, origin, turn)
         relative = u - radius * wp.cross(s, n) - v * lever
         v_n = wp.dot(relative, n)
         slip = relative - v_n * n
@@ -379,22 +279,22 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         run: wp.int32,
     ):
         """Rates of the sphere, its load on the joint, and the tangents of both."""
-        axis = _triple(geometry, run, AXIS)
-        origin = _triple(geometry, run, ORIGIN)
+        axis = triple(geometry, run, AXIS)
+        origin = triple(geometry, run, ORIGIN)
         turn = geometry[run, TURNS]
-        half = _triple(geometry, run, HALF_SIZE)
+        half = triple(geometry, run, HALF_SIZE)
         radius = geometry[run, RADIUS]
         angle = q + p[world, TILT]
         cos = wp.cos(angle)
         sin = wp.sin(angle)
-        by_cos = _triple(geometry, run, GRAVITY_BY_COS)
-        by_sin = _triple(geometry, run, GRAVITY_BY_SIN)
+        by_cos = triple(geometry, run, GRAVITY_BY_COS)
+        by_sin = triple(geometry, run, GRAVITY_BY_SIN)
         turning = (turn * v) * axis
         round = _cross_of(turning)
-        lever = _container_velocity(x, axis, origin, turn)
+        lever = container_velocity(x, axis, origin, turn)
         moving = u - v * lever
         d_moving = du - wp.outer(lever, dv) - round @ dx
-        push = _triple(geometry, run, GRAVITY) + cos * by_cos + sin * by_sin - wp.cross(turning, u)
+        push = triple(geometry, run, GRAVITY) + cos * by_cos + sin * by_sin - wp.cross(turning, u)
         d_push = wp.outer(cos * by_sin - sin * by_cos, dq + dp[world, TILT]) - round @ du
         d_push = d_push - wp.outer(turn * wp.cross(axis, u), dv)
         spin = -wp.cross(turning, s)
@@ -430,14 +330,14 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
 
     @wp.func
     def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
-        x, u, s = _start(p, w, data.geometry, r)
-        axis = _triple(data.geometry, r, AXIS)
+        x, u, s = start_of(p, w, data.geometry, r)
+        axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
         dv = dp[w, V0]
         dx = wp.matrix_from_rows(dp[w, START_X], dp[w, START_Y], dp[w, START_Z])
-        lever = _container_velocity(x, axis, _triple(data.geometry, r, ORIGIN), turn)
+        lever = container_velocity(x, axis, triple(data.geometry, r, ORIGIN), turn)
         du = wp.outer(lever, dv) + (turn * p[w, V0] * _cross_of(axis)) @ dx
-        return _state(p[w, Q0], p[w, V0], x, u, s), joined(dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv))
+        return joined_state(p[w, Q0], p[w, V0], x, u, s), joined(dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv))
 
     @wp.func
     def joined(dq: vec, dv: vec, dx: mat, du: mat, ds: mat):
@@ -461,22 +361,22 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         extra = p[w, GRAVITY_CONSTANT] + given[LOAD] + p[w, CARRIED] * given[LOAD_PER_KG]
         d_extra = dp[w, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp[w, CARRIED]
         x1, dx1, u1, du1, s1, ds1, load, d_load = sphere_rates(
-            y[0], y[1], _part(y, 2), _part(y, 5), _part(y, 8), dy[0], dy[1], three(dy, 2), three(dy, 5), three(dy, 8),
+            y[0], y[1], part(y, 2), part(y, 5), part(y, 8), dy[0], dy[1], three(dy, 2), three(dy, 5), three(dy, 8),
             p, dp, w, data.geometry, r,
         )  # fmt: skip
         a, da = linearised(
             y[0], y[1], dy[0], dy[1], given[CURRENT], extra + load, d_extra + d_load, p, dp, w, data.constants, r
         )
-        return _state(y[1], a, x1, u1, s1), joined(dy[1], da, dx1, du1, ds1)
+        return joined_state(y[1], a, x1, u1, s1), joined(dy[1], da, dx1, du1, ds1)
 
     @wp.func
     def moved(y: STATE, dy: whole, z: STATE, dz: whole, k: STATE, dk: whole, data: SphereData, r: wp.int32):
-        axis = _triple(data.geometry, r, AXIS)
+        axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
-        lever = _container_velocity(_part(y, 2), axis, _triple(data.geometry, r, ORIGIN), turn)
+        lever = container_velocity(part(y, 2), axis, triple(data.geometry, r, ORIGIN), turn)
         dx = three(dz, 5) - wp.outer(lever, dz[1]) - (turn * z[1] * _cross_of(axis)) @ three(dy, 2)
         return (
-            _state(z[1], k[1], _part(z, 5) - z[1] * lever, _part(k, 5), _part(k, 8)),
+            joined_state(z[1], k[1], part(z, 5) - z[1] * lever, part(k, 5), part(k, 8)),
             joined(dz[1], dk[1], dx, three(dk, 5), three(dk, 8)),
         )
 
@@ -489,7 +389,7 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         else:
             out.q[w, k] = y[0]
             out.dq[w, k] = dy[0]
-        out.x[w, k] = _part(y, 2)
+        out.x[w, k] = part(y, 2)
         out.dx[w, k] = three(dy, 2)
 
     return Law(

@@ -25,11 +25,10 @@ import warp as wp
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim import runtime
 from proprio_ros.sim.joint import JointRun, JointSimulator, harmless, kinds_of_kernel, plain_kernel
-from proprio_ros.sim.joint_kernels import plain_joint_law
 from proprio_ros.sim.response import Response
 from proprio_ros.sim.response_kernels import VEC4
-from proprio_ros.sim.rollout import PlainLaw, rollout
-from proprio_ros.sim.squeeze_kernels import GAP, SQUEEZE_PARAMETERS, SqueezeData, plain_rate, squeeze_law
+from proprio_ros.sim.rollout import rollout
+from proprio_ros.sim.squeeze_kernels import GAP, SQUEEZE_PARAMETERS, SqueezeData, squeeze_law
 
 SQUEEZE_INDEX = {name: row for row, name in enumerate(SQUEEZE_PARAMETERS)}
 _SIZES = (1, 4, 8, 12, 18)
@@ -108,9 +107,6 @@ class SqueezeSimulator(JointSimulator):
     def _kernel(self, size: int, stribeck: bool) -> tuple[Any, Any]:
         law = squeeze_law(size, stribeck)
         return rollout(law, self.integrator), law.out
-
-    def _plain_law(self) -> PlainLaw:
-        return plain_joint_law(plain_rate, SqueezeData, self.integrator)
 
     def _data(self) -> Any:
         data = SqueezeData()

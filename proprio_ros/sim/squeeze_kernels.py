@@ -13,7 +13,6 @@ from proprio_ros.sim.joint_kernels import (
     PARAMETERS,
     VEC2,
     VEC3,
-    acceleration,
     linearised_acceleration,
     one_joint_law,
 )
@@ -74,14 +73,6 @@ def excitation_of_block(q: FLOAT, v: FLOAT, p: FLOATS, world: wp.int32, data: Sq
             by_v = travel * area * eta * ramp * travel / length
             by_p = VEC4(travel * area * phi, travel * area * modulus * by_nu, travel * area * rate * ramp, -slope)
     return load, by_q, by_v, by_p
-
-
-@wp.func
-def plain_rate(
-    q: FLOAT, v: FLOAT, command: FLOAT, extra: FLOAT, p: FLOATS, w: wp.int32, data: SqueezeData, r: wp.int32
-):
-    load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
-    return acceleration(q, v, command, extra + load, p, w, data.constants, r)
 
 
 @cache

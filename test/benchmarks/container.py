@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from case import REPEATS, REPOSITORY, Case, Row, Timing, measure, measure_in_turn
 from scipy.optimize import least_squares
+from support.plain_laws import parts, record_forward, states_of
 
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
@@ -382,7 +383,7 @@ def apart(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray]) -> float:
 
 def share_in_contact(simulator: SphereSimulator, p: np.ndarray) -> float:
     """In how many of the samples the sphere touches a wall."""
-    x = simulator.states(np.zeros(len(p), dtype=np.int32), p)[2]
+    x = states_of(simulator, np.zeros(len(p), dtype=np.int32), p)[2]
     return float((np.abs(x) > simulator.enclosure.room).any(axis=2).mean())
 
 
@@ -450,11 +451,11 @@ def _forward_rows(box: Boxed) -> list[Row]:
     rows = []
     for name, run, p in easy_and_hard(box):
         simulator = SphereSimulator([run], box.facts.enclosure)
-        states, launch = simulator.record_forward(np.zeros(len(p), dtype=np.int32), p)
+        states, launch = record_forward(simulator, np.zeros(len(p), dtype=np.int32), p)
         launch.launch()
         with tempfile.TemporaryDirectory() as folder:
             plain = SpherePass(simulator, p, folder)
-            off = apart(simulator.parts(states), plain())
+            off = apart(parts(states), plain())
             what = f"gcc {' '.join(FLAGS)}, sphere's forward pass, {name}"
             if not off <= EQUAL:
                 rows.append(Row(what, None, "void", False, f"results differ by {off:.1e}"))
@@ -471,7 +472,7 @@ def _tangent_rows(box: Boxed) -> list[Row]:
     simulator = box.problem.simulator.special
     p, dp = box.parameters(STARTS_KG)
     worlds = np.zeros(len(p), dtype=np.int32)
-    _, forward = simulator.record_forward(worlds, p)
+    _, forward = record_forward(simulator, worlds, p)
 
     def passing(directions: int) -> Callable[[], object]:
         given = np.zeros((*p.shape, directions))
@@ -570,7 +571,7 @@ def _bias_rows(box: Boxed) -> list[Row]:
             joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
             simulator = SphereSimulator([replace(run, joint=joint)], box.facts.enclosure, law, integrator)
             worlds, p = np.zeros(len(STARTS_KG), dtype=np.int32), np.tile(p, (len(STARTS_KG), 1))
-            _, forward = simulator.record_forward(worlds, p)
+            _, forward = record_forward(simulator, worlds, p)
             timing = measure(forward.launch, repeats=15, calls=10, warm_up=3)
             biases = ", ".join(f"{name} {100.0 * off:+.4f} %" for name, off in offs.items())
             rows.append(Row(f"ours: forward pass, law {law}, {steps}", timing, note=f"bias of the mass: {biases}"))

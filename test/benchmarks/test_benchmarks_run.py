@@ -52,13 +52,14 @@ def test_plain_c_computes_our_numbers_with_a_sphere(tmp_path: Path) -> None:
     if shutil.which("gcc") is None:
         pytest.skip("needs gcc")
     from container import EQUAL, SpherePass, apart, easy_and_hard, pose, share_in_contact
+    from support.plain_laws import states_of
 
     from proprio_ros.sim.sphere import SphereSimulator
 
     box = pose()
     for _, run, p in easy_and_hard(box):
         simulator = SphereSimulator([run], box.facts.enclosure)
-        ours = simulator.states(np.zeros(len(p), dtype=np.int32), p)
+        ours = states_of(simulator, np.zeros(len(p), dtype=np.int32), p)
         assert apart(ours, SpherePass(simulator, p, str(tmp_path))()) < EQUAL
         assert share_in_contact(simulator, p) > 0.9
 

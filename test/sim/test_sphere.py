@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.spatial.transform import Rotation
+from support.plain_laws import states_of
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
@@ -80,7 +81,7 @@ def test_a_sphere_that_touches_nothing_is_a_projectile(kind: str) -> None:
     large = Enclosure("box", np.full(3, 3.0), 0.01)
     start, q0, v0 = np.array([0.03, -0.02, 0.05]), 0.4, 1.5
     sim = simulator(times, large, kind, current=0.05, step=1e-3)
-    q, v, x, u, spin = (s[0] for s in sim.states(ONE, parameters(start=start, q0=q0, v0=v0, gravity_cos=0.03)))
+    q, v, x, u, spin = (s[0] for s in states_of(sim, ONE, parameters(start=start, q0=q0, v0=v0, gravity_cos=0.03)))
     assert abs(v[-1] - v[0]) > 0.1
     begin = world_place(kind, np.array([q0]), start[None])[0]
     if kind == "revolute":
@@ -106,24 +107,24 @@ def test_a_sphere_without_mass_leaves_the_joint_alone(integrator: str) -> None:
         viscous=0.01, load_friction=0.05, delay=0.004, q0=0.3, v0=0.2, stribeck=0.3, stribeck_velocity=0.2,
     )  # fmt: skip
     sim = SphereSimulator([SphereRun(joint, "revolute", AXIS, ORIGIN, GRAVITY)], BOX, integrator=integrator)
-    q, v, x, *_ = sim.states(ONE, p)
+    q, v, x, *_ = states_of(sim, ONE, p)
     alone = JointSimulator([joint], integrator).rollout(ONE, p[:, : len(PARAMETERS)])
     np.testing.assert_allclose(q, alone[0], atol=1e-13)
     np.testing.assert_allclose(v, alone[1], atol=1e-12)
     assert np.ptp(x[0], axis=0).max() > 0.01  # it moved and bounced all the same
     p[0, SPHERE_INDEX["sphere_mass"]] = 0.03
-    assert np.abs(sim.states(ONE, p)[0] - q).max() > 1e-3
+    assert np.abs(states_of(sim, ONE, p)[0] - q).max() > 1e-3
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_sphere_at_rest_in_a_corner_stays_there(law: str) -> None:
     """Three walls carry it, each pressed as deep as its share of the weight asks for."""
     start = resting_on(GRAVITY, BOX, HARD)
-    states = simulator(np.linspace(0.05, 1.0, 20), law=law).states(ONE, parameters(start=start, inertia=HELD))
+    states = states_of(simulator(np.linspace(0.05, 1.0, 20), law=law), ONE, parameters(start=start, inertia=HELD))
     np.testing.assert_allclose(states[2][0], np.tile(start, (20, 1)), atol=1e-9)
     # and it comes to rest there from elsewhere
     off = start - 0.003 * np.sign(GRAVITY)
-    x = simulator(np.linspace(1.0, 2.0, 20), law=law).states(ONE, parameters(start=off, inertia=HELD))[2][0]
+    x = states_of(simulator(np.linspace(1.0, 2.0, 20), law=law), ONE, parameters(start=off, inertia=HELD))[2][0]
     np.testing.assert_allclose(x, np.tile(start, (20, 1)), atol=1e-6)
 
 
@@ -132,8 +133,8 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
     """A joint so heavy that it hardly moves feels the sphere's weight at the sphere's place; a light one a rigid load."""
     start, mass = resting_on(GRAVITY, BOX, HARD), 0.05
     heavy, time = 1e4, 0.2
-    _, v, *_ = simulator(np.array([time]), kind=kind).states(
-        ONE, parameters(start=start, inertia=heavy, sphere_mass=mass)
+    _, v, *_ = states_of(
+        simulator(np.array([time]), kind=kind), ONE, parameters(start=start, inertia=heavy, sphere_mass=mass)
     )
     load = AXIS @ np.cross(start - ORIGIN, mass * GRAVITY) if kind == "revolute" else mass * AXIS @ GRAVITY
     assert v[0, 0] == pytest.approx(load / heavy * time, rel=1e-5)
@@ -142,8 +143,10 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
     start = resting_on(GRAVITY, BOX, stiff)
     times = np.linspace(0.02, 0.15, 14)
     held_back = 0.6 * load  # so that the container does not fall freely, in which the sphere would float
-    q, v, x, *_ = simulator(times, kind=kind, current=-held_back, step=5e-5).states(
-        ONE, parameters(stiff, start, inertia=arm, sphere_mass=mass)
+    q, v, x, *_ = states_of(
+        simulator(times, kind=kind, current=-held_back, step=5e-5),
+        ONE,
+        parameters(stiff, start, inertia=arm, sphere_mass=mass),
     )
     lever, weight = start - ORIGIN, mass * GRAVITY
     inertia = arm + mass * (np.cross(AXIS, lever) @ np.cross(AXIS, lever) + 0.4 * BOX.radius**2)
@@ -173,7 +176,7 @@ def test_a_ball_on_an_inclined_plane(law: str, kappa: float, tilt: float, fricti
     gravity = G * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     start = np.array([-1.5, 0.0, -long.room[2] + gravity[2] / contact.stiffness])
     sim = simulator(np.array([0.1, 0.5]), long, gravity=gravity, law=law)
-    _, _, x, u, spin = (s[0] for s in sim.states(ONE, parameters(contact, start, inertia=HELD)))
+    _, _, x, u, spin = (s[0] for s in states_of(sim, ONE, parameters(contact, start, inertia=HELD)))
     acceleration = np.diff(u[:, 0])[0] / 0.4
     rolls = np.tan(tilt) < friction * (1.0 + 1.0 / kappa)
     expected = G * np.sin(tilt) / (1.0 + kappa) if rolls else G * (np.sin(tilt) - friction * np.cos(tilt))
@@ -231,7 +234,7 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
     times = np.arange(1, 2001) * step
     drift = []
     for h in (step, step / 2.0):
-        states = simulator(times, inside, kind, step=h, law=law).states(ONE, p)
+        states = states_of(simulator(times, inside, kind, step=h, law=law), ONE, p)
         total = energy(kind, inside, p, states)
         drift.append(np.abs(total - total[0]).max())
     q, v, x, u, spin = (s[0] for s in states)
@@ -266,7 +269,7 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
     times = np.arange(1, 2001) * 2e-4
     totals = []
     for step in (2e-4, 1e-4):
-        states = simulator(times, inside, kind, step=step, law=law).states(ONE, p)
+        states = states_of(simulator(times, inside, kind, step=step, law=law), ONE, p)
         totals.append(energy(kind, inside, p, states))
     total = totals[1]
     lost = total[0] - total[-1]
@@ -296,8 +299,8 @@ def test_walls_of_a_corner_push_at_once() -> None:
     depths = np.array([1e-4, 2e-4, 3e-4])
     signs = np.array([1.0, -1.0, 1.0])
     time = 1e-5
-    states = simulator(np.array([time]), step=time).states(
-        ONE, parameters(start=signs * (BOX.room + depths), inertia=HELD)
+    states = states_of(
+        simulator(np.array([time]), step=time), ONE, parameters(start=signs * (BOX.room + depths), inertia=HELD)
     )
     np.testing.assert_allclose(states[3][0, 0] / time, GRAVITY - HARD.stiffness * signs * depths, rtol=1e-2)
 
@@ -308,7 +311,7 @@ def test_only_the_papers_law_pulls(law: str, pulls: bool) -> None:
     times = np.arange(1, 4001) * 2e-6
     start = np.array([0.0, 0.0, -BOX.room[2] - 1.5e-3])
     sim = simulator(times, gravity=np.zeros(3), step=2e-6, law=law)
-    _, _, x, u, _ = (s[0] for s in sim.states(ONE, parameters(start=start, inertia=HELD)))
+    _, _, x, u, _ = (s[0] for s in states_of(sim, ONE, parameters(start=start, inertia=HELD)))
     assert x[-1, 2] > -BOX.room[2]  # it left
     force = np.diff(u[:, 2]) / 2e-6
     assert force.max() > 0.5 * HARD.stiffness * 1e-3
@@ -334,7 +337,7 @@ def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
 
     def end(step: float, scheme: str) -> np.ndarray:
         sim = simulator(np.array([0.12]), inside, gravity=np.array(gravity), step=step, law=law, integrator=scheme)
-        q, v, x, u, spin = (s[0, 0] for s in sim.states(ONE, p))
+        q, v, x, u, spin = (s[0, 0] for s in states_of(sim, ONE, p))
         return np.concatenate([[q, v], x, u, spin])
 
     exact = end(1.25e-4, "rk4")
@@ -349,7 +352,7 @@ def test_the_papers_constants_are_newtons() -> None:
     for mass in (0.005, 0.05):
         p = parameters(paper_contact(mass), (0.0, 0.0, -BOX.room[2] - 1e-3), inertia=HELD, sphere_mass=mass)
         sim = simulator(np.array([1e-6]), gravity=np.zeros(3), step=1e-6, law="paper")
-        assert mass * sim.states(ONE, p)[3][0, 0, 2] / 1e-6 == pytest.approx(1.0, rel=1e-3)
+        assert mass * states_of(sim, ONE, p)[3][0, 0, 2] / 1e-6 == pytest.approx(1.0, rel=1e-3)
 
 
 def test_what_cannot_be_simulated_is_said() -> None:
@@ -431,10 +434,10 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
         p[0, SPHERE_INDEX["inertia"]] = 0.3
     times = np.linspace(0.01, 0.3, 30)
     exact = in_world_coordinates(BOX, p, kind, 0.12, times)
-    states = simulator(times, kind=kind, current=0.12, step=HARD.step_s(0.4) / 2.0).states(ONE, p)
+    states = states_of(simulator(times, kind=kind, current=0.12, step=HARD.step_s(0.4) / 2.0), ONE, p)
     without = p.copy()
     without[0, SPHERE_INDEX["sphere_mass"]] = 0.0
-    assert np.abs(simulator(times, kind=kind, current=0.12).states(ONE, without)[0] - states[0]).max() > 1e-3
+    assert np.abs(states_of(simulator(times, kind=kind, current=0.12), ONE, without)[0] - states[0]).max() > 1e-3
     q, v, x, u, spin = (state[0] for state in states)
     assert (np.diff(np.sign(np.diff(x, axis=0)), axis=0) != 0).any()  # it bounced
     np.testing.assert_allclose(q, exact[0], atol=1e-5)
@@ -500,7 +503,7 @@ def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> N
     start = np.array([-BOX.room[0] + down[0] / HARD.stiffness, 0.0, -BOX.room[2] + down[2] / HARD.stiffness])
     p = parameters(start=start, sphere_mass=mass, q0=q0)
     current = 0.08 - 0.9 * mass * G * 0.18  # the motor carries most of the weight and dips the hand
-    q, _, x, *_ = simulator(times, current=current, **run).states(ONE, p)
+    q, _, x, *_ = states_of(simulator(times, current=current, **run), ONE, p)
     exact, place = of_mujoco(p, axis, origin, times, current)
     assert np.ptp(place[:, 0]) > 0.95 * 2.0 * BOX.room[0]
     assert np.ptp(x[0, :, 0]) > 0.95 * 2.0 * BOX.room[0]
@@ -510,7 +513,7 @@ def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> N
         inertia=0.02 + mass * (lever @ lever + 0.4 * BOX.radius**2), sphere_mass=0.0, q0=q0,
         gravity_cos=-mass * G * lever[0], gravity_sin=-mass * G * lever[2],
     )  # fmt: skip
-    still = simulator(times, current=current, **run).states(ONE, fixed)[0]
+    still = states_of(simulator(times, current=current, **run), ONE, fixed)[0]
     rms, without_rolling = (float(np.sqrt(np.mean((one[0] - exact) ** 2))) for one in (q, still))
     assert rms < 2e-4
     assert without_rolling > 5.0 * rms

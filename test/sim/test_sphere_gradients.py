@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.plain_laws import states_of, taped_sphere
 
 from proprio_ros.sim.joint import PARAMETERS, JointRun, JointSimulator
 from proprio_ros.sim.mixed import MixedSimulator
@@ -83,7 +84,7 @@ def differences(sim: SphereSimulator, p: np.ndarray, step: np.ndarray) -> np.nda
     """Central differences of second and fourth order of joint and sphere, shape (2, P, T, 4); all in one launch."""
     moved = p + np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)
     worlds = moved.reshape(-1, len(step))
-    q, _, x, *_ = sim.states(np.zeros(len(worlds), dtype=np.int32), worlds)
+    q, _, x, *_ = states_of(sim, np.zeros(len(worlds), dtype=np.int32), worlds)
     far, near, next_, last = np.concatenate([q[..., None], x], axis=2).reshape(4, len(step), -1, 4)
     second, fourth = (next_ - near) / 2.0, (far - 8.0 * near + 8.0 * next_ - last) / 12.0
     return np.array([second, fourth]) / step[:, None, None]
@@ -100,7 +101,7 @@ def test_sensitivities_against_central_differences(name: str, shape: str, law: s
     sim, p = scene(name, shape, law, integrator)
     q, _, by_parameter = (array.copy() for array in sim.jacobian(ONE, p, EVERY))
     x, dx = sim.path(ONE, p, EVERY)
-    states = sim.states(ONE, p)
+    states = states_of(sim, ONE, p)
     np.testing.assert_allclose(q, states[0], atol=1e-13)
     np.testing.assert_allclose(x, states[2], atol=1e-13)
     exact = np.concatenate([by_parameter[0][:, None, :], dx[0]], axis=1)  # (T, 4, P)
@@ -129,7 +130,7 @@ def test_tape_against_sensitivities(name: str, shape: str, law: str, integrator:
     q, _, exact = sim.jacobian(ONE, p, EVERY)
     weights = np.random.default_rng(3).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
-    tape = sim.tape(ONE, p)
+    tape = taped_sphere(sim, ONE, p)
     np.testing.assert_allclose(tape.q, q, atol=1e-13)
     gradient = tape.gradient(weights)
     np.testing.assert_allclose(gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected * p).max())
@@ -140,7 +141,7 @@ def test_the_supply_limits_the_current_here() -> None:
     """Or the cases above would not have covered it."""
     sim, p = scene("rolling", "box", "ramped", "rk4")
     strong = SphereSimulator([sphere_run("revolute", replace(joint_run(), supply=(0.0, 2.49, 5.22)))], sim.enclosure)
-    assert np.abs(sim.states(ONE, p)[0] - strong.states(ONE, p)[0]).max() > 0.01
+    assert np.abs(states_of(sim, ONE, p)[0] - states_of(strong, ONE, p)[0]).max() > 0.01
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
@@ -156,12 +157,14 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
     step = 1e-7
     moved = np.repeat(p, 3, axis=0)
     moved[:, column] = [0.0, step, 2.0 * step]
-    q, _, x, *_ = sim.states(np.zeros(3, dtype=np.int32), moved)
+    q, _, x, *_ = states_of(sim, np.zeros(3, dtype=np.int32), moved)
     for values, wanted in ((q, exact), (x, dx)):
         difference = (-3.0 * values[0] + 4.0 * values[1] - values[2]) / (2.0 * step)
         np.testing.assert_allclose(difference, wanted, atol=3e-6 * np.abs(wanted).max())
     weights = np.random.default_rng(2).normal(size=(1, 5))
-    assert sim.tape(ONE, p).gradient(weights)[0, column] == pytest.approx((weights[0] * exact).sum(), rel=1e-10)
+    assert taped_sphere(sim, ONE, p).gradient(weights)[0, column] == pytest.approx(
+        (weights[0] * exact).sum(), rel=1e-10
+    )
 
 
 def test_few_directions_equal_all_of_them() -> None:

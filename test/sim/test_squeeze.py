@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from support.plain_laws import taped_squeeze
 
 from proprio_ros.errors import SimulationError
 from proprio_ros.paper.softbody import SOFT_PARAMETERS, SoftBody, SoftRun
@@ -125,7 +126,7 @@ def test_tape_against_sensitivities(bonded: Response, integrator: str, seed: int
     q, _, exact = sim.jacobian(ONE, p, np.eye(len(SCALES))[None])
     weights = np.random.default_rng(seed).normal(size=q.shape)
     expected = np.einsum("wt,wtd->wd", weights, exact)
-    tape = sim.tape(ONE, p)
+    tape = taped_squeeze(sim, ONE, p)
     np.testing.assert_allclose(tape.q, q, atol=1e-12)
     gradient = tape.gradient(weights)
     np.testing.assert_allclose(gradient, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
