@@ -7,7 +7,7 @@ come in whole counts, and the supply limits the current at speed. Nothing of the
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -76,8 +76,7 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
         seed: Of the hidden robot, and of its noise.
         held: What is in its hand.
         exact: Whether the robot is one of which all is known (``known_robot``), and only its noise is drawn.
-        anywhere: Whether a sphere lies somewhere on the container's floor when the current comes on, drawn for each run, and not
-            where it had come to rest.
+        anywhere: Whether a sphere lies somewhere on the container's floor when the current comes on, drawn for each run.
 
     Raises:
         SimulationError: A run of the sequence was not made.
@@ -85,7 +84,7 @@ def play(name: str, seed: int, held: HandObject | None, exact: bool = False, any
     robot = stated_robot()
     joints = tuple(robot.drive_trains)
     scale = np.array([robot.drive_trains[joint].transmission for joint in joints])
-    truth = _known_truth() if exact else Truth.draw(robot, seed, links=True, stribeck=True)
+    truth = Truth.nominal(known_robot()) if exact else Truth.draw(robot, seed, links=True, stribeck=True)
     arm = VirtualArm(robot, truth, position=PARKED, seed=seed, control_period_s=PERIOD_S)
     arm.hold(held)
     at_start = dict(zip(joints, (arm.shaft_rad() * scale).tolist(), strict=True))
@@ -143,30 +142,19 @@ def _on_the_floor(robot: Robot, position: dict[str, float], held: Container, rng
     return place
 
 
-KNOWN_COULOMB, KNOWN_VISCOUS = 0.05, 0.01
-"""Friction of the robot of which all is known [N m, N m s/rad]."""
-
-
 @lru_cache(maxsize=1)
 def known_robot() -> Robot:
     """A robot whose file says exactly what it is like: friction as of a usual one, everything else nominal."""
     robot = stated_robot()
-    exact: dict[str, Any] = {"arm_scale": 1.0, "delay_s": _known_truth().latency_s}
+    exact: dict[str, Any] = {"arm_scale": 1.0, "delay_s": 0.004}
     for joint, drive in robot.drive_trains.items():
         exact |= {
-            f"joints.{joint}.drive_train.coulomb_N_m": KNOWN_COULOMB,
-            f"joints.{joint}.drive_train.viscous_N_m_s_per_rad": KNOWN_VISCOUS,
+            f"joints.{joint}.drive_train.coulomb_N_m": 0.05,
+            f"joints.{joint}.drive_train.viscous_N_m_s_per_rad": 0.01,
             f"joints.{joint}.drive_train.torque_constant_N_m_per_A": drive.torque_constant.value,
             f"joints.{joint}.drive_train.armature_kg_m2": drive.armature.value,
         }
     return robot.with_overrides(exact)
-
-
-def _known_truth() -> Truth:
-    nominal = Truth.nominal(stated_robot())
-    rubbing = {"coulomb": KNOWN_COULOMB, "viscous": KNOWN_VISCOUS}
-    joints = {name: replace(joint, **rubbing) for name, joint in nominal.joints.items()}
-    return replace(nominal, joints=joints, latency_s=0.004)
 
 
 def _counted(current_A: float) -> float:

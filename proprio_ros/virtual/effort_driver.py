@@ -145,11 +145,7 @@ class EffortDriver:
                 self.arm.hold(thing)
 
     def set_fault(self, text: str) -> None:
-        """Faults are those of a servo bus, which is not here.
-
-        Raises:
-            ConfigurationError: One is asked for.
-        """
+        """Refuse a fault: they are those of a servo bus, which is not here."""
         if text:
             raise ConfigurationError(
                 f"fault {text!r}: behind a controller there is no servo bus; choose interface:=bus"

@@ -125,11 +125,12 @@ def hand(mass_kg: float, position: Mapping[str, float] | None = None, coulomb: f
     from proprio_ros.virtual.arm import VirtualArm
     from proprio_ros.virtual.objects import Payload
     from proprio_ros.virtual.robot import PARKED
+    from proprio_ros.virtual.truth import Truth
 
-    truth = paper_hand._known_truth()
+    robot = paper_hand.known_robot()
+    truth = Truth.nominal(robot)
     if coulomb is not None:
         truth = replace(truth, joints={n: replace(joint, coulomb=coulomb) for n, joint in truth.joints.items()})
-    robot = paper_hand.known_robot()
     arm = VirtualArm(robot, truth, position=position or PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
     arm.hold(Payload(mass_kg))
     return Weighing(robot, arm)

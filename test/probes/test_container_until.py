@@ -119,9 +119,10 @@ def weighed(held: Container | Payload, until: Until = UNTIL, empty: Payload | No
 
     from proprio_ros.virtual.arm import VirtualArm
     from proprio_ros.virtual.robot import PARKED
+    from proprio_ros.virtual.truth import Truth
 
     robot = paper_hand.known_robot()
-    arm = VirtualArm(robot, paper_hand._known_truth(), position=PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
+    arm = VirtualArm(robot, Truth.nominal(robot), position=PARKED, seed=1, control_period_s=paper_hand.PERIOD_S)
     hand = Hand(robot, arm)
     job = JOB if empty is None else PROBE.facts(Settings(parse_settings(BOX)))
     if empty is not None:
