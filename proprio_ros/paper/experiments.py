@@ -128,8 +128,8 @@ def sphere(seed: int) -> Rows:
             ("ours, one run", rolling[:1], weighed, ()),
             ("ours, three runs and the empty box", rolling, open_box, baseline),
         ):
-            estimate = find_sphere(robot, runs, facts, None, empty)
-            rows.append(answered(estimate, "sphere_mass").row(way=way, **labels))
+            found = find_sphere(robot, runs, facts, None, empty)
+            rows.append(answered(found, "sphere_mass").row(way=way, **labels))
     return {"rows": rows}
 
 

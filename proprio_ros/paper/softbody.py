@@ -43,6 +43,8 @@ KEEP = ("states", "starts")
 SEGMENT_BYTES = 2**20
 """States of a segment: as many whole frames as fit, at least one. A launch costs 50 us, and what fits into the cache is faster."""
 _STATES = 4
+FRICTION_VELOCITY = 1e-3
+"""v_s, where Coulomb's law is smoothed [rad/s]."""
 MARGIN = 0.8
 """Of the longest stable step at rest; a block that is squeezed by 40 % is stiffer, by 1.2 in frequency."""
 
@@ -91,21 +93,12 @@ class SoftBody:
         travel: How fast the fingers close on each other per unit of the joint [m/rad, or m/m], not 0.
         law: One of ``energies.LAWS``.
         contact: One of ``quasistatic.CONTACTS``.
-        friction_velocity: v_s, where Coulomb's law is smoothed [rad/s].
 
     Raises:
         SimulationError: Unknown law or contact, no mass or no travel.
     """
 
-    def __init__(
-        self,
-        mesh: TetMesh,
-        mass: float,
-        travel: float,
-        law: str = "log",
-        contact: str = "bonded",
-        friction_velocity: float = 1e-3,
-    ) -> None:
+    def __init__(self, mesh: TetMesh, mass: float, travel: float, law: str = "log", contact: str = "bonded") -> None:
         if contact not in CONTACTS:
             raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
         if not (np.isfinite(mass) and mass > 0.0 and np.isfinite(travel) and travel != 0.0):
@@ -117,17 +110,14 @@ class SoftBody:
         self.contact = contact
         self.elastic = Elastic(mesh, law)
         self.travel = travel
-        self._smooth = friction_velocity
         density = mass / float(mesh.volumes.sum())
         self.masses = np.bincount(mesh.tets.ravel(), np.repeat(0.25 * density * mesh.volumes, 4))
         self._points = mesh.points - np.array([mesh.low[0] + 0.5 * mesh.length, 0.0, 0.0])
         self._sides = np.zeros(len(mesh.points))
         self._sides[mesh.end(0, False)], self._sides[mesh.end(0, True)] = -1.0, 1.0
         self._ends = np.flatnonzero(self._sides)
-        corners = mesh.points[mesh.tets]
-        inverses = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+        inverses = mesh.gradients[:, 1:]
         shares = mesh.volumes / np.bincount(mesh.cells, mesh.volumes)[mesh.cells]
-
         grams = inverses @ np.swapaxes(inverses, 1, 2)
         block = mesh.tets, mesh.cells, shares, mesh.volumes, inverses, grams, self.masses, self._sides, self._ends
         kinds = wp.int32, wp.int32, FLOAT, FLOAT, MAT33, MAT33, FLOAT, FLOAT, wp.int32
@@ -232,6 +222,7 @@ class SoftRollout:
     Attributes:
         q, v: Joint coordinate and velocity at the end of every frame, shape (W, K).
         points, velocities: Of the nodes at the end, relative to the middle between the fingers, shape (W, N, 3).
+        bytes: Of memory, for all states that are kept and those of one segment.
     """
 
     def __init__(
@@ -240,7 +231,7 @@ class SoftRollout:
         self._owner, self._run, self._keep, self._given = owner, run, keep, p
         self._p = _doubles(p)
         faces_mass = float(owner.masses[owner._ends].sum())
-        self._constants = _doubles([0.5 * owner.mesh.length, owner.travel, owner._smooth, faces_mass, run.step_s])
+        self._constants = _doubles([0.5 * owner.mesh.length, owner.travel, FRICTION_VELOCITY, faces_mass, run.step_s])
         self._kernel = frame_kernel(owner.law, owner.contact == "bonded")
         per_frame = 8 * len(p) * run.substeps * (3 + 9 * len(owner.mesh.points) + owner.mesh.cell_count)
         whole = max(1, min(run.frames, SEGMENT_BYTES // per_frame))
@@ -268,7 +259,6 @@ class SoftRollout:
             raise SimulationError(
                 "the rollout diverged: a squeezed block is stiffer than at rest; take more substeps, or less current"
             )
-        #: Memory of all states that are kept, and of those of one segment [B].
         kept = [*self._segments, *([done] if keep == "starts" else [])]
         self.bytes = sum(int(array.capacity) for rows in kept for array in rows)
 

@@ -20,6 +20,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
 
 from proprio_ros.paper.softbody import (
+    FRICTION_VELOCITY,
     SOFT_INDEX,
     SOFT_PARAMETERS,
     SoftBody,
@@ -151,7 +152,7 @@ class PerSubstep:
             _,
         ) = body._block
         faces = float(body.masses[body._ends].sum())
-        constants = np.array([0.5 * body.mesh.length, body.travel, body._smooth, faces, run.step_s])
+        constants = np.array([0.5 * body.mesh.length, body.travel, FRICTION_VELOCITY, faces, run.step_s])
         self._constants = wp.array(constants, dtype=FLOAT)
         self._p = wp.array(p[0], dtype=FLOAT, requires_grad=True)
         self._start = body._start(p, None)
