@@ -73,25 +73,21 @@ class ArmDriver:
         log: Callable[[str, str], None] = lambda severity, message: None,
         clock: Callable[[], float] = now,
     ) -> None:
-        self.robot = robot
-        self.bus = bus
+        self.robot, self.bus = robot, bus
         self.settings = settings or DriverSettings()
         self.statistics = DriverStatistics()
         self.state = BusState.DISCONNECTED
         self.reason = "not connected yet"
         self.health: dict[str, ServoHealth] = {}
-        self._log = log
-        self._clock = clock
+        self._log, self._clock = log, clock
         self._joints = {servo.joint: DrivenJoint.of(robot, servo) for servo in bus.servos}
         self._lock = lock()
         self._command: CurrentCommand | None = None
         self._targets: dict[str, float] = {}
         self._mover: tuple[int, float] = (0, -np.inf)  # who sent the last positions, and when
-        self._hold_wanted = False
+        self._hold_wanted = self._stop_wanted = self._driving = False
         self._torque_wanted: bool | None = None
         self._torque_set = event()
-        self._stop_wanted = False
-        self._driving = False
         self._last_answer_s = self._next_connect_s = self._next_health_s = -np.inf
         self._goals_at_s = self._sampled_at_s = -np.inf
         self._health_turn = 0

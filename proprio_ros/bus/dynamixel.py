@@ -155,16 +155,13 @@ class DynamixelBus:
             raise BusError(
                 f"baud rate {baud_rate} is not known to the servos; choose from {', '.join(map(str, BAUD_RATES.values()))}"
             )
-        self.port_name = port
+        self.port_name, self.baud_rate = port, baud_rate
         self.servos = tuple(servos)
-        self.baud_rate = baud_rate
         self.warnings: list[str] = []
         self.motors: Motors = {}
         self._by_id = {servo.id: servo for servo in self.servos}
-        self._reply_timeout_s = reply_timeout_s
-        self._want_fast = fast_sync_read
-        self._connect = connect
-        self.fast = False
+        self._reply_timeout_s, self._connect = reply_timeout_s, connect
+        self._want_fast, self.fast = fast_sync_read, False
         self._port: Port | None = None
         self._packets = dynamixel_sdk.PacketHandler(2.0)
         # ROS 2 Jazzy ships 4.0.5, which has no fast option
