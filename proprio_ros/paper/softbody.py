@@ -287,10 +287,15 @@ class SoftRollout:
         run, owner = self._run, self._owner
         later, by_p = self._rows(0), wp.zeros_like(self._p)
         given = [None] * (len(owner._block) + 2)
+        adjoint: dict[int, list[wp.array]] = {}
         for segment, frame in reversed(list(enumerate(self._first))):
             rows = self._segments[segment] if self._keep == "states" else self._integrate(segment)
             steps = self._steps(segment)
-            mine = self._rows(steps)
+            if steps not in adjoint:  # two lengths at most: the last segment may be shorter
+                adjoint[steps] = self._rows(steps)
+            mine = adjoint[steps]
+            for array in mine:
+                array.zero_()
             _carry(later, 0, mine, steps)
             at_ends = weights[:, frame : frame + steps // run.substeps]
             mine[0].numpy()[:, run.substeps :: run.substeps] += at_ends
