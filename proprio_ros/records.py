@@ -236,6 +236,7 @@ class Recording:
         notes: Every repair made while reading, one sentence each.
         torque_off_ns: From when to when torque was off [ns], one pair per stretch, on the clock of the joint states.
         signals: What stall currents are made of, where voltages drive motors; else None.
+        commanded: Commands of this package's own topics, where measured efforts are the input; to compare the two, else None.
     """
 
     name: str
@@ -244,6 +245,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     torque_off_ns: tuple[tuple[int, int], ...] = ()
     signals: DriveSignals | None = None
+    commanded: InputRecord | None = None
 
     def __post_init__(self) -> None:
         _show(self)

@@ -14,8 +14,9 @@ from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.pipeline.request import Request
 from proprio_ros.recordings.contents import read_motors
+from proprio_ros.recordings.contradictions import refuse_other_current
 from proprio_ros.recordings.datasets import episode_of, read_episode
-from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A
+from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.plausibility import EffortUnit, effort_per_torque, effort_units
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
@@ -259,7 +260,13 @@ def turning_joints(robot: Robot) -> list[str]:
 
 
 def _noted(runs: Sequence[Run], recording: Recording, request: Request) -> tuple[Run, ...]:
-    """Each run with what was noted of the whole recording."""
+    """Each run with what was noted of the whole recording.
+
+    Raises:
+        RecordingError: What was commanded is not what flowed.
+    """
+    usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
+    refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
     notes = recording.notes + unit_not_used(recording.inputs, request.options.effort_unit)
     return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
 

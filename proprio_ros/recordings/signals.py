@@ -16,6 +16,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError, printable
 from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
+from proprio_ros.recordings.contradictions import refuse_pace
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere, held, known_or_none
 from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.reader import Bag, open_bag
@@ -112,15 +113,17 @@ def read_recording(
     """
     effort = Effort(effort_unit, nominal_torque_constants, current_per_count_A)
     path, asked = Path(path), _Asked(conventions, effort, joint_order)
-    inputs = None
+    inputs = beside = None
     with open_bag(path) as bag:
         state = bag.topics.states(state_topic, command_topic, conventions)
         bag.cut(state, span)
         command = None if states_only else bag.topics.input(command_topic, state, conventions)
         columns = joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
-        notes = list(columns.notes)
+        notes = [*columns.notes, *refuse_pace(f"{path}: {state.name}", columns)]
         if command is not None and command[0] != state:
             inputs = _commands(bag, *command, columns, asked, notes)
+        elif not states_only and (own := bag.topics.input(None, state)) is not None:
+            beside = _commands(bag, *own, columns, asked, [])
         torque_off = _torque_off(bag, state, columns, notes)
         notes = bag.notes + notes
     record = _joint_record(path, state, columns, inputs, asked, notes)
@@ -128,7 +131,7 @@ def read_recording(
     needed = not states_only and not (torque_off and effort_unit is None)
     if inputs is None and needed and record.reported_effort is not None:
         inputs = _measured(path, state, record, asked)
-    return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off)
+    return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside)
 
 
 def _joint_record(
