@@ -269,7 +269,7 @@ class Calibration:
 
 
 def check_complete(
-    calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], spreads: Mapping[str, float]
+    calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], priors: Mapping[str, Quantity]
 ) -> None:
     """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
 
@@ -277,11 +277,11 @@ def check_complete(
         calibration: As the file has it.
         links: Of the robot, by name.
         drive_trains: Of the robot file, by joint; each a ``DriveTrain``.
-        spreads: Standard deviations that the robot file gives to what it takes for zero, by kind of unknown.
+        priors: What the robot file says of unknowns that no drive train has, by kind.
 
     Raises:
         FormError: An unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a
-            torque constant is far from the motor's nominal one.
+            value is far from what the robot file says, or a torque constant from the motor's nominal one.
     """
     there = set(calibration.keys)
     for key in calibration.keys:
@@ -289,12 +289,6 @@ def check_complete(
         names = {"joint": tuple(drive_trains), "link": tuple(links)}.get(of, ())
         if of and scope not in names:
             raise FormError(f"{name_of(key)}: the robot has no such {of}; it has {', '.join(names)}")
-        value, spread = calibration.quantities[key].value, spreads.get(_kind(key), 0.0)
-        if spread > 0.0 and abs(value) > _MOST_STDS * spread:
-            raise FormError(
-                f"{name_of(key)}: {value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({spread:g}) "
-                "from zero: calibrate again"
-            )
     # of a joint that was only held, its zero is known and nothing else
     for joint in dict.fromkeys(str(key[1]) for key in calibration.keys if key[0] in TERMS and key[0] != "zero"):
         drive = drive_trains[joint]
@@ -308,6 +302,13 @@ def check_complete(
             raise FormError(
                 f"torque_constant[{joint}]: {found:g} N m/A is over {_FARTHEST:g} times or under a fifth of the motor's "
                 f"nominal {drive.nominal_torque_constant:g}: calibrate again"
+            )
+    for key, known in calibration.quantities.items():
+        prior = getattr(drive_trains[str(key[1])], kind) if (kind := _kind(key)) in TERMS else priors.get(kind)
+        if prior is not None and 0.0 < _MOST_STDS * prior.std < abs(known.value - prior.value):
+            raise FormError(
+                f"{name_of(key)}: {known.value:g} is over {_MOST_STDS:g} of the robot file's standard deviations ({prior.std:g}) "
+                f"from {f'{prior.value:g}' if prior.value else 'zero'}: calibrate again"
             )
 
 

@@ -78,8 +78,7 @@ def bag_runs(path: Path, request: Request) -> tuple[Run, ...]:
         RecordingError: It cannot be read, or holds no runs.
     """
     recording = bag_recording(path, request)
-    runs = cut_runs(recording, held=request.locked, joints=list(request.robot.drive_trains))
-    return _noted(runs, recording, request)
+    return _noted(_runs(recording, request), recording, request)
 
 
 def bag_motion(path: Path, request: Request) -> Motion:
@@ -107,9 +106,17 @@ def runs_or_motion(recording: Recording, request: Request) -> tuple[Run, ...] | 
     if _under_a_controller(recording, request.robot):
         return _motion(recording, request)
     try:
-        return cut_runs(recording, held=request.locked, joints=list(request.robot.drive_trains))
+        return _runs(recording, request)
     except DrivenAtOnce:
         return _motion(recording, request)
+
+
+def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
+    """Raises: RecordingError: It holds no runs, or what was commanded is not what flowed."""
+    runs = cut_runs(recording, held=request.locked, joints=list(request.robot.drive_trains))
+    usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
+    refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
+    return runs
 
 
 def _motion(recording: Recording, request: Request) -> Motion:
@@ -260,13 +267,7 @@ def turning_joints(robot: Robot) -> list[str]:
 
 
 def _noted(runs: Sequence[Run], recording: Recording, request: Request) -> tuple[Run, ...]:
-    """Each run with what was noted of the whole recording.
-
-    Raises:
-        RecordingError: What was commanded is not what flowed.
-    """
-    usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
-    refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
+    """Each run with what was noted of the whole recording."""
     notes = recording.notes + unit_not_used(recording.inputs, request.options.effort_unit)
     return tuple(replace(run, notes=(*notes, *run.notes)) for run in runs)
 

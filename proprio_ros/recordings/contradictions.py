@@ -28,8 +28,9 @@ CURRENT_OFF = 0.05
 """Of the measured current, against the commanded: real XM430 deliver 0.98 to 0.99 of it."""
 LEAST_CURRENT_A = 0.005
 """What the two must differ by, on average, whatever is commanded; two counts of an XM430."""
-SAME_UNIT = 1.5
-"""Effort in no unit that is known is compared with no command: the nearest one must fit to this factor."""
+SAME_UNIT = {"N.m": 4.0, "A": 4.0, "mA": 1.5, "raw": 1.5}
+"""Effort in no unit that is known is compared with no command: the nearest one must fit to this factor. Per mille of a motor's
+rating lie near mA and raw counts."""
 SETTLED_S = 0.1
 """A motor follows a command within this time, delay of bus and driver included."""
 FEWEST_READINGS = 8
@@ -41,7 +42,7 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     """How much faster header stamps run than the recorder's clock, as a share, where that is sure.
 
     Returns:
-        The share (negative: slower), and whether both may be the same clock; None where they keep the same pace, or nothing is sure.
+        The share (negative: slower), and whether both may be one clock; None where they keep the same pace or nothing is sure.
     """
     stamped = columns.stamp_ns != 0
     stamp_s = 1e-9 * (columns.stamp_ns[stamped] - columns.stamp_ns[stamped][:1]).astype(np.float64)
@@ -81,8 +82,8 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     much = f"run {abs(100.0 * share):.1f} % {'faster' if share > 0.0 else 'slower'} than the times of recording"
     if same:
         raise RecordingError(
-            f"{where}: header stamps {much}: one of the two does not keep time, and a mass goes with its square; let the driver stamp "
-            "by the clock, not by counting periods"
+            f"{where}: header stamps {much}: one of the two does not keep time, and a mass goes with its square; let the driver "
+            "stamp by the clock, not by counting periods"
         )
     return (f"{where}: header stamps {much}; they are of another clock, and are taken as they are",)
 
@@ -135,9 +136,7 @@ def _readings(
     return given[used], reading[used]
 
 
-def _as_current(
-    name: str, reading: FloatArray, commanded: FloatArray, effort: Effort
-) -> tuple[str | None, FloatArray]:
+def _as_current(name: str, reading: FloatArray, commanded: FloatArray, effort: Effort) -> tuple[str | None, FloatArray]:
     """Efforts as currents [A], in the unit that is stated or else fits best; no unit where none does."""
     per_A = {unit: 1.0 / ampere(unit, effort.per_count_A) for unit in EFFORT_UNITS if unit != "N.m"}
     if effort.nominal.get(name, 0.0) > 0.0:
@@ -148,7 +147,7 @@ def _as_current(
     if not per_A or ratio == 0.0:
         return None, reading
     unit = min(per_A, key=lambda each: abs(np.log(ratio / per_A[each])))
-    if effort.unit is None and abs(np.log(ratio / per_A[unit])) > np.log(SAME_UNIT):
+    if effort.unit is None and abs(np.log(ratio / per_A[unit])) > np.log(SAME_UNIT[unit]):
         return None, reading
     return unit, reading / per_A[unit] * np.sign(np.median(reading / commanded))
 
@@ -165,12 +164,11 @@ def _compare(
     if abs(ratio - 1.0) > CURRENT_OFF and abs(float(np.median(off))) > least:
         made = f" (at {effort.nominal[name]:.3g} N m/A)" if unit == "N.m" else ""
         raise RecordingError(
-            f"{where}: by its effort{made}, {name} had {ratio:.2f} times the current of {source}: that is another recording's or in "
-            "another unit, or the effort is: see --command-topic, --effort-unit and the joint's "
-            "nominal_torque_constant_N_m_per_A"
+            f"{where}: by its effort{made}, {name} had {ratio:.2f} times the current of {source}: that is another recording's or "
+            "in another unit, or the effort is: see --command-topic, --effort-unit and its nominal_torque_constant_N_m_per_A"
         )
     if float(np.mean(far)) > ELSEWHERE_SHARE:
         raise RecordingError(
-            f"{where}: the effort of {name} does not follow {source}: {100.0 * float(np.mean(far)):.0f} % of its readings are off by "
-            "more than a quarter; is it the command of this recording, on the same clock?"
+            f"{where}: the effort of {name} does not follow {source}: {100.0 * float(np.mean(far)):.0f} % of its readings are off "
+            "by more than a quarter; is it the command of this recording, on the same clock?"
         )

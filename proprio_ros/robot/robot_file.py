@@ -341,10 +341,11 @@ def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = No
         if given["calibration"] is None:
             return robot
         calibrated = robot.with_calibration(given["calibration"])
-        spreads = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
-        spreads |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
+        stds = {"link_mass": robot.link_mass_std, "link_inertia": robot.link_inertia_std}
+        stds |= {f"link_com_{axis}": robot.link_com_std for axis in "xyz"}
+        priors = {kind: Quantity(0.0, std) for kind, std in stds.items()} | {"arm_scale": robot.arm_scale}
         with under("calibration"):
-            check_complete(given["calibration"], [link.name for link in model.links], drive_trains, spreads)
+            check_complete(given["calibration"], [link.name for link in model.links], drive_trains, priors)
     except FormError as error:
         raise RobotError(f"{source.name}: {error}") from None
     return calibrated
