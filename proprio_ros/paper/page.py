@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -71,11 +70,9 @@ def _cost(found: Mapping[str, Sequence[Rows]]) -> list[str]:
 
 
 def _head(seeds: int, recording: bool) -> list[str]:
-    one = (
-        "One section is of the paper's own public recording."
-        if recording
-        else "The paper's own public recording is not in this package: name its folder with --recording."
-    )
+    one = "The paper's own public recording is not in this package: name its folder with --recording."
+    if recording:
+        one = "One section is of the paper's own public recording."
     return [
         "<h1>The paper, reproduced</h1>",
         f"<p>The experiments of {escape(quoted.AUTHORS)}: <i>{escape(quoted.TITLE)}</i>, ICRA 2025, "
@@ -139,36 +136,20 @@ def _figure_4(found: Sequence[Rows]) -> list[str]:
         trace = next((rows["trace"][kind] for rows in found if kind in rows["trace"]), None)
         if trace is None:
             continue
-        lines = [
-            (f"{words} {1e3 * trace['masses_kg'][key]:.1f} g", trace["simulated"][key], color)
-            for key, words, color in (
-                ("wrong", "wrong", "apart"),
-                ("paper", "paper's", "answer"),
-                ("ours", "ours", "agreeing"),
-            )
+        times, masses = np.array(trace["times_s"]), trace["masses_kg"]
+        lines = (("wrong", "wrong", "apart"), ("paper", "paper's", "answer"), ("ours", "ours", "agreeing"))
+        series = [
+            Series(f"{name} {1e3 * masses[key]:.1f} g", times, np.array(trace["simulated"][key]), color)
+            for key, name, color in lines
         ]
+        series.append(Series("measured", times, np.array(trace["measured"]), "measured", "dots", listed=False))
         caption = (
             f"The robot {words}; heavy ball, 50 g, the first seed; dots: measured. With a wrong mass and with the one of the "
             "paper's way simulated from rest and with the robot's numbers as they are; ours with what it found beside the mass."
         )
-        panel = _traced("elbow (rad)", "rad", trace["times_s"], lines, trace["measured"], 190.0, listed=False)
-        parts.append(framed(chart([panel], TIME, f"Lift, robot {words}"), caption))
+        drawn = chart([Panel("elbow (rad)", "rad", series, 190.0)], TIME, f"Lift, robot {words}")
+        parts.append(framed(drawn, caption))
     return ['<h2 id="figure-4">Figure 4: measured and simulated</h2>', *parts] if parts else []
-
-
-def _traced(
-    title: str,
-    unit: str,
-    times: Any,
-    lines: Sequence[tuple[str, Any, str]],
-    seen: Any,
-    height: float,
-    listed: bool = True,
-) -> Panel:
-    """Simulated lines, and dots where it was measured."""
-    drawn = [Series(name, np.array(times), np.array(values), color) for name, values, color in lines]
-    dots = Series("measured", np.array(times), np.array(seen), "measured", "dots", listed=listed)
-    return Panel(title, unit, [*drawn, dots], height)
 
 
 def _starts(found: Sequence[Rows]) -> list[str]:
@@ -306,13 +287,15 @@ def _figure_5(found: Sequence[Rows]) -> list[str]:
         trace = next((rows["trace"][name] for rows in found if name in rows["trace"]), None)
         if trace is None:
             continue
-        lines = [
-            (f"{words} {1e-3 * trace['moduli_Pa'][key]:.1f} kPa", trace["simulated_mm"][key], color)
+        times, moduli = np.array(trace["times_s"]), trace["moduli_Pa"]
+        series = [
+            Series(f"{words} {1e-3 * moduli[key]:.1f} kPa", times, np.array(trace["simulated_mm"][key]), color)
             for key, words, color in (("wrong", "wrong", "apart"), ("identified", "found", "agreeing"))
         ]
-        panel = _traced("finger (mm)", "mm", trace["times_s"], lines, trace["measured_mm"], 170.0)
+        series.append(Series("measured", times, np.array(trace["measured_mm"]), "measured", "dots"))
+        drawn = chart([Panel("finger (mm)", "mm", series, 170.0)], TIME, f"Squeeze of the {name}")
         caption = f"The {name}, last of three squeezes, the first seed; Poisson's ratio and the gap as they are."
-        parts.append(framed(chart([panel], TIME, f"Squeeze of the {name}"), caption))
+        parts.append(framed(drawn, caption))
     return ['<h2 id="figure-5">Figure 5: the squeeze</h2>', *parts] if parts else []
 
 
