@@ -52,12 +52,11 @@ def optimisers(seed: int) -> Rows:
         natural = coordinates.natural
         low, high = start[0] - 5.0 * natural, start[0] + 5.0 * natural
         low[0], high[0] = coordinates.internal(np.array([[1e-3, *first[1:]], [1.0, *first[1:]]]))[:, 0]
-        tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], EVALUATIONS, rng)
+        tree_parzen(lambda x: float(watched.linearise(x[None])[0][0]), low, high, start[0], rng)
 
+    windows = problem.simulator.windows
     searches: dict[str, Callable[[Any], Any]] = {
-        "Levenberg-Marquardt (ours)": lambda watched: solvers.levenberg_marquardt(
-            watched, start, problem.simulator.windows
-        ),
+        "Levenberg-Marquardt (ours)": lambda watched: solvers.levenberg_marquardt(watched, start, windows),
         "Adam": lambda watched: solvers.adam(watched, start, EVALUATIONS - 1),
         "CMA-ES": lambda watched: solvers.cma(watched, start, generations=EVALUATIONS // 7, seed=seed + 1),
         "tree-structured Parzen": parzen,
@@ -74,59 +73,45 @@ def optimisers(seed: int) -> Rows:
     return {"rows": [{**row, "cost": [cost / least for cost in row["cost"]]} for row in rows]}
 
 
-_Point = np.ndarray
-
-
 def tree_parzen(
-    cost: Callable[[_Point], float],
-    low: _Point,
-    high: _Point,
-    first: _Point,
-    evaluations: int,
-    rng: np.random.Generator,
-) -> _Point:
+    cost: Callable[[np.ndarray], float], low: np.ndarray, high: np.ndarray, first: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """Tree-structured Parzen estimator (Bergstra et al. 2011) in a box, one coordinate at a time; the best point, shape (F,).
 
     The best quarter of the points (at most 25) makes one density, the others make the other; of 24 draws from the first the one
     with the greatest ratio of the two is tried next. Ten points come first, nine of them drawn evenly.
     """
     points, costs = [first], [cost(first)]
-    while len(points) < evaluations:
+    while len(points) < EVALUATIONS:
         drawn = rng.uniform(low, high)
         if len(points) >= 10:
             order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
             count = min(max(len(points) // 4, 2), 25)
             good, bad = np.array(points)[order[:count]], np.array(points)[order[count:]]
             for axis, ends in enumerate(zip(low, high, strict=True)):
-                better, worse = _Parzen(good[:, axis], *ends), _Parzen(bad[:, axis], *ends)
-                tried = better.draw(24, rng)
-                drawn[axis] = tried[np.argmax(better.logarithm(tried) - worse.logarithm(tried))]
+                better, worse = _mixture(good[:, axis], *ends), _mixture(bad[:, axis], *ends)
+                centres, widths = better
+                chosen = rng.integers(len(centres), size=24)
+                tried = np.clip(centres[chosen] + widths[chosen] * rng.standard_normal(24), *ends)
+                drawn[axis] = tried[np.argmax(_logarithm(tried, *better) - _logarithm(tried, *worse))]
         points.append(drawn)
         costs.append(cost(drawn))
     return points[int(np.argmin(costs))]
 
 
-class _Parzen:
-    """A mixture of a normal density about every point, as wide as its neighbours are apart, and of a wide one over the interval."""
+def _mixture(points: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and widths of a normal density about every point, as wide as its neighbours are apart, and of one over all."""
+    ordered = np.sort(points)
+    gaps = np.diff(ordered, prepend=low, append=high)
+    span = high - low
+    widths = np.clip(np.maximum(gaps[:-1], gaps[1:]), span / min(100, len(points) + 1), span)
+    return np.append(ordered, 0.5 * (low + high)), np.append(widths, span)
 
-    def __init__(self, points: np.ndarray, low: float, high: float) -> None:
-        ordered = np.sort(points)
-        gaps = np.diff(ordered, prepend=low, append=high)
-        span = high - low
-        widths = np.clip(np.maximum(gaps[:-1], gaps[1:]), span / min(100, len(points) + 1), span)
-        self._centres, self._widths = np.append(ordered, 0.5 * (low + high)), np.append(widths, span)
-        self._low, self._high = low, high
 
-    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Points, shape (count,)."""
-        chosen = rng.integers(len(self._centres), size=count)
-        drawn = self._centres[chosen] + self._widths[chosen] * rng.standard_normal(count)
-        return np.clip(drawn, self._low, self._high)
-
-    def logarithm(self, x: np.ndarray) -> np.ndarray:
-        """Of the density at x, shape (K,), less a constant."""
-        distance = (x[:, None] - self._centres) / self._widths
-        return np.log((np.exp(-0.5 * distance**2) / self._widths).mean(axis=1) + 1e-300)
+def _logarithm(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Of the densities' mean at x, shape (K,), less a constant."""
+    distance = (x[:, None] - centres) / widths
+    return np.log((np.exp(-0.5 * distance**2) / widths).mean(axis=1) + 1e-300)
 
 
 def landscapes(seed: int) -> Rows:

@@ -211,7 +211,7 @@ def test_tree_parzen_finds_a_valley() -> None:
         return float((x[0] - 0.7) ** 2 + 4.0 * (x[1] + 0.2) ** 2)
 
     low, high = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
-    best = tree_parzen(cost, low, high, np.array([-1.5, 1.5]), 150, np.random.default_rng(1))
+    best = tree_parzen(cost, low, high, np.array([-1.5, 1.5]), np.random.default_rng(1))
     assert len(asked) == 150 and (np.array(asked) >= low).all() and (np.array(asked) <= high).all()
     np.testing.assert_allclose(best, [0.7, -0.2], atol=0.1)
 
