@@ -1,4 +1,4 @@
-"""What the block is made of: four laws of elasticity, their stress and its exact tangent.
+"""What the block is made of: four laws of elasticity, with exact first and second derivatives.
 
 With the deformation gradient F, J = det F and Ic = |F|^2, the energy per reference volume of each law is linear in the two Lamé
 parameters of the paper (Chen et al. 2025, arXiv:2410.03920):
@@ -148,20 +148,6 @@ def bulk_energy(law: str, j: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
         value, first, second = log_j(j)
         return 0.5 * value**2, value * first, first**2 + value * second
     return 0.5 * (j - 1.0) ** 2, j - 1.0, np.ones_like(j)
-
-
-def stress(law: str, f: np.ndarray, mu: float, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energy density, first Piola-Kirchhoff stress and its tangent where j is each tetrahedron's own.
-
-    Returns:
-        Psi (M,) [J/m^3], P (M, 3, 3) [Pa], dP/dF (M, 9, 9) [Pa].
-    """
-    w, by_f, curvature = shear_energy(law, f)
-    j, j_by_f, j_curvature = volume(law, f)
-    u, first, second = bulk_energy(law, j)
-    tangent = mu * curvature + lam * first[:, None, None] * j_curvature
-    tangent = tangent + (lam * second)[:, None, None] * (j_by_f[:, :, None] * j_by_f[:, None, :])
-    return mu * w + lam * u, (mu * by_f + lam * first[:, None] * j_by_f).reshape(-1, 3, 3), tangent
 
 
 def _determinant(f: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

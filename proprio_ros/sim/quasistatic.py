@@ -44,16 +44,14 @@ _SHORTEST = 2.0**-12  # of an increment of the squeeze
 
 
 class Elastic:
-    """Energy, force and stiffness of a mesh under a law; ``averaged``: j is the mean over the cell, which cures locking."""
+    """Energy, force and stiffness of a mesh under a law; j is the mean over a cell, which cures locking."""
 
-    def __init__(self, mesh: TetMesh, law: str = "log", averaged: bool = True) -> None:
+    def __init__(self, mesh: TetMesh, law: str = "log") -> None:
         self.mesh = mesh
         self.law = check_law(law)
-        tets, count = mesh.tets, len(mesh.tets)
-        cells = mesh.cells if averaged else np.arange(count)
-        self._cells = cells
-        self._cell_volumes = np.bincount(cells, mesh.volumes)
-        self._share = mesh.volumes / self._cell_volumes[cells]
+        tets, count, self._cells = mesh.tets, len(mesh.tets), mesh.cells
+        self._cell_volumes = np.bincount(mesh.cells, mesh.volumes)
+        self._share = mesh.volumes / self._cell_volumes[mesh.cells]
         self._unknowns = 3 * len(mesh.points)
         # of the entries of F by the twelve coordinates of a tetrahedron, (M, 9, 12)
         self._by_corner = np.einsum("ab,mkc->macbk", np.eye(3), mesh.gradients).swapaxes(3, 4).reshape(count, 9, 12)
@@ -61,10 +59,10 @@ class Elastic:
         pairs = np.repeat(self._rows, 12, axis=1) * self._unknowns + np.tile(self._rows, (1, 12))
         unique, self._slots = np.unique(pairs, return_inverse=True)
         self._slots = self._slots.reshape(-1)
-        self._columns = unique // self._unknowns  # symmetric: rows and columns may change places
-        self._pointers = np.searchsorted(self._columns, np.arange(self._unknowns + 1))
+        # symmetric: rows and columns may change places
+        self._pointers = np.searchsorted(unique // self._unknowns, np.arange(self._unknowns + 1))
         self._indices = unique % self._unknowns
-        self._cell_rows = np.repeat(cells, 12)
+        self._cell_rows = np.repeat(mesh.cells, 12)
 
     def deformation(self, points: np.ndarray) -> np.ndarray:
         """F of every tetrahedron, (M, 3, 3)."""
@@ -150,19 +148,16 @@ class QuasiStatic:
         contact: One of ``CONTACTS``.
         octant: The mesh is an eighth of the block, and its faces at the lowest x, y and z are planes of symmetry. Squeeze and
             force are still those of the whole block.
-        averaged: See ``Elastic``.
 
     Raises:
         SimulationError: Unknown law or contact.
     """
 
-    def __init__(
-        self, mesh: TetMesh, law: str = "log", contact: str = "bonded", octant: bool = False, averaged: bool = True
-    ) -> None:
+    def __init__(self, mesh: TetMesh, law: str = "log", contact: str = "bonded", octant: bool = False) -> None:
         if contact not in CONTACTS:
             raise SimulationError(f"unknown contact {contact!r}: choose one of {', '.join(CONTACTS)}")
         self.mesh = mesh
-        self.elastic = Elastic(mesh, law, averaged)
+        self.elastic = Elastic(mesh, law)
         low, high = mesh.end(0, False), mesh.end(0, True)
         held = np.zeros((len(mesh.points), 3), dtype=bool)
         held[low, 0] = held[high, 0] = True

@@ -260,25 +260,55 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
             d_spin = d_spin - (by_inertia * _cross_of(f)) @ dn
         return f, df, spin, d_spin, wp.dot(lever, f), lever @ df + f @ d_lever
 
+    @wp.struct
+    class Out:
+        q: FLOATS
+        v: FLOATS
+        dq: wp.array2d(dtype=vec)
+        x: wp.array2d(dtype=VEC3)
+        dx: wp.array2d(dtype=mat)
+
     @wp.func
-    def sphere_rates(
-        q: FLOAT,
-        v: FLOAT,
-        x: VEC3,
-        u: VEC3,
-        s: VEC3,
-        dq: vec,
-        dv: vec,
-        dx: mat,
-        du: mat,
-        ds: mat,
+    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
+        x, u, s = start_of(p, w, data.geometry, r)
+        axis = triple(data.geometry, r, AXIS)
+        turn = data.geometry[r, TURNS]
+        dv = dp[w, V0]
+        dx = wp.matrix_from_rows(dp[w, START_X], dp[w, START_Y], dp[w, START_Z])
+        lever = container_velocity(x, axis, triple(data.geometry, r, ORIGIN), turn)
+        du = wp.outer(lever, dv) + (turn * p[w, V0] * _cross_of(axis)) @ dx
+        return joined_state(p[w, Q0], p[w, V0], x, u, s), joined(dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv))
+
+    @wp.func
+    def joined(dq: vec, dv: vec, dx: mat, du: mat, ds: mat):
+        return wp.matrix_from_rows(dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2])
+
+    @wp.func
+    def three(dy: whole, row: wp.int32):
+        return wp.matrix_from_rows(dy[row], dy[row + 1], dy[row + 2])
+
+    @wp.func
+    def rates(
+        y: STATE,
+        dy: whole,
+        given: VEC3,
         p: FLOATS,
         dp: wp.array2d(dtype=vec),
         world: wp.int32,
-        geometry: FLOATS,
+        data: SphereData,
         run: wp.int32,
     ):
-        """Rates of the sphere, its load on the joint, and the tangents of both."""
+        q = y[0]
+        v = y[1]
+        x = part(y, 2)
+        u = part(y, 5)
+        s = part(y, 8)
+        dq = dy[0]
+        dv = dy[1]
+        dx = three(dy, 2)
+        du = three(dy, 5)
+        ds = three(dy, 8)
+        geometry = data.geometry
         axis = triple(geometry, run, AXIS)
         origin = triple(geometry, run, ORIGIN)
         turn = geometry[run, TURNS]
@@ -317,57 +347,11 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
                 d_reaction = d_reaction + d_back
             face = face + 1
         mass = p[world, SPHERE_MASS]
-        load = mass * reaction
-        return moving, d_moving, push, d_push, spin, d_spin, load, mass * d_reaction + reaction * dp[world, SPHERE_MASS]
-
-    @wp.struct
-    class Out:
-        q: FLOATS
-        v: FLOATS
-        dq: wp.array2d(dtype=vec)
-        x: wp.array2d(dtype=VEC3)
-        dx: wp.array2d(dtype=mat)
-
-    @wp.func
-    def start(p: FLOATS, dp: wp.array2d(dtype=vec), w: wp.int32, data: SphereData, r: wp.int32):
-        x, u, s = start_of(p, w, data.geometry, r)
-        axis = triple(data.geometry, r, AXIS)
-        turn = data.geometry[r, TURNS]
-        dv = dp[w, V0]
-        dx = wp.matrix_from_rows(dp[w, START_X], dp[w, START_Y], dp[w, START_Z])
-        lever = container_velocity(x, axis, triple(data.geometry, r, ORIGIN), turn)
-        du = wp.outer(lever, dv) + (turn * p[w, V0] * _cross_of(axis)) @ dx
-        return joined_state(p[w, Q0], p[w, V0], x, u, s), joined(dp[w, Q0], dv, dx, du, wp.outer(turn * axis, dv))
-
-    @wp.func
-    def joined(dq: vec, dv: vec, dx: mat, du: mat, ds: mat):
-        return wp.matrix_from_rows(dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2])
-
-    @wp.func
-    def three(dy: whole, row: wp.int32):
-        return wp.matrix_from_rows(dy[row], dy[row + 1], dy[row + 2])
-
-    @wp.func
-    def rates(
-        y: STATE,
-        dy: whole,
-        given: VEC3,
-        p: FLOATS,
-        dp: wp.array2d(dtype=vec),
-        w: wp.int32,
-        data: SphereData,
-        r: wp.int32,
-    ):
-        extra = p[w, GRAVITY_CONSTANT] + given[LOAD] + p[w, CARRIED] * given[LOAD_PER_KG]
-        d_extra = dp[w, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp[w, CARRIED]
-        x1, dx1, u1, du1, s1, ds1, load, d_load = sphere_rates(
-            y[0], y[1], part(y, 2), part(y, 5), part(y, 8), dy[0], dy[1], three(dy, 2), three(dy, 5), three(dy, 8),
-            p, dp, w, data.geometry, r,
-        )  # fmt: skip
-        a, da = linearised(
-            y[0], y[1], dy[0], dy[1], given[CURRENT], extra + load, d_extra + d_load, p, dp, w, data.constants, r
-        )
-        return joined_state(y[1], a, x1, u1, s1), joined(dy[1], da, dx1, du1, ds1)
+        load = p[world, GRAVITY_CONSTANT] + given[LOAD] + p[world, CARRIED] * given[LOAD_PER_KG] + mass * reaction
+        d_load = mass * d_reaction + reaction * dp[world, SPHERE_MASS]
+        d_load = dp[world, GRAVITY_CONSTANT] + given[LOAD_PER_KG] * dp[world, CARRIED] + d_load
+        a, da = linearised(q, v, dq, dv, given[CURRENT], load, d_load, p, dp, world, data.constants, run)
+        return joined_state(v, a, moving, push, spin), joined(dv, da, d_moving, d_push, d_spin)
 
     @wp.func
     def moved(y: STATE, dy: whole, z: STATE, dz: whole, k: STATE, dk: whole, data: SphereData, r: wp.int32):

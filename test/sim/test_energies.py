@@ -15,12 +15,23 @@ from proprio_ros.sim.energies import (
     lame,
     lame_by_poissons_ratio,
     lame_of_small_strain,
+    shear_energy,
     small_strain_lame,
-    stress,
+    volume,
     young,
 )
 
 MATERIALS = [(749.6, 264.3), (5097.6, 5430.4), (1.0, -0.3), (300.0, 9000.0)]
+
+
+def stress(law: str, f: np.ndarray, mu: float, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy density, first Piola-Kirchhoff stress and its tangent where j is each tetrahedron's own."""
+    w, by_f, curvature = shear_energy(law, f)
+    j, j_by_f, j_curvature = volume(law, f)
+    u, first, second = bulk_energy(law, j)
+    tangent = mu * curvature + lam * first[:, None, None] * j_curvature
+    tangent = tangent + (lam * second)[:, None, None] * (j_by_f[:, :, None] * j_by_f[:, None, :])
+    return mu * w + lam * u, (mu * by_f + lam * first[:, None] * j_by_f).reshape(-1, 3, 3), tangent
 
 
 def deformations(count: int, spread: float, seed: int = 3) -> np.ndarray:

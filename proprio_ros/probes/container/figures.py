@@ -126,7 +126,12 @@ def path_figure(path: SpherePath, number: int) -> str:
         gravity = plane @ path.world_from_container[k].T @ DOWN
         body += [_arrow((aside, at), gravity, 26.0, colors[k], word), _text(aside, at + 42, word, "middle")]
     body.append(_time_scale(path, number, aside, 206.0))
-    return _svg(width, height, f"Path {number} of the sphere in the container", _in_words(path, centres), body)
+    (x_first, y_first), (x_last, y_last) = centres[[0, -1]]
+    words = (
+        f"Seen along the joint's axis, the sphere's centre goes from ({x_first:.1f}, {y_first:.1f}) mm at {path.times_s[0]:.2f} s "
+        f"to ({x_last:.1f}, {y_last:.1f}) mm at {path.times_s[-1]:.2f} s, at most {MM * path.moved:.1f} mm away from its start."
+    )
+    return _svg(width, height, f"Path {number} of the sphere in the container", words, body)
 
 
 def moving_figure(path: SpherePath, number: int) -> str:
@@ -304,14 +309,6 @@ def _arrow(middle: tuple[float, float], vector: np.ndarray, length: float, color
         f'<g class="gravity"><title>gravity {name}</title>'
         f'<path d="M{_points(shaft)}" stroke="{color}" stroke-width="2.5"/>'
         f'<polygon points="{_points(head)}" fill="{color}"/></g>'
-    )
-
-
-def _in_words(path: SpherePath, centres: np.ndarray) -> str:
-    (x0, y0), (x1, y1) = centres[[0, -1]]
-    return (
-        f"Seen along the joint's axis, the sphere's centre goes from ({x0:.1f}, {y0:.1f}) mm at {path.times_s[0]:.2f} s to "
-        f"({x1:.1f}, {y1:.1f}) mm at {path.times_s[-1]:.2f} s, at most {MM * path.moved:.1f} mm away from its start."
     )
 
 
