@@ -101,12 +101,11 @@ def find_sphere(
             )
         search, _ = search.before_lost(cut)
         if not any(search.rolling):
-            why = (
-                "the sphere bounces too chaotically to determine its mass: tilt instead of shaking, or use less current"
-            )
-            found.reasons.insert(0, why)
+            better = "tilt instead of shaking, or use less current"
+            found.reasons.insert(0, f"the sphere bounces too chaotically to determine its mass: {better}")
             return no_answer("container", "sphere_mass", "kg", robot.name, len(runs), found.reasons, found.notes)
-        opened = search.solve(Role.FREE, nominal := search.solve(Role.FROZEN))
+        nominal = search.solve(Role.FROZEN)
+        opened = search.solve(Role.FREE, nominal)
     return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
 
 

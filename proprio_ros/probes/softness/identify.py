@@ -281,9 +281,8 @@ class Squeezed(Conclusion):
             lame_lambda = positive("lame_lambda", "Pa", float(lam), std_lambda)
         widest = max(self.curves, key=lambda curve: curve.squeeze.max())
         strain = widest.squeeze.max()
-        secant = float(
-            widest.force_N.max() / (strain * widest.length)
-        )  # force over travel: whatever the block's size is
+        # force over travel: whatever the block's size is
+        secant = float(widest.force_N.max() / (strain * widest.length))
         return (
             positive("youngs_modulus", "Pa", modulus, std_e),
             nu,
