@@ -37,13 +37,7 @@ class JointColumns(NamedTuple):
 def joint_state_columns(
     bag: Bag, topic: Topic, quantities: Sequence[str], conventions: Conventions = OUR_DRIVER
 ) -> JointColumns:
-    """Columns of a JointState topic.
-
-    Args:
-        bag: The open bag.
-        topic: One of its topics.
-        quantities: Fields of the message; the first must be there in every message.
-        conventions: Of the driver.
+    """Columns of a JointState topic; the first of the quantities (fields of the message) must be there in every message.
 
     Raises:
         RecordingError: Names and values do not fit each other, or two joints would have one name.
@@ -62,16 +56,14 @@ def joint_state_columns(
     index = {name: column for column, name in enumerate(names)}
     bag_ns = np.concatenate([part.bag_ns for part in rows])
     values = {quantity: np.full((len(bag_ns), len(names)), np.nan) for quantity in quantities}
-    orders = set()
-    row = 0
+    orders, row = set(), 0
     for part, own in zip(rows, named, strict=True):
         columns = [index[name] for name in own]
         if len(set(columns)) != len(columns):
             raise RecordingError(f"{bag.path}: {topic.name} names a joint twice in message {row + 1}")
         orders.add(tuple(columns))
         for quantity in quantities:
-            data = part.values[quantity]
-            length = data.shape[1]
+            length = (data := part.values[quantity]).shape[1]
             if length != len(columns) and (length or quantity == quantities[0]):
                 raise RecordingError(
                     f"{bag.path}: {topic.name} has {len(columns)} names but {length} values of {quantity} in message"
@@ -103,11 +95,11 @@ def array_columns(
     """Columns of an array of what drives the joints, as the quantity ``effort``.
 
     A message means what it means to the driver: it drives the joints it names and holds the others; one without numbers ends
-    the push.
+    the excitation.
 
     Args:
         bag: The open bag.
-        topic: One of its topics, of a type of `FLOAT_ARRAYS`.
+        topic: Of a type of `FLOAT_ARRAYS`.
         means: What it is.
         joint_order: The robot's joints, in the order of numbers without labels.
         recorded: Joints with joint states.
@@ -116,10 +108,8 @@ def array_columns(
     Raises:
         RecordingError: Labels or lengths do not fit.
     """
-    parts = bag.rows(topic)
-    notes: dict[str, None] = {}
-    stated = conventions.renamed(means.joints)
-    labelled: list[Sequence[str]] = []
+    parts, notes = bag.rows(topic), dict[str, None]()
+    stated, labelled = conventions.renamed(means.joints), list[Sequence[str]]()
     for part in parts:
         count = len(part.message.data)
         if not count:

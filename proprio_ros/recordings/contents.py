@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,48 +38,34 @@ class Contents:
     """
 
     topics: tuple[tuple[str, str, int], ...]
-    states: str | None
-    inputs: str | None
+    states: str | None = None
+    inputs: str | None = None
     problem: str = ""
 
 
 def look_into(
-    path: str | Path,
-    state_topic: str | None = None,
-    command_topic: str | None = None,
-    conventions: Conventions = OUR_DRIVER,
+    path: str | Path, state_topic: str | None, command_topic: str | None, conventions: Conventions = OUR_DRIVER
 ) -> Contents:
     """List a bag's topics, and say which ones `read_recording` takes.
 
     Raises:
         RecordingError: It is no bag, or cannot be opened.
     """
-    states: str | None = None
     with open_bag(path) as bag:
-        topics = tuple((one_line(topic.name), one_line(topic.msgtype), topic.size) for topic in bag.topics.all)
+        found = Contents(tuple((one_line(each.name), one_line(each.msgtype), each.size) for each in bag.topics.all))
         try:
             state = bag.topics.states(state_topic, command_topic, conventions)
-            states = one_line(state.name)
+            found = replace(found, states=one_line(state.name))
             inputs = bag.topics.input(command_topic, state, conventions)
         except RecordingError as error:
-            return Contents(topics, states, None, str(error))
-    chosen = None if inputs is None or inputs[0] == state else one_line(inputs[0].name)
-    return Contents(topics, states, chosen)
+            return replace(found, problem=str(error))
+    return found if inputs is None or inputs[0] == state else replace(found, inputs=one_line(inputs[0].name))
 
 
 def parts_of(
     path: str | Path, most: int, *, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER
 ) -> list[Span]:
-    """Parts of a bag with about as many joint states each, of which none has more than ``most``.
-
-    Args:
-        path: The bag.
-        most: Joint states of a part.
-        state_topic: As for `read_recording`.
-        conventions: As for `read_recording`.
-
-    Returns:
-        From the first joint state to the last, without a gap.
+    """Parts of a bag with about as many joint states each, of which none has more than ``most``; they leave no gap.
 
     Raises:
         RecordingError: The bag cannot be read.
@@ -90,10 +76,6 @@ def parts_of(
 
 def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
     """The motors of the arm whose joint states a bag holds, as its driver named them on ``motors``; empty where it did not.
-
-    Args:
-        path: The bag.
-        state_topic: Of the joint states.
 
     Raises:
         RecordingError: The bag cannot be read.
@@ -106,10 +88,7 @@ def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
 
 
 def read_temperatures(path: str | Path, state_topic: str | None = None) -> dict[str, float]:
-    """How warm the motors were on average, as the driver of a bag's joint states said on ``motor_temperatures`` [deg C].
-
-    Returns:
-        By joint; empty where it did not.
+    """How warm the motors were on average, as the driver of a bag's joint states said on ``motor_temperatures`` [deg C]; by joint.
 
     Raises:
         RecordingError: The bag cannot be read.
@@ -136,9 +115,6 @@ def _beside_states(bag: Bag, state_topic: str | None, name: str, msgtype: str) -
 def read_description(path: str | Path) -> str:
     """The URDF that a robot's driver published on ``/robot_description`` and the recorder kept.
 
-    Args:
-        path: The bag.
-
     Raises:
         RecordingError: The bag cannot be read, or holds no description, or several that differ.
     """
@@ -155,12 +131,7 @@ def read_description(path: str | Path) -> str:
 
 
 def read_points(path: str | Path, topic: str, option: str) -> PointTrack:
-    """Read where something was seen from a topic of geometry_msgs/PointStamped.
-
-    Args:
-        path: The bag.
-        topic: Name of the topic; its stamps are on the clock of the joint states'.
-        option: Where the user named it, for messages.
+    """Where something was seen, by a topic of geometry_msgs/PointStamped that the user named with an option.
 
     Raises:
         RecordingError: The bag cannot be read, holds no such topic, or a point is not finite or not stamped.

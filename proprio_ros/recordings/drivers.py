@@ -8,13 +8,14 @@ from __future__ import annotations
 import difflib
 import functools
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, one_line
-from proprio_ros.inputs.forms import Choice, Form, FormError, Part, Perhaps, Text, section, shortly
+from proprio_ros.inputs.forms import Choice, Field, Form, FormError, Part, Perhaps, Text, section, shortly
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.recordings.datasets import POSITION_UNITS, Columns
@@ -26,6 +27,7 @@ DEEPEST = 8
 _TYPES = {"sensor_msgs/JointState": JOINT_STATE, "std_msgs/Float64MultiArray": FLOAT_ARRAYS[0]}
 _RADIANS = {"rad": 1.0, "degree": math.pi / 180.0}
 _SENTENCE = 500
+_NAME = Text(what="a name")
 
 
 @dataclass(frozen=True)
@@ -60,11 +62,9 @@ def _names(value: Any) -> dict[str, str]:
     """Texts by texts."""
     if not isinstance(value, dict) or len(value) > 1000:
         raise FormError(f"expected names by names, got {shortly(value)}")
-    name = Text(what="a name")
-    names = {name.read(key): name.read(entry) for key, entry in value.items()}
-    twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
-    if twice is not None:
-        raise FormError(f"{twice} stands for two joints; each needs a name of its own")
+    names = {_NAME.read(key): _NAME.read(entry) for key, entry in value.items()}
+    if twice := [name for name, count in Counter(names.values()).items() if count > 1]:
+        raise FormError(f"{twice[0]} stands for two joints; each needs a name of its own")
     return names
 
 
@@ -72,7 +72,7 @@ INPUT: dict[str, Form] = {
     "topic": _Topic("required"),
     "type": Choice("required; of a JointState its effort counts", tuple(_TYPES)),
     "unit": Choice("required; of its numbers", EFFORT_UNITS),
-    "joints": _Texts("order of numbers that come without names; left out: the robot file's order", Text(what="a name")),
+    "joints": _Texts("order of numbers that come without names; left out: the robot file's order", _NAME),
 }
 """Forms of one entry of ``inputs``."""
 
@@ -85,10 +85,7 @@ def _inputs(value: Any) -> tuple[InputTopic, ...]:
 
 
 def _input(value: Any) -> InputTopic:
-    given = section(value, INPUT)
-    missing = [key for key in ("topic", "type", "unit") if key not in given]
-    if missing:
-        raise FormError(f"{missing[0]} is missing; state it")
+    given = section(value, {key: form if key == "joints" else Field(form) for key, form in INPUT.items()})
     joints = given.get("joints", ())
     if len(set(joints)) != len(joints):
         raise FormError("joints: a joint is named twice")
@@ -103,9 +100,7 @@ COLUMNS: dict[str, Form] = {
         ".torque, .effort or .current count"
     ),
     "goal": Text("column of what the joints were sent to; default action"),
-    "percent": _Texts(
-        "joints, in the data set's names, whose positions are percent of their range", Text(what="a name")
-    ),
+    "percent": _Texts("joints, in the data set's names, whose positions are percent of their range", _NAME),
 }
 """Forms of the keys of ``columns``."""
 
@@ -183,11 +178,7 @@ class Driver:
 
     def fits(self, topics: Iterable[tuple[str, str]]) -> bool:
         """Whether any of these topics, by name and type, identifies it."""
-        return any(
-            kind == known or name == f"/{known}" or name.endswith(f"/{known}")
-            for name, kind in topics
-            for known in self.recognised_by
-        )
+        return any(kind == known or name.endswith(f"/{known}") for name, kind in topics for known in self.recognised_by)
 
 
 def load_driver(name_or_path: str | Path) -> Driver:
@@ -211,25 +202,13 @@ def load_driver(name_or_path: str | Path) -> Driver:
         names=settings.get("joint_names", {}),
         radians=_RADIANS[settings.get("position_unit", "rad")],
     )
-    return Driver(
-        name,
-        settings["title"],
-        ours,
-        settings.get("effort_unit"),
-        settings.get("refused", ""),
-        settings.get("notes", ()),
-        settings.get("recognised_by", ()),
-        parents,
-        settings.get("columns"),
-    )
+    of_driver = ("title", "effort_unit", "refused", "notes", "recognised_by", "columns")
+    stated = {key: settings[key] for key in of_driver if key in settings}
+    return Driver(name, conventions=ours, extends=parents, **stated)
 
 
 def drivers_of(topics: Iterable[tuple[str, str]]) -> tuple[Driver, ...]:
-    """The package's profiles that topics identify, without those that another of them extends.
-
-    Args:
-        topics: Name and type of each.
-    """
+    """The package's profiles that topics, by name and type, identify, without those that another of them extends."""
     topics = list(topics)
     fitting = [driver for driver in _shipped() if driver.fits(topics)]
     extended = {name for driver in fitting for name in driver.extends}
@@ -250,9 +229,8 @@ def _located(name: str, folder: Path) -> Path:
         names = resource_names("drivers")
         if name in names:
             return resource("drivers", name)
-        close = [each for each in names if name and each.startswith(name)] or difflib.get_close_matches(
-            name[:100], names, n=1
-        )
+        close = [each for each in names if name and each.startswith(name)]
+        close = close or difflib.get_close_matches(name[:100], names, n=1)
         hint = f"did you mean {' or '.join(close)}? " if close else ""
         raise ConfigurationError(
             f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file"

@@ -60,12 +60,10 @@ class Motion:
 
 
 def motion_of(recording: Recording, *, joints: Sequence[str], held: Mapping[str, float] | None = None) -> Motion:
-    """The whole recording as one motion.
-
-    The measured current is taken where there is one: a command is reached a cycle late, and not quite.
+    """The whole recording as one motion, with measured currents where there are any: a command is reached late, and not quite.
 
     Args:
-        recording: The recording.
+        recording: As it was read.
         joints: Those of the robot that have a motor and turn.
         held: Positions of joints that are not recorded, or that replace recorded ones [rad or m].
 
@@ -146,11 +144,7 @@ def _check_times(times_s: FloatArray, name: str) -> None:
 
 
 def _unwrapped(position: FloatArray, joints: Sequence[str], name: str, notes: list[str]) -> FloatArray:
-    """The same without jumps by full turns [rad], shape (T, J).
-
-    Raises:
-        RecordingError: A joint jumps otherwise.
-    """
+    """The same without jumps by full turns [rad], shape (T, J); a joint that jumps otherwise is refused."""
     turned = np.unwrap(position, axis=0)
     wrapped = np.abs(turned - position).max(axis=0) > 1.0
     if wrapped.any() and np.abs(np.diff(turned, axis=0)).max() < LARGEST_STEP_RAD:

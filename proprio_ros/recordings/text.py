@@ -45,12 +45,6 @@ def is_text_recording(path: str | Path) -> bool:
 def read_text_recording(path: str | Path) -> TextRecording:
     """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json.
 
-    Args:
-        path: The folder.
-
-    Returns:
-        The recording; numbers that setting.json gives under the keys of `_SETTING_NUMBERS` are checked.
-
     Raises:
         RecordingError: A file is missing or malformed, or a needed key of the setting is.
     """
@@ -58,18 +52,16 @@ def read_text_recording(path: str | Path) -> TextRecording:
     if not is_text_recording(path):
         raise RecordingError(f"{path}: not a text recording; it needs trajectory.csv and setting.json")
     setting = _setting(path / "setting.json")
-    joint = setting["moving_joint"]
-    file = path / "trajectory.csv"
-    expected = ["time_s", f"{joint}_relative_rad"]
-    header, rows = _csv_table(file, ",".join(expected))
+    joint, file = setting["moving_joint"], path / "trajectory.csv"
+    names = ["time_s", f"{joint}_relative_rad"]
+    expected = ",".join(names)
+    header, rows = _csv_table(file, expected)
     try:
         table = np.array([[float(cell) for cell in row] for row in rows])
     except ValueError as error:
-        raise RecordingError(
-            f"{file}: not a table of numbers under the header {','.join(expected)} ({error})"
-        ) from error
-    if header != expected:
-        raise RecordingError(f"{file}: the header must be {','.join(expected)}, got {','.join(header)}")
+        raise RecordingError(f"{file}: not a table of numbers under the header {expected} ({error})") from error
+    if header != names:
+        raise RecordingError(f"{file}: the header must be {expected}, got {','.join(header)}")
     if table.ndim != 2 or table.shape[1] != 2 or len(table) < MIN_SAMPLES or not np.isfinite(table).all():
         raise RecordingError(f"{file}: needs at least {MIN_SAMPLES} rows of two finite numbers")
     if not bool(np.all(np.diff(table[:, 0]) > 0)):
@@ -101,12 +93,10 @@ def _setting(file: Path) -> dict[str, Any]:
         Text(what="text").read(setting["moving_joint"])
     except FormError as error:
         raise RecordingError(f"{file}: moving_joint must be a name: {error}") from error
-    pose = setting["start_pose_rad"]
+    pose, joint = setting["start_pose_rad"], setting["moving_joint"]
     numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
-    if not isinstance(pose, dict) or setting["moving_joint"] not in pose:
-        raise RecordingError(
-            f"{file}: start_pose_rad must give a position for each joint, {setting['moving_joint']!r} too"
-        )
+    if not isinstance(pose, dict) or joint not in pose:
+        raise RecordingError(f"{file}: start_pose_rad must give a position for each joint, {joint!r} too")
     numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
     for key, value in numbers.items():
         if finite(value) is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from proprio_ros.errors import RecordingError, some
 
@@ -83,11 +83,6 @@ class Conventions:
         """The driver's name of one of the robot's joints."""
         return self.prefix + next((theirs for theirs, ours in self.names.items() if ours == name), name)
 
-    def input_of(self, msgtype: str) -> InputTopic:
-        """What a topic of this type means that only the user has named."""
-        by_default = InputTopic("", JOINT_STATE, "N.m"), InputTopic("", FLOAT_ARRAYS[0], "A")
-        return next(each for each in (*self.inputs, *by_default) if msgtype in each.msgtypes)
-
 
 OUR_DRIVER = Conventions()
 
@@ -101,7 +96,6 @@ class Topic(NamedTuple):
 
     @property
     def namespace(self) -> str:
-        """What stands before its name."""
         return self.name.rpartition("/")[0]
 
 
@@ -112,12 +106,7 @@ def listed(topics: Sequence[Topic]) -> str:
 
 @dataclass(frozen=True)
 class Topics:
-    """The topics of one bag.
-
-    Attributes:
-        path: Of the bag, for messages.
-        all: Each with its type and its number of messages.
-    """
+    """The topics of one bag; its path is for messages."""
 
     path: Path
     all: tuple[Topic, ...]
@@ -146,10 +135,13 @@ class Topics:
         if not fitting:
             choices = [topic for topic in self.all if topic.msgtype in msgtypes]
             what = f"is {found[0].msgtype}" if found else "is not in the bag"
-            raise RecordingError(f"{self.path}: {option} {name} {what}; choose from: {listed(choices)}")
+            self._refuse(f"{option} {name} {what}; choose from: {listed(choices)}")
         if fitting[0].size == 0:
-            raise RecordingError(f"{self.path}: {option} {name} holds no messages")
+            self._refuse(f"{option} {name} holds no messages")
         return fitting[0]
+
+    def _refuse(self, why: str) -> NoReturn:
+        raise RecordingError(f"{self.path}: {why}")
 
     def states(self, name: str | None, command_name: str | None = None, conventions: Conventions = OUR_DRIVER) -> Topic:
         """The joint states.
@@ -165,28 +157,24 @@ class Topics:
         if name is not None:
             return self.chosen(name, [JOINT_STATE], "--state-topic")
         if not any(topic.size for topic in self.all):
-            raise RecordingError(f"{self.path}: the bag holds no messages; record it again with `ros2 bag record`")
+            self._refuse("the bag holds no messages; record it again with `ros2 bag record`")
         typed = [topic for topic in self.all if topic.msgtype == JOINT_STATE]
         if not typed:
-            raise RecordingError(
-                f"{self.path}: no JointState topic in the bag; it holds: {listed(self.all)}; record /joint_states"
-            )
+            self._refuse(f"no JointState topic in the bag; it holds: {listed(self.all)}; record /joint_states")
         filled = self.filled(JOINT_STATE)
         if not filled:
-            raise RecordingError(f"{self.path}: no joint states: {listed(typed)} holds no messages")
+            self._refuse(f"no joint states: {listed(typed)} holds no messages")
         candidates = self.called(conventions.states, [JOINT_STATE])
         if not candidates and conventions.driver:
-            raise RecordingError(
-                f"{self.path}: no joint states on {conventions.states}, where --driver {conventions.driver} has them; choose with "
+            self._refuse(
+                f"no joint states on {conventions.states}, where --driver {conventions.driver} has them; choose with "
                 f"--state-topic from: {listed(filled)}"
             )
-        candidates = candidates or [
-            topic
-            for topic in filled
-            if not topic.name.endswith("/applied_effort") and topic.name not in (command_name, f"/{command_name}")
-        ]
+        commands = (command_name, f"/{command_name}")
+        others = [each for each in filled if not each.name.endswith("/applied_effort") and each.name not in commands]
+        candidates = candidates or others
         if len(candidates) != 1:
-            raise RecordingError(f"{self.path}: which joint states? choose with --state-topic from: {listed(filled)}")
+            self._refuse(f"which joint states? choose with --state-topic from: {listed(filled)}")
         return candidates[0]
 
     def input(
@@ -204,14 +192,15 @@ class Topics:
         """
         if name is not None:
             topic = self.chosen(name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")
-            return topic, conventions.input_of(topic.msgtype)
+            inputs = (*conventions.inputs, InputTopic("", JOINT_STATE, "N.m"), InputTopic("", FLOAT_ARRAYS[0], "A"))
+            return topic, next(each for each in inputs if topic.msgtype in each.msgtypes)
         namespace = states.name.removesuffix(f"/{conventions.states}")
         if namespace == states.name:  # the user named another topic
             namespace = states.namespace
         for usual in conventions.inputs:
             found = [topic for topic in self.called(usual.topic, usual.msgtypes, namespace) if topic != states]
             if len(found) > 1:
-                raise RecordingError(f"{self.path}: which input? choose with --command-topic from: {listed(found)}")
+                self._refuse(f"which input? choose with --command-topic from: {listed(found)}")
             if found:
                 return found[0], usual
         return None

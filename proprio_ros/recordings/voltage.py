@@ -21,11 +21,7 @@ def voltage_driven(robot: Robot) -> tuple[str, ...]:
 
 
 def refuse_unit(robot: Robot, effort_unit: str | None) -> None:
-    """Refuse a unit of the effort where the robot file says of every joint that its effort is none.
-
-    Raises:
-        ConfigurationError: It does.
-    """
+    """Raises: ConfigurationError: A unit of the effort is stated, where by the robot file a voltage drives every joint."""
     joints = voltage_driven(robot)
     if effort_unit is not None and joints and set(joints) == set(robot.drive_trains):
         raise ConfigurationError(
@@ -35,13 +31,7 @@ def refuse_unit(robot: Robot, effort_unit: str | None) -> None:
 
 
 def with_stall_currents(recording: Recording, robot: Robot) -> Recording:
-    """The recording with stall currents as the measured currents of all motors that a voltage drives.
-
-    While torque is off nothing drives them, and the recording is returned as it is.
-
-    Args:
-        recording: As it was read, with its signals.
-        robot: States what drives its joints, and their delay.
+    """The recording with stall currents as the measured currents of all motors that a voltage drives, unless torque is off.
 
     Raises:
         RecordingError: The effort, the goal or the voltage that a drive needs was not recorded.
