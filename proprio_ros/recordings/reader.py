@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor
+from numpy.typing import NDArray
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, storage_mcap
 from rosbags.rosbag2 import reader as rosbag2_reader
@@ -42,10 +43,7 @@ _TOGETHER = 8192  # messages that are decoded at once
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Bag]:
-    """Open a bag.
-
-    Args:
-        path: Bag folder (with or without metadata.yaml), or one .mcap or .db3 file.
+    """Open a bag: a folder (with or without metadata.yaml), or one .mcap or .db3 file.
 
     Raises:
         RecordingError: It is none, or breaks then or while it is read, whatever rosbags raises over it.
@@ -107,18 +105,12 @@ class Bag:
         """
         if span is None:
             return
-        first_ns = min(self._recorded_ns(states))
+        files = self._wanted(states)
+        first_ns = min(ns for reader, wanted in files for _, ns, _ in islice(reader.messages(connections=wanted), 1))
         self._between = first_ns + span[0] if span[0] else None, None if span[1] is None else first_ns + span[1]
         if next(self._read(states), None) is None:
             until = "its end" if span[1] is None else f"{1e-9 * span[1]:g} s"
             raise RecordingError(f"{self.path}: no joint states between {1e-9 * span[0]:g} s and {until}")
-
-    def _recorded_ns(self, topic: Topic) -> Iterator[int]:
-        """The recorder's time of the first message in each file [ns]."""
-        for reader, wanted in self._wanted(topic):
-            for _, time_ns, _ in reader.messages(connections=wanted):
-                yield time_ns
-                break
 
     def parts(self, states: Topic, most: int) -> list[Span]:
         """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
@@ -138,11 +130,7 @@ class Bag:
         return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
 
     def messages(self, topic: Topic, most: int | None = None) -> list[tuple[int, Any]]:
-        """Recorder's time [ns] and message, of one topic, in the order of time; at least one, unless the bag was cut.
-
-        Args:
-            topic: One of `topics`.
-            most: Bytes that one may have; None: `MOST_BYTES_OF_ONE`.
+        """Recorder's time [ns] and message, of at most so many bytes each, in the order of time; at least one, unless cut.
 
         Raises:
             RecordingError: There are more messages or bytes than are read, or none.
@@ -275,17 +263,16 @@ class _Layout(NamedTuple):
             same[self.stamp : self.stamp + 8] = False
         unlike = np.flatnonzero((table[:, same] != table[0, same]).any(axis=1))
         table = table[: int(unlike[0]) if len(unlike) else count]
+
+        def column(at: int, size: int, kind: str) -> NDArray[Any]:
+            return table[:, at : at + size].copy().view(kind)
+
         stamps = None
         if self.stamp is not None:
-            seconds, nanoseconds = (
-                table[:, at : at + 4].copy().view(kind)[:, 0].astype(np.int64)
-                for at, kind in ((self.stamp, "<i4"), (self.stamp + 4, "<u4"))
-            )
-            stamps = seconds * 1_000_000_000 + nanoseconds
-        values = {
-            name: table[:, at : at + size].copy().view(kind).astype(np.float64).reshape(len(table), -1)
-            for name, (at, size, kind) in self.numbers.items()
-        }
+            seconds, nanoseconds = column(self.stamp, 4, "<i4"), column(self.stamp + 4, 4, "<u4")
+            stamps = (seconds.astype(np.int64) * 1_000_000_000 + nanoseconds)[:, 0]
+        numbers = self.numbers.items()
+        values = {name: column(*where).astype(np.float64).reshape(len(table), -1) for name, where in numbers}
         return len(table), stamps, values
 
 
@@ -329,8 +316,7 @@ def _layout(raw: bytes, message: Any, numbers: Mapping[str, Any]) -> _Layout | N
         return None
     _, stamps, found = layout.read([raw])
     fits = all(np.array_equal(found[key][0], np.asarray(values), equal_nan=True) for key, values in numbers.items())
-    fits = fits and (stamps is None or int(stamps[0]) == stamp_ns(message))
-    return layout if fits else None
+    return layout if fits and (stamps is None or int(stamps[0]) == stamp_ns(message)) else None
 
 
 # --- files and their compression -------------------------------------------------------------------------------------
