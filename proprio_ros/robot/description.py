@@ -50,9 +50,8 @@ def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> Robo
             raise RobotError(f"{path}: is a bag, which only a reader of bags can take a description from")
         return RobotModel.from_urdf_string(of_bag(path), f"/robot_description of {path.name}")
     if path.suffix == ".xacro":
-        raise RobotError(
-            f"{path.name}: holds xacro macros; expand it first: xacro {path} > {path.name.split('.')[0]}.urdf"
-        )
+        urdf = f"{path.name.split('.')[0]}.urdf"
+        raise RobotError(f"{path.name}: holds xacro macros; expand it first: xacro {path} > {urdf}")
     return RobotModel.from_urdf(path)
 
 
@@ -100,11 +99,7 @@ def hand_link(model: RobotModel) -> str:
 
 
 def check_masses(model: RobotModel, source: str) -> None:
-    """Every joint must move something that has mass.
-
-    Raises:
-        RobotError: Some do not; all are named.
-    """
+    """Raises: RobotError: Some joints move nothing that has mass; all are named."""
     mass = {link.name: float(link.pseudo_inertia[3, 3]) for link in model.links}
     carried = {joint.child: mass[joint.child] for joint in model.joints if joint.independent}
     body = {link: link for link in carried}

@@ -68,7 +68,7 @@ class Drive:
     def duty(
         self, times_s: FloatArray, position: FloatArray, effort: FloatArray | None, goal: Goal | None, delay_s: float
     ) -> FloatArray:
-        """The duty cycle at some instants, -1 to 1.
+        """The duty cycle at some instants, -1 to 1, shape (T,).
 
         Args:
             times_s: Increasing [s], shape (T,).
@@ -76,9 +76,6 @@ class Drive:
             effort: As the driver published it, shape (T,); None where it published none.
             goal: Where the joint was sent; None where nobody recorded it.
             delay_s: From a goal to its torque.
-
-        Returns:
-            Shape (T,).
         """
         raise NotImplementedError
 

@@ -27,20 +27,10 @@ def frozen(values: ArrayLike) -> FloatArray:
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> FloatArray:
-    """Rotation matrix from URDF's roll, pitch and yaw about fixed axes: ``Rz(yaw) Ry(pitch) Rx(roll)``.
-
-    Args:
-        rpy: Angles [rad], shape (3,).
-
-    Returns:
-        Shape (3, 3).
-    """
+    """Rotation matrix from URDF's roll, pitch and yaw [rad] about fixed axes: ``Rz(yaw) Ry(pitch) Rx(roll)``, shape (3, 3)."""
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
-    return (
-        rotation_about((0.0, 0.0, 1.0), yaw)
-        @ rotation_about((0.0, 1.0, 0.0), pitch)
-        @ rotation_about((1.0, 0.0, 0.0), roll)
-    )
+    x, y, z = np.eye(3)
+    return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> FloatArray:
@@ -60,16 +50,7 @@ def transform(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
 
 
 def motion(kind: str, axis: ArrayLike, position: float) -> FloatArray:
-    """What a joint adds to its origin when it moves.
-
-    Args:
-        kind: One of `proprio_ros.robot.JOINT_KINDS`.
-        axis: Unit axis in the joint frame, shape (3,).
-        position: Joint position [rad, or m for a prismatic joint].
-
-    Returns:
-        Transform, shape (4, 4).
-    """
+    """What a joint of a kind of `JOINT_KINDS` adds to its origin at a position [rad or m], shape (4, 4); axis in its own frame."""
     if kind == "prismatic":
         return transform(np.eye(3), np.asarray(axis, dtype=np.float64) * position)
     if kind == "fixed":
@@ -78,15 +59,12 @@ def motion(kind: str, axis: ArrayLike, position: float) -> FloatArray:
 
 
 def pseudo_inertia(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> FloatArray:
-    """Pseudo-inertia about a frame's origin.
+    """Pseudo-inertia about a frame's origin, shape (4, 4).
 
     Args:
         mass: [kg].
         com: Centre of mass [m], shape (3,).
         inertia_about_com: Rotational inertia about the centre of mass, in the frame's axes [kg m^2], shape (3, 3).
-
-    Returns:
-        Shape (4, 4).
     """
     com = np.asarray(com, dtype=np.float64)
     inertia = np.asarray(inertia_about_com, dtype=np.float64)

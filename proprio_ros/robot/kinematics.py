@@ -42,24 +42,16 @@ class _Step:
 def clearance(robot: Robot, pose: Mapping[str, float]) -> float:
     """Height above the base's plane, against gravity, of the lowest link that can be lowered, or of the hand [m].
 
-    Args:
-        robot: The arm.
-        pose: Positions of all its independent joints [rad or m].
-
     Raises:
-        RobotError: A position that matters is missing.
+        RobotError: The position of an independent joint that matters is missing.
     """
-    up, steps = _way_to_lowerable(robot)
-    return _lowest(up, steps, pose)
+    return _lowest(*_way_to_lowerable(robot), pose)
 
 
 def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
     """The links as lines from joint to joint, seen along a joint's axis where that is level, else across the arm.
 
-    Args:
-        robot: The arm.
-        joint: Whose motion is to be seen.
-        poses: Positions of all independent joints [rad or m], the first decides where one stands: the hand is to the right.
+    In the first of the poses, which name all independent joints [rad or m], the hand is to the right.
 
     Returns:
         Both ends of the links in every pose, to the right of the base and above it [m], shape (P, L, 2, 2), and where the joint is,
@@ -87,14 +79,7 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
 
 
 def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20) -> np.ndarray:
-    """Where the hand is while one joint moves [m], in the frame of the root link, shape (points, 3).
-
-    Args:
-        robot: The arm.
-        joint: That moves.
-        start: Positions of all independent joints before [rad or m].
-        travel: How far it goes, signed [rad or m].
-        points: How many.
+    """Where the hand is while one joint moves by a signed travel [rad or m]: [m], in the frame of the root link, shape (points, 3).
 
     Raises:
         RobotError: A position is missing.
@@ -106,20 +91,12 @@ def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: floa
 
 def bent_pose(robot: Robot) -> dict[str, float]:
     """A pose of all independent joints in which no lever happens to vanish [rad or m]."""
-    model = robot.model
-    return {
-        name: float(np.clip(0.3 + 0.1 * n, model.joint(name).lower, model.joint(name).upper))
-        for n, name in enumerate(model.independent_joints)
-    }
+    joints = map(robot.model.joint, robot.model.independent_joints)
+    return {joint.name: float(np.clip(0.3 + 0.1 * n, joint.lower, joint.upper)) for n, joint in enumerate(joints)}
 
 
 def zero_pose(robot: Robot, joints: Sequence[str] | None = None) -> dict[str, float]:
-    """Joints at zero, or at the limit nearest to it [rad or m].
-
-    Args:
-        robot: The arm.
-        joints: Which; None: all independent ones.
-    """
+    """Joints, all independent ones where none are named, at zero, or at the limit nearest to it [rad or m]."""
     places = map(robot.model.joint, robot.model.independent_joints if joints is None else joints)
     return {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in places}
 
@@ -178,14 +155,10 @@ def _way(robot: Robot, frames: list[str]) -> tuple[_Step, ...]:
         if joint.child not in needed:
             continue
         driver, multiplier, offset = robot.model.driving(joint)
-        first, second, third = (_vector(joint.origin[:3, n]) for n in range(3))
         index[joint.child] = len(steps)
-        steps.append(
-            _Step(
-                index.get(joint.parent, -1), joint.kind, driver, multiplier, offset,
-                (first, second, third), _vector(joint.origin[:3, 3]), _vector(joint.axis), joint.child in frames,
-            )
-        )  # fmt: skip
+        first, second, third, origin = (_vector(joint.origin[:3, n]) for n in range(4))
+        follows = (index.get(joint.parent, -1), joint.kind, driver, multiplier, offset)
+        steps.append(_Step(*follows, (first, second, third), origin, _vector(joint.axis), joint.child in frames))
     return tuple(steps)
 
 

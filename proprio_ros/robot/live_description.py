@@ -46,14 +46,7 @@ class LiveDescription:
         self.problem = f"waits for {topic} (std_msgs/String, latched), as robot_state_publisher publishes it"
 
     def hear(self, text: str) -> tuple[str, str]:
-        """One description.
-
-        Args:
-            text: Of the URDF.
-
-        Returns:
-            ``info`` or ``warning``, and what there is to say; empty: nothing is new.
-        """
+        """Takes the text of a URDF; returns ``info`` or ``warning``, and what there is to say; empty: nothing is new."""
         try:
             model = _usable(text, self._topic)
             if self.path is None:
@@ -99,11 +92,7 @@ class LiveDescription:
 
 
 def _usable(text: str, source: str) -> RobotModel:
-    """The model of a description, from which all that is needed can be had.
-
-    Raises:
-        RobotError: It is no URDF, or lacks something.
-    """
+    """The model of a description; refuses one that is no URDF, or lacks something."""
     model = RobotModel.from_urdf_string(text, source)
     check_masses(model, source)
     if all(model.joint(name).kind == "prismatic" for name in model.independent_joints):

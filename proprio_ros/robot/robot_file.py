@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -230,13 +231,11 @@ def _located(name_or_path: str, folder: Path) -> Path:
         raise RobotError(f"robot {one_line(name_or_path, 60)} {problem}; {_choices()}")
     if name_or_path.startswith(PACKAGE):
         return Path(name_or_path)
-    if is_description(name_or_path):
+    if is_description(name_or_path) or path.suffix in (".yaml", ".yml"):
         if not path.is_file():
-            raise RobotError(f"there is no URDF {path}; {_choices()}")
-        return path.resolve()
-    if path.suffix in (".yaml", ".yml"):
-        if not path.is_file():
-            raise RobotError(f"there is no robot file {path}; {_choices()}")
+            raise RobotError(
+                f"there is no {'URDF' if is_description(name_or_path) else 'robot file'} {path}; {_choices()}"
+            )
         return path.resolve()
     if name_or_path not in resource_names("robots"):
         raise RobotError(f"unknown robot {name_or_path!r}; {_choices()}")
@@ -280,35 +279,28 @@ def _part(settings: Any, key: str) -> Mapping[str, Any]:
 
 
 def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) -> None:
-    """Name all that is missing at once; a key that is only mistyped comes first.
-
-    Raises:
-        FormError: Something is.
-    """
+    """Raises: FormError: Keys are mistyped, which comes first, or missing; it names all at once."""
     refuse_unknown(settings, ROBOT | ELSEWHERE)
     for name, joint in _part(settings, "joints").items():
         for key, fields in (("motor", MOTOR), ("drive_train", DRIVE_TRAIN)):
             with under("joints", name, key):
                 refuse_unknown(_part(joint, key), fields)
     missing = [key for key, entry in ROBOT.items() if entry.default is REQUIRED and key not in settings]
-    without: dict[str, list[str]] = {}
+    without: dict[str, list[str]] = defaultdict(list)
     for name, joint in _part(settings, "joints").items():
         if NOMINAL not in _part(joint, "motor") and "torque_constant_N_m_per_A" not in _part(joint, "drive_train"):
-            without.setdefault(f"motor.{NOMINAL}", []).append(name)
+            without[f"motor.{NOMINAL}"].append(name)
         slides = name in model.independent_joints and model.joint(name).kind == "prismatic"
         if slides and isinstance(joint, Mapping) and "transmission_m_per_rad" not in joint:
-            without.setdefault("transmission_m_per_rad (how far the joint slides per rad of the motor)", []).append(
-                name
-            )
+            without["transmission_m_per_rad (how far the joint slides per rad of the motor)"].append(name)
     missing += [f"{key} of {_few(joints)}" for key, joints in without.items()]
-    if not missing:
-        return
-    if is_description(str(source)):
+    if missing and is_description(str(source)):
         raise FormError(
             f"states no {'; '.join(missing)}: --set robot.joints.JOINT.{next(iter(without))}=VALUE, or write a file "
             "with `proprio robot new`, or --effort-unit N.m where torque was recorded"
         )
-    raise FormError(f"missing: {'; '.join(missing)}; state each")
+    if missing:
+        raise FormError(f"missing: {'; '.join(missing)}; state each")
 
 
 def _few(names: Sequence[str], longest: int = 60) -> str:
@@ -320,19 +312,14 @@ def _few(names: Sequence[str], longest: int = 60) -> str:
 
 
 def _robot(settings: dict[str, Any], source: Path, model: RobotModel | None = None) -> Robot:
-    """A robot from merged settings; None: they name no URDF.
-
-    Raises:
-        RobotError: They are wrong, or of another URDF.
-    """
+    """A robot from merged settings; None: they name no URDF. Refuses what is wrong, or of another URDF."""
     settings = _stated(settings)
     try:
         if model is not None:
             _check_stated(settings, source, model)
         # urdf and joints are listed for the message about unknown keys
-        given = section(
-            {key: value for key, value in settings.items() if key not in ("urdf", "joints")}, ROBOT | ELSEWHERE
-        )
+        own = {key: value for key, value in settings.items() if key not in ("urdf", "joints")}
+        given = section(own, ROBOT | ELSEWHERE)
         if model is None:
             raise FormError("urdf is missing; state the robot's URDF file")
         _check_model(given, model, settings.get("urdf"))
@@ -365,10 +352,8 @@ def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None
             f"now {model.fingerprint()[:12]}..): calibrate again, or restore the URDF"
         )
     links = [link.name for link in model.links]
-    if given["payload_frame"] not in links:
-        raise FormError(
-            f"payload_frame: {model.name} has no link {given['payload_frame']!r}; links: {', '.join(links)}"
-        )
+    if (frame := given["payload_frame"]) not in links:
+        raise FormError(f"payload_frame: {model.name} has no link {frame!r}; links: {', '.join(links)}")
 
 
 def _drive_trains(joints: Any, model: RobotModel) -> tuple[dict[str, DriveTrain], dict[str, Motor]]:
@@ -388,6 +373,18 @@ def _drive_trains(joints: Any, model: RobotModel) -> tuple[dict[str, DriveTrain]
     return drive_trains, motors
 
 
+_RENAMED = {
+    "delay_s": "delay",
+    "torque_disturbance_N_m": "torque_disturbance",
+    "start_velocity_rad_s": "start_velocity",
+    "link_com_std_m": "link_com_std",
+    "friction_velocity_rad_s": "friction_velocity",
+}
+"""Attributes of a `Robot` by their keys; others are called as their key."""
+_NOT_OF_ROBOT = ("calibrated", "model_fingerprint", "calibration")
+"""Keys that are no attributes, or that a calibration adds."""
+
+
 def _assembled(
     given: Mapping[str, Any],
     model: RobotModel,
@@ -396,12 +393,9 @@ def _assembled(
     source: Path,
     settings: Mapping[str, Any],
 ) -> Robot:
-    """The robot without its calibration from pushes."""
-    disturbance, motion, of_joint = (
-        given["torque_disturbance_N_m"],
-        given["motion_calibration"],
-        given["joint_calibration"],
-    )
+    """The robot without its calibration from excitations."""
+    stated = {_RENAMED.get(key, key): given[key] for key in ROBOT if key not in _NOT_OF_ROBOT}
+    disturbance, motion, of_joint = (stated[key] for key in ("torque_disturbance", *CALIBRATIONS[1:]))
     if isinstance(disturbance, Wide):
         # of the weakest joint: what differs from run to run goes with friction
         weakest = min(largest_torque(model, name, drive.transmission) for name, drive in drive_trains.items())
@@ -414,30 +408,8 @@ def _assembled(
             raise FormError(f"motion_calibration: is of {', '.join(foreign)}, {drives}")
     if of_joint is not None and [of_joint.joint] != list(drive_trains):
         raise FormError(f"joint_calibration: is of {of_joint.joint}, {drives}")
-    return Robot(
-        name=given["name"],
-        model=model,
-        drive_trains=drive_trains,
-        motors=motors,
-        delay=given["delay_s"],
-        arm_scale=given["arm_scale"],
-        stamp_jitter_s=given["stamp_jitter_s"],
-        onset_jitter_s=given["onset_jitter_s"],
-        torque_disturbance=disturbance,
-        start_velocity=given["start_velocity_rad_s"],
-        friction_spread=given["friction_spread"],
-        link_mass_std=given["link_mass_std"],
-        link_com_std=given["link_com_std_m"],
-        link_inertia_std=given["link_inertia_std"],
-        friction_velocity=given["friction_velocity_rad_s"],
-        payload_frame=given["payload_frame"],
-        gravity=frozen(given["gravity"]),
-        source=source,
-        settings=settings,
-        motion_calibration=motion,
-        joint_calibration=of_joint,
-        drift=given["drift"],
-    )
+    stated |= {"torque_disturbance": disturbance, "motion_calibration": motion, "gravity": frozen(given["gravity"])}
+    return Robot(model=model, drive_trains=drive_trains, motors=motors, source=source, settings=settings, **stated)
 
 
 def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrain, Motor]:
@@ -453,16 +425,14 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
         value = stated.get("value") if isinstance(stated, Mapping) else stated
         settings = merged(settings, {"motor": {NOMINAL: value}})
     parts = section(settings, fields | JOINT)
-    motor = parts["motor"]
-    largest = largest_torque(model, name, parts["transmission_m_per_rad"] or 1.0)
-    drive = {
-        key: value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
+    motor, transmission, travel = parts["motor"], parts["transmission_m_per_rad"], parts["finger_travel"]
+    largest = largest_torque(model, name, transmission or 1.0)
+    drive: dict[str, Any] = {
+        without_unit(key): value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
         for key, value in (parts["drive_train"] or section({}, DRIVE_TRAIN)).items()
     }
-    transmission = parts["transmission_m_per_rad"]
     if joint.kind != "prismatic" and transmission is not None:
         raise FormError(f"transmission_m_per_rad is for a prismatic joint, but this one is {joint.kind}; remove it")
-    travel = parts["finger_travel"]
     if travel is not None and (transmission is None or not 0.5 < travel.mean_ratio / transmission < 2.0):
         nominal = "not there" if transmission is None else f"{1e3 * transmission:g} mm per rad"
         raise FormError(
@@ -471,32 +441,27 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
         )
     if motor["supply_voltage_V"] > 0.0 and motor["resistance_ohm"] == 0.0:
         raise FormError("motor: supply_voltage_V needs resistance_ohm too; state it, or a voltage of 0 for no limit")
-    if motor["driven_by"] is not None:
+    if (driven_by := motor["driven_by"]) is not None:
         if joint.kind == "prismatic":
             raise FormError("motor: driven_by is for a joint that turns, but this one slides; remove it")
         if motor["resistance_ohm"] == 0.0:
-            raise FormError(
-                f"motor: driven_by {motor['driven_by'].kind} needs resistance_ohm too, to make a current of a voltage; "
-                "state it"
-            )
+            need = f"motor: driven_by {driven_by.kind} needs resistance_ohm too, to make a current of a voltage"
+            raise FormError(f"{need}; state it")
     if motor["encoder_resolution_rad"] == 0.0 and motor["encoder_noise_rad"] == 0.0:
         raise FormError("motor: encoder_resolution_rad and encoder_noise_rad are both 0; no encoder is perfect")
     return (
         DriveTrain(
-            **{without_unit(key): value for key, value in drive.items()},
-            nominal_torque_constant=motor["nominal_torque_constant_N_m_per_A"],
-            supply_voltage_V=motor["supply_voltage_V"],
-            back_emf_V_s_per_rad=motor["back_emf_V_s_per_rad"],
-            resistance_ohm=motor["resistance_ohm"],
+            **drive,
+            **{key: motor[key] for key in ("supply_voltage_V", "back_emf_V_s_per_rad", "resistance_ohm", "driven_by")},
+            nominal_torque_constant=motor[NOMINAL],
             usable_velocity=parts["usable_velocity_rad_s"],
             encoder_resolution=motor["encoder_resolution_rad"],
             encoder_noise=motor["encoder_noise_rad"],
             encoder_once_per_turn=motor["encoder_once_per_turn_rad"],
             transmission=1.0 if transmission is None else transmission,
             finger_travel=travel,
-            driven_by=motor["driven_by"],
         ),
-        Motor(model=motor["model"], id=motor["id"], current_limit_A=motor["current_limit_A"]),
+        Motor(motor["model"], motor["id"], motor["current_limit_A"]),
     )
 
 

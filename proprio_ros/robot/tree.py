@@ -83,15 +83,7 @@ class RobotModel:
 
     @classmethod
     def from_urdf_string(cls, text: str, source: str = "URDF") -> RobotModel:
-        """Read URDF text, such as the content of ``/robot_description``.
-
-        Args:
-            text: The document.
-            source: What messages call it.
-
-        Raises:
-            RobotError: As for `from_urdf`.
-        """
+        """As `from_urdf`, of text such as the content of ``/robot_description``; messages call it by its source."""
         return cls(*UrdfReader(text, source).read())
 
     @functools.cached_property
@@ -142,22 +134,14 @@ class RobotModel:
         return multiplier * position + offset
 
     def frame_transform(self, frame: str, positions: Mapping[str, float]) -> FloatArray:
-        """Where a link is.
-
-        Args:
-            frame: Name of the link.
-            positions: Positions of at least the independent joints between base and link [rad or m].
-
-        Returns:
-            base_T_frame, shape (4, 4).
+        """Where a link is, by positions of the independent joints between it and the base [rad or m]: base_T_frame, shape (4, 4).
 
         Raises:
             RobotError: The link is unknown, or a position is missing or not finite.
         """
         if frame != self.root and frame not in self._joints_by_child:
-            raise RobotError(
-                f"{self.name} has no link {frame!r}; its links: {', '.join(link.name for link in self.links)}"
-            )
+            links = ", ".join(link.name for link in self.links)
+            raise RobotError(f"{self.name} has no link {frame!r}; its links: {links}")
         result = np.eye(4)
         while frame != self.root:
             joint = self._joints_by_child[frame]
@@ -168,16 +152,13 @@ class RobotModel:
     def lock(
         self, active: Sequence[str], positions: Mapping[str, float], gravity: ArrayLike = STANDARD_GRAVITY
     ) -> ReducedModel:
-        """Hold all joints but some, and merge what no longer moves against each other.
+        """Lock all joints but some, and merge what no longer moves against each other: one body for each active joint.
 
         Args:
             active: Joints that move, in any order.
-            positions: Positions of all other independent joints [rad or m]. Those of active joints and of joints that
-                follow another, or that the robot does not have, are not used.
+            positions: Of all other independent joints [rad or m]. Those of active joints and of joints that follow another, or that
+                the robot does not have, are not used.
             gravity: In the base frame [m/s^2], shape (3,).
-
-        Returns:
-            One body for each active joint.
 
         Raises:
             RobotError: An active joint is unknown, fixed, a follower, followed by another or named twice; a position is
@@ -190,9 +171,7 @@ class RobotModel:
         inertias = {link.name: link.pseudo_inertia for link in self.links}
         frames: dict[str, tuple[int, FloatArray]] = {self.root: (-1, frozen(np.eye(4)))}
         moving: list[Joint] = []
-        parents: list[int] = []
-        placement: list[FloatArray] = []
-        bodies: list[FloatArray] = []
+        parents, placement, bodies = [], [], list[FloatArray]()
         for joint in self.joints:
             body, body_from_parent = frames[joint.parent]
             if joint.name in active:

@@ -31,15 +31,8 @@ class Wide:
     share: float
 
     def at(self, nominal: float, largest: float) -> Quantity:
-        """Of one joint.
-
-        Args:
-            nominal: Torque constant [N m/A].
-            largest: Torque that the joint can make [N m].
-        """
-        if self.of == "nominal":
-            return Quantity(nominal, self.share * nominal)
-        return Quantity(0.0, self.share * largest)
+        """Of a joint with this nominal torque constant [N m/A] and largest torque [N m]."""
+        return Quantity(nominal, self.share * nominal) if self.of == "nominal" else Quantity(0.0, self.share * largest)
 
     def described(self) -> str:
         """For the documentation."""
@@ -53,12 +46,8 @@ class Wide:
 def largest_torque(model: RobotModel, name: str, transmission: float = 1.0) -> float:
     """Torque that a joint's motor can probably make, at its shaft [N m].
 
-    The URDF's limit of effort, and at least what holds everything behind the joint stretched out.
-
-    Args:
-        model: The robot.
-        name: Of the joint.
-        transmission: Joint position per shaft position: 1 for a joint that turns, m/rad for a slide.
+    The URDF's limit of effort, and at least what holds everything behind the joint stretched out; the transmission is that of
+    `DriveTrain`.
     """
     joint = model.joint(name)
     slides = joint.kind == "prismatic"
