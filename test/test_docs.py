@@ -78,7 +78,7 @@ def test_generated_pages_are_current(without_ros: bool) -> None:
         pytest.importorskip("rclpy")
     done = subprocess.run(
         [sys.executable, "-c", CURRENT.format(without_ros=without_ros)],
-        cwd=REPOSITORY, capture_output=True, text=True, timeout=600,
+        cwd=REPOSITORY, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, f"run python docs/generate.py: {done.stderr[-2000:]}"
 
@@ -185,12 +185,3 @@ def test_the_workflow_runs_the_gate_and_the_gate_builds_the_pages() -> None:
     assert {"run": ".ci/run"} in jobs["gate"]["steps"]
     assert {"run": COMMANDS[1]} in jobs["tests"]["steps"]
     assert "mkdocs build --strict -f docs/mkdocs.yml" in (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")
-
-
-def test_in_the_gate_what_keeps_time_with_the_clock_has_the_computer_for_itself() -> None:
-    (listed,) = re.findall(r"^clock=\((.*)\)$", (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8"), re.MULTILINE)
-    alone = [REPOSITORY / name for name in listed.split()]
-    assert alone and all(path.exists() for path in alone)
-    for path in (REPOSITORY / "test").rglob("test_*.py"):
-        if re.search(r"\btime\.(sleep|monotonic|perf_counter|process_time)\(", path.read_text(encoding="utf-8")):
-            assert any(path.is_relative_to(each) for each in alone), f"{path} keeps time: name it in .ci/run"

@@ -48,7 +48,7 @@ block = ElasticityEstimate(youngs_modulus=2e5, interval=[1e5, 3e5])
 assert deserialize_message(serialize_message(block), ElasticityEstimate) == block
 print(*Weigh.Goal.get_fields_and_field_types(), *Weigh.Feedback.get_fields_and_field_types())
 """
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     goal, feedback = ["target", "sequence", "settings", "half_interval", "at_most_s"], ["phase", "fraction", "mass"]
     assert done.stdout.split() == goal + feedback, done.stderr
 
@@ -67,5 +67,5 @@ def test_colcon_finds_it_where_it_is_named(tmp_path: Path) -> None:
     clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     clean["PATH"] = os.pathsep.join(part for part in clean["PATH"].split(os.pathsep) if part != python)
     command = [colcon, "build", "--base-paths", str(source), str(source / "proprio_msgs")]
-    done = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True)
     assert ">>> proprio_msgs" in done.stdout, done.stdout + done.stderr

@@ -33,6 +33,8 @@ BALL = {"com": [0.0, 0.0, 0.0], "com_std": [0.0, 0.0, 0.0], "shape": "sphere", "
 AGREEMENT_KG = 3e-4
 """Methods that find masses further apart than this do not solve the same problem, and their times are not compared."""
 REPEATS = 7
+once = False
+"""Whether everything is timed by a single call: enough to see that it runs, and no figure."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ def measure(function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1,
         calls: calls per time, for what takes microseconds.
         warm_up: calls before the first.
     """
+    if once:
+        repeats, calls, warm_up = 1, 1, 0
     for _ in range(warm_up):
         function()
     times = []
@@ -74,9 +78,9 @@ def measure_in_turn(
     """
     turns = [
         [measure(f, repeats=1, calls=n, warm_up=warm_up).median for f, n in zip(functions, calls, strict=True)]
-        for _ in range(repeats)
+        for _ in range(1 if once else repeats)
     ]
-    return [Timing(statistics.median(times), min(times), repeats) for times in zip(*turns, strict=True)]
+    return [Timing(statistics.median(times), min(times), len(turns)) for times in zip(*turns, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run and print; 1 when a goal was missed."""
     parser = parser_of(__doc__)
     parser.add_argument("parts", nargs="*", default=list(PARTS), help=f"default: all of {', '.join(PARTS)}")
+    parser.add_argument("--once", action="store_true", help="time everything by a single call: a look, and no figure")
     options = parser.parse_args(arguments)
+    cases.once = options.once
     unknown = set(options.parts) - set(PARTS)
     if unknown:
         raise SystemExit(f"unknown part {', '.join(sorted(unknown))}; choose from: {', '.join(PARTS)}")

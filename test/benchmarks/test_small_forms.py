@@ -37,7 +37,7 @@ ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
     "softness",  # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
-    "effort_controller",  # in real time, for minutes: test/nodes/test_effort_controller.py asks the same for one mass
+    "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
     "case", "figures", "results",  # no benchmarks
 }  # fmt: skip
 NEEDS = {"distorted": "recordings_real", "real": "recordings_real", "simulated": "recordings"}
@@ -80,7 +80,7 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_a_part_of_the_comparison_runs(part: str, tmp_path: Path) -> None:
     """To its last row; goals of time may be missed on a busy computer, and are no matter here."""
     pytest.importorskip("mujoco")
-    kept = ran("run", (part,), tmp_path / "run.json")
+    kept = ran("run", (part, "--once"), tmp_path / "run.json")
     assert len(kept["tables"]["ours"]["rows"]) == 2 and kept["tables"][part]["rows"]
     assert not [row for row in kept["tables"][part]["rows"] if row["ratio"] == "void"]
 

@@ -237,7 +237,7 @@ def test_a_second_of_eight_cells_fits_into_a_gibibyte(keep: str) -> None:
     """3840 steps of 2560 tetrahedra with gradients, all of the process."""
     root = str(Path(__file__).resolve().parents[2])
     code = f"import sys; sys.path.insert(0, {root!r})" + MEMORY.replace("{keep!r}", repr(keep))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     peak_kib, kept = (int(word) for word in done.stdout.split())
     assert peak_kib < 2**20

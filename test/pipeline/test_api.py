@@ -55,7 +55,7 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
         "import sys, proprio_ros; assert 'weigh' in dir(proprio_ros); "
         "loaded = {'numpy', 'warp', 'scipy', 'matplotlib', 'pandas', 'rosbags'} & set(sys.modules); assert not loaded, loaded"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 
 @pytest.mark.long
@@ -72,7 +72,7 @@ def test_the_names_are_calls_in_every_order(before: str) -> None:
         f"{before}\nfrom proprio_ros import calibrate, check, plan, weigh\nimport proprio_ros, proprio_ros.pipeline.calibrate\n"
         "assert all(type(c).__name__ == 'function' for c in (calibrate, check, plan, weigh, proprio_ros.calibrate))"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 
 def test_no_module_takes_the_name_of_a_call() -> None:

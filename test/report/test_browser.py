@@ -79,7 +79,7 @@ def look(tmp_path: Path) -> Look:
         outer = tmp_path / "outer.html"
         outer.write_text(f'<!doctype html><meta charset="utf-8"><body>{frame}</body>')
         command = [BROWSER, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", *more, "--dump-dom", outer.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
         said = re.search(r'data-said="([^"]*)"', done.stdout)
         assert said, done.stderr[-2000:]
         return json.loads(html.unescape(said[1]))
@@ -163,5 +163,5 @@ def test_the_policy_lets_the_page_s_own_script_run_and_no_other(pages: dict[str,
     copy = tmp_path / "copy.html"
     copy.write_text(pages["payload"].read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
     command = [BROWSER, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", copy.as_uri()]
-    shown = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True).stdout
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert 'class="tip"' in shown and "<title>run</title>" not in shown

@@ -52,9 +52,7 @@ def build(package: Path, prefix: Path) -> dict[str, str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))}
     command = [sys.executable, str(Path(__file__).resolve()), str(package.resolve()), str(prefix.resolve())]
     # of its own, for generators keep state, and find their templates by an environment variable
-    done = subprocess.run(
-        command, env={**os.environ, "AMENT_PREFIX_PATH": str(ROS)}, capture_output=True, text=True, timeout=BUILD_S
-    )
+    done = subprocess.run(command, env={**os.environ, "AMENT_PREFIX_PATH": str(ROS)}, capture_output=True, text=True)
     if done.returncode != 0:
         raise RuntimeError(f"building {package.name}: {done.stdout[-2000:]}{done.stderr[-6000:]}")
     return environment
@@ -139,7 +137,7 @@ def _build(package: Path, prefix: Path) -> None:
 
 
 def _call(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S)
+    done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command[:2])} ... {command[-1]}: {done.stderr[-4000:]}")
 

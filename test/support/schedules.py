@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 import sys
 import tempfile
-import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -301,7 +301,7 @@ def calibrated(folder: Path) -> Path:
 
 
 def main(first: int, count: int, tell: bool = False) -> int:
-    began, kinds, failed = time.process_time(), Counter[str](), 0
+    kinds, failed = Counter[str](), 0
     with tempfile.TemporaryDirectory() as folder:
         calibration = calibrated(Path(folder) / "calibration")
         for seed in range(first, first + count):
@@ -314,7 +314,7 @@ def main(first: int, count: int, tell: bool = False) -> int:
             kinds.update(fault.kind for fault in outcome.faults)
             failed += bool(outcome.broken)
             print(outcome if outcome.broken else f"seed {seed}: {outcome.answer[:60]}", flush=True)
-    print(json.dumps({"schedules": count, "failed": failed, "faults": kinds, "cpu_s": time.process_time() - began}))
+    print(json.dumps({"schedules": count, "failed": failed, "faults": kinds, "cpu_s": os.times().user}))
     return 1 if failed else 0
 
 

@@ -41,7 +41,7 @@ def _on_stand_ins() -> dict[str, ModuleType]:
     before, attribute = taken(), getattr(proprio_ros, "nodes", None)
     try:
         with simulated_ros.installed():
-            return {name: importlib.import_module(f"{room}.{name}") for name in (*NODES, "runtime")}
+            return {name: importlib.import_module(f"{room}.{name}") for name in (*NODES, "runtime", "demo")}
     finally:
         taken()
         sys.modules.update(before)
@@ -115,6 +115,25 @@ class HandledRobot(virtual_robot.VirtualRobot):
             self._supported = True  # held by hand until torque is on again
 
 
+class Speaker:
+    """In the place of the process that says last words of a node that was killed; see test/nodes/test_position_controller.py."""
+
+    alive = due = True
+    engaged = False
+
+    def __init__(self, *_: Any) -> None:
+        pass
+
+    def tell(self, efforts: Any) -> None:
+        pass
+
+    def dismiss(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
 class World:
     """An arm with its servos, and the nodes around it.
 
@@ -144,6 +163,7 @@ class World:
             port, *rest, connect=partial(Wire, self.clock, port)
         )
         ROOM["virtual"].VirtualRobot = HandledRobot
+        ROOM["excitation"].LastWords = Speaker
         self._needed: dict[str, dict[str, Any]] = {
             "virtual": {"link": LINK},
             "driver": {"port": LINK},

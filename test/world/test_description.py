@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,11 +15,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from support.arm_in_motion import FOUR, Twin, write_robot
-from support.domains import free_domain
-from support.live import HEARD, LATCHED, Client, comes_up, replayed_alike, wait_for
+from support.listening import HEARD, LATCHED, replayed_alike
+from support.simulated_live import Client
+from support.simulated_world import world
 
 from proprio_ros.identification.regression.motion_fit import fit_empty
-from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import joint_state, values_of
 from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.recordings.motions import Motion
@@ -38,16 +36,18 @@ class Arm:
     def __init__(self, client: Client, motion: Motion) -> None:
         self._publisher = client.node.create_publisher(JointState, "/arm/joint_states", 100)
         self._motion = motion
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._play, daemon=True)
+        self._clock = client.clock
+        self._stamp = client.node.get_clock().now().nanoseconds
+        self._ended = self._clock.event()
+        self._thread = self._clock.thread(self._play, "arm", group="arm")
         self._thread.start()
 
     def _play(self) -> None:
-        motion, begun_s, begun_ns = self._motion, time.monotonic(), time.time_ns()
+        motion, begun_s, begun_ns = self._motion, self._clock.now(), self._stamp
         for at_s, position, current in zip(motion.times_s, motion.position, motion.current_A, strict=True):
-            if self._ended.wait(max(0.0, begun_s + at_s - time.monotonic())):
+            if self._ended.wait(max(0.0, begun_s + at_s - self._clock.now())):
                 return
-            stamp_ns = begun_ns + round(1e9 * at_s)  # when it was measured, however late this thread is run
+            stamp_ns = begun_ns + round(1e9 * at_s)
             self._publisher.publish(joint_state(stamp_ns, motion.joints, position, [], current))
 
     def stop(self) -> None:
@@ -55,8 +55,7 @@ class Arm:
         self._thread.join(5.0)
 
 
-def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
+def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
     robot = load_robot(write_robot(tmp_path, build=FOUR))
     twin = Twin(5, FOUR)
     learnt = fit_empty(robot, [twin.record(f"empty {number}", 20.0) for number in range(2)])
@@ -64,13 +63,13 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.Monk
     write_calibration(calibration, robot, learnt)
     held = twin.record("held", 180.0, (HELD_KG, [0.0, 0.0, 0.0]))
     text = (tmp_path / "twin.urdf").read_text()
-    with Graph(tmp_path / "logs") as graph:
+    with world(tmp_path / "data", only=()) as made:
         parameters = {
-            "robot": "robot_description", "data_directory": tmp_path / "data", "calibration": calibration, "effort_unit": "A",
+            "robot": "robot_description", "report": True, "calibration": calibration, "effort_unit": "A",
             "weigh_seconds": 12.0, "running": True,
         }  # fmt: skip
-        graph.start("identifier", parameters, namespace="arm")
-        client = Client()
+        made.start("identifier", parameters, namespace="arm")
+        client = Client(made)
         told: list[tuple[str, str]] = []
         listen = client.node.create_subscription
 
@@ -83,12 +82,11 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.Monk
         publisher = client.node.create_publisher(String, "/arm/robot_description", LATCHED)
 
         def says(words: str) -> bool:
-            graph.check()
-            return wait_for(lambda: any(words in message for _, message in list(told)))
+            return client.wait_for(lambda: any(words in message for _, message in list(told)))
 
         arm = None
         try:
-            assert comes_up(graph, lambda: bool(told)), graph.log("identifier")
+            assert client.wait_for(lambda: bool(told)), client.log("identifier")
             assert says("waits for /arm/robot_description"), told
             answer = client.call("/arm/identifier/weigh")
             assert not answer.success and "not ready: waits for /arm/robot_description" in answer.message
@@ -96,11 +94,11 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.Monk
             assert says("not XML"), told
             assert told[-1][0] == "starting" and "waits for another" in told[-1][1]
             publisher.publish(String(data=text))
-            assert comes_up(graph, lambda: told[-1][1].startswith("ready")), (told, graph.log("identifier"))
+            assert client.wait_for(lambda: told[-1][1].startswith("ready")), (told, client.log("identifier"))
             arm = Arm(client, held)
-            assert wait_for(lambda: any(each.get("running") == "true" for each in list(estimates))), told
-            time.sleep(13.0)
-            answer = client.call("/arm/identifier/weigh", 3600.0)
+            assert client.wait_for(lambda: any(each.get("running") == "true" for each in list(estimates))), told
+            client.clock.sleep(13.0)
+            answer = client.call("/arm/identifier/weigh")
             assert answer.success, answer.message
             live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
             value = live["estimates"][0]
@@ -116,20 +114,19 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path, monkeypatch: pytest.Monk
             assert says("the joint states carry no measured effort of j1, j2, j3, j4"), told
             arm.stop()
             arm = Arm(client, held)
-            assert wait_for(lambda: told[-1][1].startswith("ready; the running estimate")), told
+            assert client.wait_for(lambda: told[-1][1].startswith("ready; the running estimate")), told
 
             publisher.publish(String(data=text.replace('mass value="', 'mass value="1')))
             assert says("/arm/robot_description has changed"), told
-            time.sleep(2.0)
+            client.clock.sleep(2.0)
             count = len(estimates)
             answer = client.call("/arm/identifier/weigh")
             assert not answer.success and "has changed" in answer.message, answer.message
-            time.sleep(1.0)
+            client.clock.sleep(1.0)
             assert len(estimates) == count, "nothing is estimated with a model that holds no more"
             publisher.publish(String(data=text))
             assert says("the robot is that of /arm/robot_description"), told
-            assert wait_for(lambda: len(estimates) > count), "it goes on"
+            assert client.wait_for(lambda: len(estimates) > count), "it goes on"
         finally:
             if arm is not None:
                 arm.stop()
-            client.close()
