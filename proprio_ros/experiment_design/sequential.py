@@ -201,14 +201,9 @@ class Catalogue:
         if before is not None and before.fit is not None:
             start = replace(before.fit, values=before.fit.values_of(self._unknowns(usable)))
         fit = solve_load(self.robot, usable, self.facts, SearchOptions(), Role.FREE, start=start, rough=True)
-        return replace(self.after(fit, len(usable)), prepared=prepared)
-
-    def after(self, fit: FitResult, runs: int) -> Known:
-        """What a fit says of all shared unknowns, those of joints that it does not know among them."""
-        covariance = self._shared.covariance_after(fit)
-        place = self.at["payload_mass"]
-        mass = float(fit.values[fit.problem.index["payload_mass"]])
-        return Known(mass, float(np.sqrt(covariance[place, place])), covariance, runs, fit)
+        covariance, place = self._shared.covariance_after(fit), self.at["payload_mass"]
+        std = float(np.sqrt(covariance[place, place]))
+        return Known(fit.value_of("payload_mass"), std, covariance, len(usable), fit, prepared)
 
     def predicted(self, known: Known, push: Push, load_kg: float | None = None) -> Known:
         """What would be known after a push of this catalogue, to first order; ``load_kg`` as in `rank`."""

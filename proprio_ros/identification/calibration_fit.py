@@ -167,7 +167,7 @@ def _evidence(robot: Robot, problem: Problem, posterior: Posterior, noise: Noise
     jitter = np.concatenate([part for _, part in parts])
     variance = reading**2 + jitter**2
     left = (posterior.residual**2 + posterior.leverage()) * variance
-    velocity = np.concatenate([np.abs(part) for _, part in parts]) / max(noise.stamp_jitter_s, 1e-12)
+    velocity = jitter / max(noise.stamp_jitter_s, 1e-12)
     scale2, jitter2 = noise.residual_scale**2, noise.stamp_jitter_s**2
     unit = (reading / noise.residual_scale) ** 2
     for _ in range(30):
