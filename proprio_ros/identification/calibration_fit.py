@@ -1,6 +1,6 @@
 """The fit of a calibration: all unknowns by their posterior's maximum, the noise by its evidence.
 
-Shared unknowns (torque constant, friction and armature of every probed joint, the encoder's zero and once-per-turn error, how
+Shared unknowns (torque constant, friction and armature of every driven joint, the encoder's zero and once-per-turn error, how
 the links differ from the URDF, the delay) and unknowns of each run (start, onset, a torque that differs from run to run) move
 together under the priors of the robot file. Two things that no data sheet gives are learnt from the same runs by empirical
 Bayes (MacKay 1992): how coarse the residuals are, and how much torque differs from run to run.

@@ -108,7 +108,7 @@ class FitResult:
 
 
 def known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
-    """Whether the file leaves no drive-train term of the probed joints open."""
+    """Whether the file leaves no drive-train term of the driven joints open."""
     return not any(getattr(robot.drive_trains[run.run.joint], term).std > 0.0 for run in runs for term in DRIVE_TERMS)
 
 

@@ -19,7 +19,7 @@ STUCK_TRAVEL = 0.1  # below this travel (rad or m/10) breakaway and presliding, 
 UNMOVED_RAD = 0.02  # a gripper that moves less shows nothing but its friction
 LITTLE_TRAVEL = 0.3
 """Travel that a trustworthy weighing has: where the joint barely creeps, rounding of the encoder costs 2 to 4 g."""
-MOVING_START = 0.1  # rad/s: a probe that starts faster has not started from rest
+MOVING_START = 0.1  # rad/s: a run that starts faster has not started from rest
 LOCKED_SPAN = 0.03
 """rad: what a locked joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
 MISFIT_SIGMAS = 3.0902

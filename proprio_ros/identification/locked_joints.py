@@ -1,7 +1,7 @@
-"""Locked joints yield: how they moved while another was probed, and what that did to the probed one.
+"""Locked joints yield: how they moved while another was driven, and what that did to the driven one.
 
 A servo that holds a joint gives way by a few milliradians when a load comes on. That turns and accelerates whatever it carries,
-and the probed joint feels it as a torque: 20 mrad of a shoulder below a probed elbow are worth several grams. The encoders
+and the driven joint feels it as a torque: 20 mrad of a shoulder below a driven elbow are worth several grams. The encoders
 recorded it, so it is no unknown: the readings are smoothed, and the torque follows from the equations of motion.
 """
 
@@ -95,7 +95,7 @@ def smooth(times_s: np.ndarray, position: np.ndarray, sigma: float, scales: np.n
 
 
 def locked_motions(robot: Robot, run: Run, joints: tuple[str, ...]) -> dict[str, Motion]:
-    """Motions of those locked joints that moved during the probe beyond their encoder's noise."""
+    """Motions of those locked joints that moved during the run beyond their encoder's noise."""
     found = {}
     times_s = np.concatenate([run.before_times_s, run.times_s])
     for name in joints:

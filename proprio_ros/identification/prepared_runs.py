@@ -250,7 +250,7 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
 def _at_rest(run: Run, drive: DriveTrain) -> np.ndarray:
     """Positions before the onset from where the joint had come to rest; all of them where it had not.
 
-    A recording holds up to a second of what was before, and a probe may settle for less after its way there.
+    A recording holds up to a second of what was before, and an excitation may settle for less after its way there.
     """
     position = run.before_position
     last = position[run.before_times_s >= -REST_S]

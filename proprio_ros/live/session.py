@@ -194,7 +194,7 @@ def _elsewhere() -> list[Path]:
 
 
 def prepare_identification(options: Options) -> None:
-    """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled in a probe.
+    """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled during an excitation.
 
     Raises:
         ConfigurationError, RobotError: The robot cannot be read, or compiled kernels cannot be kept.
@@ -259,7 +259,7 @@ def baseline_options(request: Request) -> Options:
 
 
 def check_input(folder: Path, messages: Sequence[RawMessage], request: Request) -> tuple[str, ...]:
-    """Read what comes in at rest as it will be read after the probe, so that a refusal comes before anything moves.
+    """Read what comes in at rest as it will be read after the excitation, so that a refusal comes before anything moves.
 
     Args:
         folder: Where the recording will be; a bag is written there, and taken away.
@@ -332,7 +332,7 @@ def replay_command(bag: Path, options: Options) -> str:
 
 
 class LiveEstimate:
-    """An estimate from what has come so far; its interval shrinks as the probe goes on.
+    """An estimate from what has come so far; its interval shrinks as the excitation goes on.
 
     The request is that of the bag that will be identified afterwards. `add_state` and `add_input` may be called from another
     thread than `estimate`.
