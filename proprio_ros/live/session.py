@@ -194,7 +194,7 @@ def _elsewhere() -> list[Path]:
 
 
 def prepare_identification(options: Options) -> None:
-    """Compile and load all kernels that a weighing or a calibration of a robot may need, so that none is compiled during an excitation.
+    """Compile and load all kernels that weighings and calibrations of a robot may need, so that no excitation waits for one.
 
     Raises:
         ConfigurationError, RobotError: The robot cannot be read, or compiled kernels cannot be kept.
