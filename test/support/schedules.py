@@ -1,6 +1,7 @@
 """Weighings in the simulated world while things go wrong as a seed says, and what must be true all the same.
 
-``python test/support/schedules.py FIRST COUNT`` plays schedules and prints those after which something was not true.
+``python test/support/schedules.py FIRST COUNT`` plays schedules and prints those after which something was not true;
+``SEED,SEED,..`` in their place names them.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import re
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,9 @@ from support.simulated_world import World, world
 MASSES_KG = (0.02, 0.05, 0.08)
 NODES = ("driver", "excitation", "identifier")
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
+KINDS = (
+    "kill", "stall", "restart", "end", "unplug", "overheat", "jump", "drop", "stranger", "call", "transition", "clock",
+)  # fmt: skip
 STILL_RAD_S = 0.15
 SAFE_S = 1.0
 """After the driver or the bus is gone: the servos' watchdog takes 0.3 s, and what turned comes to rest."""
@@ -94,22 +99,7 @@ def drawn(seed: int) -> tuple[float, Network, list[Fault]]:
         )  # fmt: skip
     faults = []
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
-        kind = draw.choice(
-            (
-                "kill",
-                "stall",
-                "restart",
-                "end",
-                "unplug",
-                "overheat",
-                "jump",
-                "drop",
-                "stranger",
-                "call",
-                "transition",
-                "clock",
-            )
-        )
+        kind = draw.choice(KINDS)
         whom = draw.choice(NODES)
         if kind in ("overheat", "jump", "stranger"):
             whom = draw.choice(JOINTS)
@@ -294,17 +284,18 @@ def play(seed: int, folder: Path, calibration: Path, tell: bool = False) -> Outc
 
 def calibrated(folder: Path) -> Path:
     """The arm of virtual seed 1 calibrates itself, in the simulated world; returns the file."""
-    with world(folder, seed=0, nodes={"virtual": {"object": "0.05"}, "identifier": {"live_period": 0.0}}) as made:
+    elbow = {"live_period": 0.0, "robot_sequence": "empty_hand_elbow", "reference_sequence": "reference_elbow"}
+    with world(folder, seed=0, nodes={"virtual": {"object": "0.05"}, "identifier": elbow}) as made:
         answer = made.call("/identifier/calibrate_robot")
         assert answer.success, answer.message
         return Path(re.search(r"calibration: (\S+?\.yaml)", answer.message)[1])  # type: ignore[index]
 
 
-def main(first: int, count: int, tell: bool = False) -> int:
+def main(seeds: Sequence[int], tell: bool = False) -> int:
     kinds, failed = Counter[str](), 0
     with tempfile.TemporaryDirectory() as folder:
         calibration = calibrated(Path(folder) / "calibration")
-        for seed in range(first, first + count):
+        for seed in seeds:
             each = Path(folder) / str(seed)
             each.mkdir()
             try:
@@ -314,9 +305,12 @@ def main(first: int, count: int, tell: bool = False) -> int:
             kinds.update(fault.kind for fault in outcome.faults)
             failed += bool(outcome.broken)
             print(outcome if outcome.broken else f"seed {seed}: {outcome.answer[:60]}", flush=True)
-    print(json.dumps({"schedules": count, "failed": failed, "faults": kinds, "cpu_s": os.times().user}))
+    print(json.dumps({"schedules": len(seeds), "failed": failed, "faults": kinds, "cpu_s": os.times().user}))
     return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(int(sys.argv[1]), int(sys.argv[2]), len(sys.argv) > 3))
+    if "," in sys.argv[1]:
+        raise SystemExit(main([int(word) for word in sys.argv[1].split(",")], len(sys.argv) > 2))
+    first, count = int(sys.argv[1]), int(sys.argv[2])
+    raise SystemExit(main(range(first, first + count), len(sys.argv) > 3))
