@@ -21,11 +21,8 @@ class Event(Protocol):
     """As `threading.Event`."""
 
     def is_set(self) -> bool: ...
-
     def set(self) -> None: ...
-
     def clear(self) -> None: ...
-
     def wait(self, timeout: float | None = None) -> bool: ...
 
 
@@ -33,9 +30,7 @@ class Thread(Protocol):
     """As `threading.Thread`."""
 
     def start(self) -> None: ...
-
     def join(self, timeout: float | None = None) -> None: ...
-
     def is_alive(self) -> bool: ...
 
 
@@ -178,10 +173,8 @@ def _end_spinning() -> None:
 class StampClock:
     """Turns instants of the monotonic clock into stamps that run smoothly, whatever is done to the system's clock.
 
-    The system's clock is looked at only between excitations: a jump in the middle of one would tear it apart.
-
-    Attributes:
-        offset_ns: System time minus monotonic time.
+    That is looked at only between excitations, since a jump in the middle of one would tear it apart; `offset_ns` is its time minus
+    the monotonic one.
     """
 
     offset_ns: int | None = None
@@ -201,11 +194,7 @@ class StampClock:
 
 @dataclass
 class RoundTrips:
-    """Separates a round trip that took longer than usual from the usual ones, whatever those are.
-
-    Attributes:
-        slack_s: So much above the median is always usual; more where they scatter more.
-    """
+    """Tells round trips that took longer than usual; up to `slack_s` above the median is usual, more where they scatter more."""
 
     slack_s: float = 0.001
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=200))

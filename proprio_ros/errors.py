@@ -1,18 +1,8 @@
 """The errors that a user can meet, as one tree.
 
-Every message is one line that says what is wrong, which choices are valid, and what to do::
-
-    ProprioError
-    +-- RobotError          a URDF or robot file: massless moving link, unknown joint, two roots
-    +-- RecordingError      a bag or a record: no joint states, NaN, truncated file, unknown effort unit
-    +-- ConfigurationError  an option, a --set or a probe file: unknown key, wrong unit, wrong shape
-    +-- SimulationError     a rollout that cannot be trusted: it diverged, or the step count overflows
-    +-- BusError            a serial port or a servo: no port, no answer, another model, a hardware error
-    |   +-- PortLostError   the port itself is gone: unplugged, or taken away while open
-    +-- ExcitationError     an excitation that cannot start, or must not: busy, out of limits, no free way
-
-Messages quote what others wrote: names of folders, topics and joints, whole values of a file. The base class therefore makes every
-message printable and short, whatever it quotes.
+Every message is one line that says what is wrong, which choices are valid, and what to do. Messages quote what others wrote: names
+of folders, topics and joints, whole values of a file. The base class therefore makes every message printable and short, whatever it
+quotes.
 """
 
 from __future__ import annotations
@@ -45,42 +35,38 @@ def one_line(text: str, longest: int = LONGEST_SENTENCE) -> str:
 
 
 class ProprioError(Exception):
-    """Base of everything this package raises on purpose; the command line prints it and exits with 2.
-
-    Args:
-        message: the sentence; it is made one printable line of at most `LONGEST_SENTENCE` characters.
-    """
+    """Base of everything this package raises on purpose; the command line prints it, one printable line, and exits with 2."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(one_line(str(message)))
 
 
 class RobotError(ProprioError, ValueError):
-    """The robot's description is missing something, or describes no physical robot."""
+    """A URDF or robot file is missing something, or describes no physical robot: a massless moving link, two roots."""
 
 
 class RecordingError(ProprioError, ValueError):
-    """The recording cannot be read, or does not hold what the probe needs."""
+    """A recording cannot be read, or does not hold what is needed: no joint states, NaN, an unknown effort unit."""
 
 
 class ConfigurationError(ProprioError, ValueError):
-    """An option or a configuration file is wrong."""
+    """An option, a setting or a probe file is wrong: an unknown key, a wrong unit, a wrong shape."""
 
 
 class SimulationError(ProprioError, RuntimeError):
-    """The simulation left the range in which its numbers mean something."""
+    """A rollout cannot be trusted: it diverged, or the number of steps overflows."""
 
 
 class BusError(ProprioError, RuntimeError):
-    """A servo does not answer, answers wrongly, or reports a fault."""
+    """A servo does not answer, answers wrongly, is of another model, or reports a fault."""
 
 
 class PortLostError(BusError):
-    """The serial port cannot be opened, or is gone."""
+    """The serial port cannot be opened, or is gone: unplugged, or taken away while open."""
 
 
 class ExcitationError(ProprioError, RuntimeError):
-    """An excitation that cannot start from here, or must not."""
+    """An excitation that cannot start from here, or must not: busy, out of limits, no free way."""
 
 
 def some(names: Iterable[str], most: int = 6) -> str:

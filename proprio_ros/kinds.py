@@ -19,13 +19,7 @@ Key = str | tuple[str, str | int]
 
 
 class Kind(NamedTuple):
-    """What is the same for all unknowns of a kind.
-
-    Attributes:
-        unit: SI unit.
-        label: For people.
-        of: What its scope is: ``joint``, ``link``, ``run``, or nothing.
-    """
+    """SI unit of all unknowns of a kind, their label for people, and what their scope is: ``joint``, ``link``, ``run`` or none."""
 
     unit: str
     label: str
@@ -46,9 +40,7 @@ KINDS: dict[str, Kind] = {
     "ripple_sin": Kind("rad", "encoder error, sine", "joint"),
     # how a link differs from the URDF; mass and inertia relative
     "link_mass": Kind("1", "link mass beyond the URDF's", "link"),
-    "link_com_x": Kind("m", "link centre beyond the URDF's, x", "link"),
-    "link_com_y": Kind("m", "link centre beyond the URDF's, y", "link"),
-    "link_com_z": Kind("m", "link centre beyond the URDF's, z", "link"),
+    **{f"link_com_{axis}": Kind("m", f"link centre beyond the URDF's, {axis}", "link") for axis in "xyz"},
     "link_inertia": Kind("1", "link inertia beyond the URDF's", "link"),
     # the body behind a joint, up to the next one, and the torque that a joint's motor shows at rest; of motions of several joints
     "body_mass": Kind("kg", "mass of the body behind", "joint"),
@@ -75,9 +67,7 @@ KINDS: dict[str, Kind] = {
     # a rigid load in the hand, which references are, too
     "payload_mass": Kind("kg", "payload mass"),
     "payload_com": Kind("m", "centre of mass of the payload"),
-    "payload_com_x": Kind("m", "centre of mass of the payload, x"),
-    "payload_com_y": Kind("m", "centre of mass of the payload, y"),
-    "payload_com_z": Kind("m", "centre of mass of the payload, z"),
+    **{f"payload_com_{axis}": Kind("m", f"centre of mass of the payload, {axis}") for axis in "xyz"},
     "shape_scale": Kind("1", "payload's spread over its shape's"),
 }
 """Unit and label of every kind; whoever fits something else adds it, as each probe does."""
@@ -119,12 +109,7 @@ def label_of(key: Key) -> str:
 
 @dataclass(frozen=True)
 class Tag:
-    """What distinguishes an unknown from others.
-
-    Attributes:
-        kind: One of ``KINDS``.
-        scope: The joint or link, the number of the run, or nothing.
-    """
+    """What distinguishes an unknown from others: one of ``KINDS``, and what it belongs to."""
 
     kind: str
     scope: Scope = field(default=None, kw_only=True)
@@ -136,17 +121,14 @@ class Tag:
 
     @property
     def name(self) -> str:
-        """See ``name_of``."""
         return name_of(self.key)
 
     @property
     def label(self) -> str:
-        """See ``label_of``."""
         return label_of(self.key)
 
     @property
     def unit(self) -> str:
-        """SI unit."""
         return KINDS[self.kind].unit
 
     @property

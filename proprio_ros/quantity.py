@@ -26,19 +26,11 @@ _SHOWN = {
 
 def shown_unit(unit: str) -> tuple[float, str]:
     """Factor and name of the unit in which a value is shown."""
-    factor, name, _ = _SHOWN.get(unit, (1.0, unit, ""))
-    return factor, name
+    return _SHOWN.get(unit, (1.0, unit, ""))[:2]
 
 
 def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> str:
-    """Values as a reader wants them, such as ``50.00 g`` or ``48.10 .. 51.90 g``.
-
-    Args:
-        unit: SI unit of the values.
-        values: What is shown.
-        spec: Format of each; default the unit's own.
-        between: What joins them.
-    """
+    """Values in an SI unit as a reader wants them, such as ``50.00 g`` or ``48.10 .. 51.90 g``; ``spec`` is the format of each."""
     factor, name, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
     return f"{between.join(f'{factor * value:{spec or usual}}' for value in values)} {name}".rstrip()
 
@@ -46,10 +38,7 @@ def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> s
 def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
     """How to format a value so that its 95 % half width has two digits: what follows them is noise.
 
-    Args:
-        unit: SI unit of the value.
-        std: Its standard deviation, in that unit; without one the unit's own digits are taken.
-        kept: Whether the value is shown in its SI unit.
+    ``std`` is in the value's SI unit; without one the unit's own digits are taken. ``kept``: the value is shown in that unit.
     """
     factor, _, usual = _SHOWN.get(unit, (1.0, unit, ".5f"))
     factor, usual = (1.0, ".6g") if kept else (factor, usual)
@@ -61,14 +50,7 @@ def spec_for(unit: str, std: float | None, kept: bool = False) -> str:
 
 @dataclass(frozen=True)
 class Sought:
-    """What is to be known so well, and how that is stated.
-
-    Attributes:
-        name: Of the value, as in keys.
-        unit: Of it.
-        share: Whether its interval is stated as a share of it.
-        label: What people call it.
-    """
+    """What is to be known so well: its name as in keys, unit, label, and whether its interval is stated as a share of it."""
 
     name: str
     unit: str
@@ -90,11 +72,7 @@ class Sought:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number and how well it is known.
-
-    Attributes:
-        value: Best value.
-        std: Standard deviation; 0 means known exactly.
+    """A number and its standard deviation; 0 means known exactly.
 
     Raises:
         RobotError: A number is not finite, or the standard deviation is negative.

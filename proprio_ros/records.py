@@ -1,7 +1,8 @@
 """What was recorded, in SI units, as values that cannot be changed behind one's back.
 
-Live and offline data meet here: the driver's messages and a bag both become a `JointRecord`, and from there on they
-take the same way. Every class checks itself when it is made, so that the code that uses it need not.
+Live and offline data meet here: the driver's messages and a bag both become a `JointRecord`, and from there on they take the same
+way. Every class checks itself when it is made, so that the code that uses it need not: RecordingError says which shape, order or
+value is wrong.
 """
 
 from __future__ import annotations
@@ -24,28 +25,20 @@ Span = tuple[int, int | None]
 
 MEASURED_EFFORT = "measured effort"
 """`InputRecord.source` when no command was recorded and the input is the current that the motors reported."""
-
 STALL_CURRENT = "stall current"
 """How `InputRecord.source` begins where a voltage drives the motors and the input was made of it."""
-
 ZERO_CURRENT_A = 1e-6
 """A commanded current up to this is a command of zero [A]."""
-
 TORQUE_OFF = "torque off"
 """`Run.source` of a free response: the current is zero because torque was off, whatever else was recorded."""
-
 LOST_AFTER_PERIODS = 2.5
 """A gap longer than this many median periods means that messages were lost, not that one came late."""
-
 MIN_SAMPLES = 5
 """Joint states that a recording has at least."""
-
 IMPLAUSIBLE_POSITION = 50.0
 """No joint of an arm turns 50 rad or slides 50 m: such positions are degrees, millimetres or encoder counts."""
-
 LONGEST_NAME = 255
 """Characters of a joint's name."""
-
 INSTANT_S = 1e-6
 """Two stamps closer than this are the same instant: cycles are milliseconds apart, and stamps carry rounding [s]."""
 
@@ -57,18 +50,22 @@ def _frozen(values: Any, dtype: type, what: str, shape: tuple[int, ...]) -> NDAr
         array = np.array(values, dtype=dtype, order="C")
     except (TypeError, ValueError) as error:
         raise RecordingError(f"{what}: expected numbers, got {type(values).__name__} ({error})") from error
-    if array.ndim != len(shape) or any(
-        have != want for have, want in zip(array.shape, shape, strict=True) if want >= 0
-    ):
+    if array.ndim != len(shape) or any(want not in (-1, have) for have, want in zip(array.shape, shape, strict=True)):
         raise RecordingError(f"{what}: expected shape {shape} (-1 is any length), got {array.shape}")
     array.setflags(write=False)
     return array
 
 
+def _keep(record: Any, field_name: str, what: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
+    """Put the frozen array in the place of what was given."""
+    array = _frozen(getattr(record, field_name), dtype, what, shape)
+    object.__setattr__(record, field_name, array)
+    return array
+
+
 def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
     result = tuple(str(name) for name in names)
-    repeated = [name for name, count in Counter(result).items() if count > 1]
-    if repeated:
+    if repeated := [name for name, count in Counter(result).items() if count > 1]:
         raise RecordingError(f"{what}: joint {min(repeated)!r} is named twice; each joint needs one column")
     for name in result:
         # they end up on terminals, in logs and in pages
@@ -114,9 +111,6 @@ class JointRecord:
         current: Measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere.
         reported_effort: The effort field as it was recorded, in whatever unit its driver used, shape (T, J); NaN where a
             message gave none; None if none did. Good for "did the motor do as commanded", never for a torque.
-
-    Raises:
-        RecordingError: A shape, an order or a value is wrong.
     """
 
     times_ns: TimeArray
@@ -128,24 +122,16 @@ class JointRecord:
     reported_effort: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        names = _names(self.names, "joint states")
-        times = _frozen(self.times_ns, np.int64, "joint states: times_ns", (-1,))
+        object.__setattr__(self, "names", _names(self.names, "joint states"))
+        times = _keep(self, "times_ns", "joint states: times_ns", (-1,), np.int64)
         _increasing(times, "joint states")
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "times_ns", times)
         for quantity in ("position", "velocity", "effort", "current", "reported_effort"):
-            values = getattr(self, quantity)
-            if values is not None:
-                what = f"joint states: {quantity}"
-                object.__setattr__(self, quantity, _frozen(values, np.float64, what, (len(times), len(names))))
+            if getattr(self, quantity) is not None:
+                _keep(self, quantity, f"joint states: {quantity}", (len(times), len(self.names)))
         _finite(self.position, "joint states: position")
 
     def column(self, name: str) -> int:
-        """Column of a joint.
-
-        Raises:
-            RecordingError: The joint was not recorded.
-        """
+        """Column of a joint; RecordingError: it was not recorded."""
         return _column(self.names, name)
 
 
@@ -159,9 +145,6 @@ class InputRecord:
         current_A: Motor current [A], finite, shape (C, J).
         source: Where it comes from: the topic's name, or `MEASURED_EFFORT`.
         unit: What the source gives its numbers in, as for ``--effort-unit``; nominal torque constants made currents of torques.
-
-    Raises:
-        RecordingError: A shape, an order or a value is wrong.
     """
 
     times_ns: TimeArray
@@ -171,14 +154,10 @@ class InputRecord:
     unit: str = "A"
 
     def __post_init__(self) -> None:
-        names = _names(self.names, "input")
-        times = _frozen(self.times_ns, np.int64, "input: times_ns", (-1,))
+        object.__setattr__(self, "names", _names(self.names, "input"))
+        times = _keep(self, "times_ns", "input: times_ns", (-1,), np.int64)
         _increasing(times, "input")
-        current = _frozen(self.current_A, np.float64, "input: current_A", (len(times), len(names)))
-        _finite(current, "input: current_A")
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "times_ns", times)
-        object.__setattr__(self, "current_A", current)
+        _finite(_keep(self, "current_A", "input: current_A", (len(times), len(self.names))), "input: current_A")
 
     @property
     def measured(self) -> bool:
@@ -191,11 +170,7 @@ class InputRecord:
         return self.source.startswith(STALL_CURRENT)
 
     def column(self, name: str) -> int:
-        """Column of a joint.
-
-        Raises:
-            RecordingError: The joint has no input column.
-        """
+        """Column of a joint; RecordingError: it has none."""
         return _column(self.names, name)
 
 
@@ -258,19 +233,15 @@ class PointTrack:
     Attributes:
         stamp_ns: When, on the clock of the joint states [ns], strictly increasing, shape (N,).
         position: Where [m], shape (N, 3).
-
-    Raises:
-        RecordingError: A shape, an order or a value is wrong.
     """
 
     stamp_ns: TimeArray
     position: FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stamp_ns", _frozen(self.stamp_ns, np.int64, "stamps of points", (-1,)))
-        object.__setattr__(self, "position", _frozen(self.position, np.float64, "points", (len(self.stamp_ns), 3)))
-        _increasing(self.stamp_ns, "stamps of points")
-        _finite(self.position, "points")
+        times = _keep(self, "stamp_ns", "stamps of points", (-1,), np.int64)
+        _increasing(times, "stamps of points")
+        _finite(_keep(self, "position", "points", (len(times), 3)), "points")
 
     @classmethod
     def of_seen(cls, stamp_ns: TimeArray, position: FloatArray) -> PointTrack:
@@ -315,9 +286,6 @@ class Run:
             each; those that were not recorded are missing.
         after_times_s: Instants of the samples after the end, t > duration_s [s], strictly increasing, shape (A,).
         after_position: Positions of the driven joint at those instants [rad or m], shape (A,). No fit follows them.
-
-    Raises:
-        RecordingError: A shape, an order or a value is wrong.
     """
 
     name: str
@@ -346,32 +314,30 @@ class Run:
 
     def __post_init__(self) -> None:
         _show(self)
-        for times_name, values_name in (
+        run = f"run {self.name}"
+        for name, of in (
             ("times_s", "position"),
             ("before_times_s", "before_position"),
             ("after_times_s", "after_position"),
             ("input_times_s", "input_current_A"),
         ):
-            times = _frozen(getattr(self, times_name), np.float64, f"run {self.name}: {times_name}", (-1,))
-            values = _frozen(getattr(self, values_name), np.float64, f"run {self.name}: {values_name}", (len(times),))
-            _finite(times, f"run {self.name}: {times_name}")
-            _finite(values, f"run {self.name}: {values_name}")
-            _increasing(times, f"run {self.name}: {times_name}")
-            object.__setattr__(self, times_name, times)
-            object.__setattr__(self, values_name, values)
-        count = len(self.before_times_s) + len(self.times_s)
-        held = {}
+            times = _keep(self, name, f"{run}: {name}", (-1,))
+            values = _keep(self, of, f"{run}: {of}", (len(times),))
+            _finite(times, f"{run}: {name}")
+            _finite(values, f"{run}: {of}")
+            _increasing(times, f"{run}: {name}")
+        held, count = {}, len(self.before_times_s) + len(self.times_s)
         for joint, values in self.held_position.items():
-            held[joint] = _frozen(values, np.float64, f"run {self.name}: held_position of {joint}", (count,))
-            _finite(held[joint], f"run {self.name}: held_position of {joint}")
+            held[joint] = _frozen(values, np.float64, f"{run}: held_position of {joint}", (count,))
+            _finite(held[joint], f"{run}: held_position of {joint}")
         object.__setattr__(self, "held_position", held)
         if not np.isfinite(self.duration_s) or self.duration_s <= 0.0:
-            raise RecordingError(f"run {self.name}: duration must be positive, got {self.duration_s} s")
+            raise RecordingError(f"{run}: duration must be positive, got {self.duration_s} s")
         if self.times_s.size and (self.times_s[0] < 0.0 or self.times_s[-1] > self.duration_s):
-            raise RecordingError(f"run {self.name}: samples must lie between 0 and {self.duration_s} s")
+            raise RecordingError(f"{run}: samples must lie between 0 and {self.duration_s} s")
         if self.before_times_s.size and self.before_times_s[-1] >= 0.0:
-            raise RecordingError(f"run {self.name}: samples before the onset must have negative times")
+            raise RecordingError(f"{run}: samples before the onset must have negative times")
         if self.after_times_s.size and self.after_times_s[0] <= self.duration_s:
-            raise RecordingError(f"run {self.name}: samples after the end must come after {self.duration_s} s")
+            raise RecordingError(f"{run}: samples after the end must come after {self.duration_s} s")
         if self.input_times_s.size == 0 or self.input_times_s[0] != 0.0:
-            raise RecordingError(f"run {self.name}: the input must start at time 0")
+            raise RecordingError(f"{run}: the input must start at time 0")

@@ -11,12 +11,7 @@ from proprio_ros.version import __version__
 
 
 def header(kind: str) -> dict[str, str]:
-    """The first keys of an object.
-
-    Args:
-        kind: ``estimate``, ``calibration``, ``plan``, ``check``, ``table``, ``robot``, ``batch`` or ``error``. Within a number of
-            the schema, keys are only added.
-    """
+    """The first keys of an object, such as an ``estimate`` or an ``error``; within a number of the schema, keys are only added."""
     return {"schema": f"proprio_ros/{kind}/1", "version": __version__}
 
 

@@ -79,17 +79,10 @@ class Axis:
 
 
 def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
-    """The SVG.
-
-    Args:
-        panels: From above.
-        axis: Below all of them.
-        name: For those who cannot see it.
-    """
+    """The SVG of panels from above with the axis below all of them; ``name`` is for those who cannot see it."""
     every = np.concatenate([_of(s.x, axis.log) for panel in panels for s in panel.series])
     x0, x1 = _reach(every, 0.01)
-    top, body = 0.0, []
-    edges = []
+    top, body, edges = 0.0, [], []
     for panel in panels:
         top += TITLE
         body.append(_panel(panel, axis, x0, x1, top))
@@ -116,11 +109,11 @@ def _panel(panel: Panel, axis: Axis, x0: float, x1: float, top: float) -> str:
     every = np.concatenate(seen)
     y0, y1 = _reach(np.minimum(every, panel.highest), MARGIN)
 
-    def points(x: np.ndarray, y: np.ndarray) -> list[tuple[str, str]]:
+    def points(x: np.ndarray, y: np.ndarray) -> list[str]:
         x, y = _of(x, axis.log), _of(y, panel.log)
         good = np.isfinite(x) & np.isfinite(y)
         right, down = (x[good] - x0) / (x1 - x0) * INSIDE, (y1 - y[good]) / (y1 - y0) * panel.height
-        return [(_n(a), _n(b)) for a, b in zip(right, down, strict=True)]
+        return [f"{_n(a)},{_n(b)}" for a, b in zip(right, down, strict=True)]
 
     def across(value: float) -> str:
         return _n((float(_of(np.array(value), axis.log)) - x0) / (x1 - x0) * INSIDE)
@@ -130,23 +123,20 @@ def _panel(panel: Panel, axis: Axis, x0: float, x1: float, top: float) -> str:
         drawn.append(f'<path class="span" d="M{across(low)},0H{across(high)}V{_n(panel.height)}H{across(low)}Z"/>')
     if panel.band is not None:
         times, low_y, high_y = panel.band
-        around = [*points(times, high_y), *points(times, low_y)[::-1]]
-        drawn.append(f'<path class="span" d="M{"L".join(",".join(point) for point in around)}Z"/>')
+        around = "L".join([*points(times, high_y), *points(times, low_y)[::-1]])
+        drawn.append(f'<path class="span" d="M{around}Z"/>')
     drawn += [f'<path class="vertical" d="M{across(value)},0V{_n(panel.height)}"/>' for value in panel.verticals]
-    for rule in panel.rules:
-        drawn.append(
-            f'<path class="rule" d="M{"L".join(",".join(p) for p in points(_ends(x0, x1, axis.log), np.full(2, rule)))}"/>'
-        )
+    ends = np.array([10.0**x0, 10.0**x1] if axis.log else [x0, x1])
+    drawn += [f'<path class="rule" d="M{"L".join(points(ends, np.full(2, rule)))}"/>' for rule in panel.rules]
     for series in panel.series:
         places = points(series.x, series.y)
         if not places:
             continue
+        line = f"M{'L'.join(places)}"
         if series.kind == "dots":
-            line = "".join(f"M{a},{b}h0" for a, b in places)
+            line = "".join(f"M{place}h0" for place in places)
         elif series.kind == "steps":
-            line = f"M{','.join(places[0])}" + "".join(f"H{a}L{a},{b}" for a, b in places[1:])
-        else:
-            line = f"M{'L'.join(','.join(place) for place in places)}"
+            line = f"M{places[0]}" + "".join(f"H{place.partition(',')[0]}L{place}" for place in places[1:])
         named = f' data-name="{escape(series.name)}" data-unit="{escape(panel.unit)}"' if series.name else ""
         drawn.append(f'<path class="{series.kind} {series.color}"{named} d="{line}"/>')
         if series.name and series.listed:
@@ -173,10 +163,6 @@ def _of(values: np.ndarray, log: bool) -> np.ndarray:
     """On the axis: the decimal logarithm where that is what it shows."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log10(values) if log else np.asarray(values, dtype=float)
-
-
-def _ends(x0: float, x1: float, log: bool) -> np.ndarray:
-    return np.array([10.0**x0, 10.0**x1] if log else [x0, x1])
 
 
 def _reach(values: np.ndarray, margin: float) -> tuple[float, float]:

@@ -24,16 +24,13 @@ STYLE = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 
 def document(title: str, parts: Sequence[str]) -> str:
     """One page that needs nothing from elsewhere."""
-    return "\n".join(
-        [
-            "<!doctype html>",
-            '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">',
-            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
-            f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
-            *parts,
-            f"<script>{SCRIPT}</script></body></html>",
-        ]
+    head = (
+        "<!doctype html>",
+        '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
     )
+    return "\n".join([*head, *parts, f"<script>{SCRIPT}</script></body></html>"])
 
 
 def provenance(command: str, sources: Sequence[str], timing_s: Mapping[str, float]) -> list[str]:
