@@ -65,11 +65,7 @@ def evenly(items: Sequence[Any], most: int) -> list[Any]:
 
 
 def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]]]:
-    """Name, place on the axis and numbers of the episodes of each period.
-
-    Args:
-        stamps: When each episode was recorded [ns]; None: not known.
-    """
+    """Name, place on the axis and numbers of the episodes of each period, by when each was recorded [ns]; None: not known."""
     if any(stamp is None for stamp in stamps) or not stamps:
         size = max(1, -(-len(stamps) // MOST_GROUPS))
         groups = [list(range(at, min(at + size, len(stamps)))) for at in range(0, len(stamps), size)]
@@ -91,13 +87,10 @@ def drift_of(
     options: Options,
     tell: Callable[[str], Any] = lambda _: None,
 ) -> list[Period]:
-    """What each period says about the arm; one without a usable motion is left out.
+    """What each period says about the arm, by episodes with an empty hand; one without a usable motion is left out.
 
-    Args:
-        episodes: With an empty hand, in their order.
-        stamps: When each was recorded, by its path [ns]; where any is known, those without are left out.
-        options: Without a calibration; their span is what of each is empty.
-        tell: Hears what is going on.
+    ``stamps`` say when each was recorded, by its path [ns]; where any is known, those without are left out. The span of the options
+    is what of each episode is empty.
     """
     request = request_of(replace(options, calibration=None))
     episodes = [episode for episode in episodes if stamps.get(episode.path)] or episodes
@@ -123,11 +116,7 @@ def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[M
 
 
 def write_drift(periods: Sequence[Period], path: Path) -> None:
-    """All of it as a table.
-
-    Raises:
-        ConfigurationError: It cannot be written.
-    """
+    """All of it as a table; ConfigurationError: it cannot be written."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     kinds = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}

@@ -41,21 +41,18 @@ class Episode:
 def episodes_of(sources: Sequence[str | Path]) -> list[Episode]:
     """All episodes, each once, in the order of the sources and of names within.
 
-    Args:
-        sources: Bags, text recordings, data sets, folders with any of them, and globs.
+    Sources are bags, text recordings, data sets, folders with any of them, and globs.
 
     Raises:
         ConfigurationError: A source is not there, or nothing is in any.
     """
     found: dict[str, Episode] = {}
-    for source in sources:
-        for place in _places(str(source)):
-            for episode in _below(place):
-                found.setdefault(episode.path, episode)
+    for place in (place for source in sources for place in _places(str(source))):
+        for episode in _below(place):
+            found.setdefault(episode.path, episode)
     if not found:
-        raise ConfigurationError(
-            f"{', '.join(map(str, sources))}: no bag and no LeRobot data set there; name folders that hold some"
-        )
+        named = ", ".join(map(str, sources))
+        raise ConfigurationError(f"{named}: no bag and no LeRobot data set there; name folders that hold some")
     return list(found.values())
 
 
@@ -82,20 +79,19 @@ def _below(place: Path) -> Iterator[Episode]:
         yield from _of_data_set(place)
         return
     for folder, inner, files in os.walk(place):
-        here = Path(folder)
-        kept = []
         for name in sorted(inner):
-            path = here / name
+            path = Path(folder, name)
             if _is_bag(path):
                 yield Episode(str(place), path.relative_to(place).as_posix(), str(path))
             elif is_data_set(path):
                 yield from _of_data_set(path)
             else:
-                kept.append(name)
-        inner[:] = kept
+                continue
+            inner.remove(name)
+        inner.sort()
         for name in sorted(files):
             if name.endswith(STORAGE):
-                path = here / name
+                path = Path(folder, name)
                 yield Episode(str(place), path.relative_to(place).as_posix(), str(path))
 
 

@@ -33,14 +33,7 @@ ENGINES = ("local", "ray")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a batch did.
-
-    Attributes:
-        episodes: All that were found.
-        before: How many of them were done when it began.
-        verdicts: How many episodes have which.
-        folder: With the rows.
-    """
+    """What a batch did: episodes there are, those done before, how many have which verdict, and the folder with the rows."""
 
     episodes: int
     before: int
@@ -144,14 +137,10 @@ def _check_units(episodes: Sequence[Episode], options: Options) -> None:
 def self_calibrated(
     empty: Sequence[Episode], options: Options, option: str, out: Path, tell: Callable[[str], Any]
 ) -> Options:
-    """Options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
+    """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
-    Args:
-        empty: Those episodes.
-        options: Without a calibration; their span is what of each is empty. What comes back is for all of each.
-        option: Of the command line, for what is said.
-        out: The calibration becomes ``calibration.yaml`` there.
-        tell: Hears with how many.
+    The span of the options is what of each episode is empty; what comes back is for all of each. ``option`` of the command line is
+    named in what is said.
 
     Raises:
         ConfigurationError: They do not calibrate the arm.
@@ -180,11 +169,7 @@ def _stamps(store: Store) -> dict[str, int | None]:
 
 
 def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
-    """The episodes of data sets whose column is nowhere zero.
-
-    Raises:
-        ConfigurationError: A data set has no such column, or no episode is marked.
-    """
+    """The episodes of data sets whose column is nowhere zero; ConfigurationError: one lacks it, or no episode is marked."""
     found = []
     for episode in episodes:
         if episode.index is None:

@@ -33,14 +33,7 @@ ODD_SIGMAS = 5.0
 def write_batch_page(
     store: Store, path: Path, command: str, reports: Mapping[str, str], drift: Sequence[Period] = ()
 ) -> None:
-    """Write the page.
-
-    Args:
-        store: With all rows.
-        path: The HTML file.
-        command: That makes it again.
-        reports: File names beside the page, by what `named` calls the row that each is of.
-        drift: How the arm changed.
+    """Write the page; ``reports`` are file names beside it, by what `named` calls the row that each is of.
 
     Raises:
         ConfigurationError: The file cannot be written.

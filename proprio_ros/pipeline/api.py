@@ -101,9 +101,8 @@ class Weighing(_Answered):
             AttributeError: The probe does not weigh.
         """
         if self.unit != "kg":
-            raise AttributeError(
-                f"the probe {self.estimate.probe} has no mass; ask for value(name) with one of: {', '.join(self.values)}"
-            )
+            there = f"ask for value(name) with one of: {', '.join(self.values)}"
+            raise AttributeError(f"the probe {self.estimate.probe} has no mass; {there}")
         return self.value()
 
     @property
@@ -243,14 +242,8 @@ class Plans(_Listed[ExcitationPlan]):
 
     def as_json(self) -> dict[str, Any]:
         """What ``proprio plan --json`` prints."""
-        return {
-            **header("plan"),
-            "probe": "payload",
-            "robot": self.robot.name,
-            "calibrated": self.robot.is_calibrated(),
-            "masses_kg": self.masses_kg,
-            "plans": [plan.as_json() for plan in self],
-        }
+        about = {"robot": self.robot.name, "calibrated": self.robot.is_calibrated(), "masses_kg": self.masses_kg}
+        return {**header("plan"), "probe": "payload", **about, "plans": [plan.as_json() for plan in self]}
 
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per plan; needs pandas."""
@@ -412,9 +405,8 @@ def _options(given: Mapping[str, Any]) -> Options:
     dotted = dict(given["settings"] or {})
     for section, values in given.get("facts", {}).items():
         if not isinstance(values, Mapping):
-            raise TypeError(
-                f"{section}={values!r} is no argument; facts come by section, such as payload={{'size': 0.03}}"
-            )
+            by_section = "facts come by section, such as payload={'size': 0.03}"
+            raise TypeError(f"{section}={values!r} is no argument; {by_section}")
         dotted |= {f"{section}.{key}": value for key, value in values.items()}
     return Options(**{**stated, "settings": {key: _plain(value) for key, value in dotted.items()}})
 

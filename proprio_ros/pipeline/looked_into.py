@@ -70,7 +70,7 @@ class RunCheck:
         else:
             moved = f"{1e3 * self.current_A:+.0f} mA for {self.duration_s:.2f} s, travel {self.travel:+.3f} {self.unit}"
             about = f"run of {self.joint}: {moved}"
-        good_for = [f"    {FREE_SWING}"] * (self.free and not self.problem)
+        good_for = [f"    {FREE_SWING}"] if self.free and not self.problem else []
         notes = [f"    note: {note}" for note in self.notes]
         return [f"  {about}, {self.samples} samples: {judged}", *good_for, *notes]
 
