@@ -18,7 +18,6 @@ FREE_SWING = (
     "it tells gravity moment over inertia, without any torque constant: a mass with a calibration from swings with two known loads "
     "(calibrate --reference BAG=KG --reference BAG=KG)"
 )
-"""What a free swing is good for."""
 
 
 @dataclass(frozen=True)

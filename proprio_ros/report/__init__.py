@@ -2,7 +2,6 @@
 
 from proprio_ros.report.calibration_page import write_calibration_report
 from proprio_ros.report.figures import runs_figure
-from proprio_ros.report.notebook import card
-from proprio_ros.report.page import write_page
+from proprio_ros.report.page import card, write_page
 
 __all__ = ["card", "runs_figure", "write_calibration_report", "write_page"]

@@ -22,6 +22,9 @@ _WORDS = {
     Verdict.NOT_IDENTIFIABLE: "not identifiable: the recording does not determine it",
 }
 
+_COLORS = {"accepted": "#2b7a4b", "rejected": "#b23a48", "not_identifiable": "#96600c", "too_wide": "#96600c"}
+"""Of verdicts in a notebook; another is grey, as on the page."""
+
 HINT = "Rest the pointer on a curve for its values; drag to look closer, double-click for all of it."
 
 _ROLES = {"free": "fitted", "frozen": "as stated"}
@@ -57,6 +60,20 @@ def write_page(
     parts += provenance(command, sources, estimate.timing_s)
     title = f"proprio: {estimate.probe} {estimate.verdict.value.replace('_', ' ')}"
     write_in_one_step(Path(path), document(title, parts), "--report")
+
+
+def card(
+    title: str, verdict: Verdict, values: Sequence[Value], reasons: Sequence[str], interval_first: bool = False
+) -> str:
+    """A result in a few lines for a notebook's cell, styled by itself, so that nothing of it reaches the rest of the notebook."""
+    color = _COLORS.get(verdict.value, "#5a6675")
+    badge = f"background:{color};color:#fff;padding:.1em .7em;border-radius:1em;font-weight:600;display:inline-block"
+    lines = [f'<div style="{badge}">{escape(_verdict_in_words(verdict))}</div> {escape(title)}']
+    for value in values:
+        number_style = "font-size:1.5em;font-weight:600;margin-top:.3em"
+        lines.append(f'<div style="{number_style}">{escape(_in_words(value, interval_first))}</div>')
+        lines.append(f"<div>{escape(_interval_in_words(value, interval_first))}</div>")
+    return "<div>" + "".join([*lines, *bulleted(reasons)]) + "</div>"
 
 
 def _runs(estimate: Estimate) -> list[str]:
@@ -102,19 +119,19 @@ def _scan(estimate: Estimate) -> list[str]:
 def _headline(estimate: Estimate) -> list[str]:
     runs = f"{estimate.runs} run" + "s" * (estimate.runs != 1)
     title = f"{estimate.probe} in the hand of {estimate.robot}, {runs}"
-    parts = titled(title, estimate.verdict.value, verdict_in_words(estimate.verdict))
+    parts = titled(title, estimate.verdict.value, _verdict_in_words(estimate.verdict))
     for value in estimate.values:
-        parts.append(f"<p class=value>{escape(in_words(value, estimate.interval_first))}</p>")
-        parts.append(f"<p class=interval>{escape(interval_in_words(value, estimate.interval_first))}</p>")
+        parts.append(f"<p class=value>{escape(_in_words(value, estimate.interval_first))}</p>")
+        parts.append(f"<p class=interval>{escape(_interval_in_words(value, estimate.interval_first))}</p>")
     return [*parts, *bulleted(estimate.reasons)]
 
 
-def verdict_in_words(verdict: Verdict) -> str:
+def _verdict_in_words(verdict: Verdict) -> str:
     """What a verdict means; one that the page does not know by its name."""
     return _WORDS.get(verdict, verdict.value.replace("_", " "))
 
 
-def in_words(value: Value, interval_first: bool = False) -> str:
+def _in_words(value: Value, interval_first: bool = False) -> str:
     """The number with its unit, as a headline, or the interval."""
     if value.value is None:
         return "no value"
@@ -129,7 +146,7 @@ def in_words(value: Value, interval_first: bool = False) -> str:
     return shown(value.unit, value.value, spec=spec)
 
 
-def interval_in_words(value: Value, interval_first: bool = False) -> str:
+def _interval_in_words(value: Value, interval_first: bool = False) -> str:
     """Its name and interval, or why there is none; the number where the interval leads."""
     if isinstance(value.ci95, list) and isinstance(value.value, float) and isinstance(value.std, float):
         spec = spec_for(value.unit, value.std)

@@ -24,9 +24,9 @@ from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.softness.detail import SqueezeCurve
 from proprio_ros.probes.softness.figures import squeeze_figure
+from proprio_ros.report import card
 from proprio_ros.report.calibration_figures import held_out_figure
 from proprio_ros.report.html import SCRIPT, document
-from proprio_ros.report.notebook import card
 from proprio_ros.report.pictures import paired
 
 
