@@ -47,18 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UsageError as error:
         json_error(given, error.sentence, EXIT_BAD_INPUT)
         raise
+    except BrokenPipeError:
+        # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
+        sys.stderr.close()
+        return EXIT_OK
     except ProprioError as error:
-        print(f"proprio: {error}", file=sys.stderr)
-        return json_error(given, str(error), EXIT_BAD_INPUT)
+        sentence, code = str(error), EXIT_BAD_INPUT
     except OSError as error:
         # whatever the file system refuses; where it can be foreseen, the code above says what to do
-        if isinstance(error, BrokenPipeError):
-            # the reader of stdout is gone (`proprio ... | head`): that is not an error of ours
-            sys.stderr.close()
-            return EXIT_OK
-        sentence = one_line(f"{error.filename or 'a file'}: {error.strerror or error}")
-        print(f"proprio: {sentence}", file=sys.stderr)
-        return json_error(given, sentence, EXIT_BAD_INPUT)
+        sentence, code = one_line(f"{error.filename or 'a file'}: {error.strerror or error}"), EXIT_BAD_INPUT
     except KeyboardInterrupt:
-        print("proprio: interrupted", file=sys.stderr)
-        return json_error(given, "interrupted", EXIT_INTERRUPTED)
+        sentence, code = "interrupted", EXIT_INTERRUPTED
+    print(f"proprio: {sentence}", file=sys.stderr)
+    return json_error(given, sentence, code)
