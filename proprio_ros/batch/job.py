@@ -164,7 +164,7 @@ def self_calibrated(
 
 def _stamps(store: Store) -> dict[str, int | None]:
     """When each episode was recorded [ns], by its path."""
-    rows = store.table(["source", "episode", "episode_index", "segment", "recorded_ns"]).to_pylist()
+    rows = store.read(["source", "episode", "episode_index", "segment", "recorded_ns"])
     return {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
 
 
@@ -189,7 +189,7 @@ def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
 def _reports(store: Store, job: Job) -> dict[str, str]:
     """Write the reports of the rows that look odd; returns their places beside the page, by what `named` calls the row."""
     found: dict[str, str] = {}
-    rows = [row for row in store.table(COLUMNS).to_pylist() if row["kind"] != GRASP]
+    rows = [row for row in store.read(COLUMNS) if row["kind"] != GRASP]
     for number, row in enumerate(odd(rows)[:MOST_REPORTS]):
         path, place, options = path_of(row), f"reports/{number:02d}.html", replace(job.options, span=span_of(row))
         (store.folder / "reports").mkdir(exist_ok=True)

@@ -38,7 +38,7 @@ def write_batch_page(
     Raises:
         ConfigurationError: The file cannot be written.
     """
-    rows = store.table(COLUMNS).to_pylist()
+    rows = store.read(COLUMNS)
     rows.sort(key=lambda row: (row["source"], *_order(row), row["segment"]))
     whole = [row for row in rows if row["kind"] != GRASP]
     parts = ["<h1>Many recordings</h1>", *_summary(whole), *_masses(whole), *_refused(whole), *_odd(whole, reports)]

@@ -124,19 +124,19 @@ class Store:
         folder.mkdir(exist_ok=True)
         write_rows(folder / f"part-{name}.parquet", rows)
 
-    def table(self, columns: Sequence[str] | None = None) -> Any:
-        """All rows, sorted by source, episode and segment."""
+    def read(self, columns: Sequence[str]) -> list[Row]:
+        """These columns of all rows, in the order of the files."""
         from pyarrow import dataset
 
         pa = arrow()
         hive = dataset.partitioning(pa.schema([(PARTITION, pa.string())]), flavor="hive")
         place = {"partitioning": hive, "partition_base_dir": str(self.rows)}
         whole = dataset.dataset([str(file) for file in self.files()], schema=schema(), **place)
-        return whole.to_table(columns=None if columns is None else [*columns])
+        return list(whole.to_table(columns=[*columns]).to_pylist())
 
     def verdicts(self) -> dict[str, int]:
         """How many rows of episodes, or of their parts, have which verdict."""
-        rows = self.table(["verdict", "kind"]).to_pylist()
+        rows = self.read(["verdict", "kind"])
         return dict(sorted(Counter(row["verdict"] for row in rows if row["kind"] != GRASP).items()))
 
 
