@@ -28,7 +28,6 @@ MOST_EMPTY = 20
 """Episodes that calibrate an arm."""
 LEAST_FIRST_S = SHORTEST_S
 """Of each episode, where its first seconds are those of an empty hand."""
-ENGINES = ("local", "ray")
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def run_batch(
         job: What is asked of each.
         out: Folder for rows; a job that was stopped goes on there.
         tell: Hears how far it is.
-        engine: One of `ENGINES`.
+        engine: ``local`` or ``ray``.
         processes: Of the local engine; None: one per core.
         address: Of a Ray cluster.
         chunk: Episodes per file at most.
@@ -107,8 +106,6 @@ def run_batch(
 
 def _check_options(engine: str, options: Options, empty: str | None, empty_first_s: float | None) -> None:
     """What is wrong for every episode is said once; Raises as `run_batch` does."""
-    if engine not in ENGINES:
-        raise ConfigurationError(f"--engine {engine}: choose one of {', '.join(ENGINES)}")
     if empty is None and empty_first_s is None:
         request_of(options)
     elif options.calibration is not None:
