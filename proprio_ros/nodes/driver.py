@@ -19,7 +19,7 @@ from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.parameters import ROBOT, Parameter
+from proprio_ros.nodes.parameters import ROBOT, Parameter, fields_stated
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.topics import TEMPERATURES
@@ -66,7 +66,7 @@ class DriverNode(ManagedNode):
         self._thread: clock.Thread | None = None
         self._ended = clock.event()
         self._hold_at_end = False
-        self._told: tuple[str, ...] = ()
+        self._told = ""
         self._told_motors: Motors = {}
 
     @property
@@ -80,25 +80,11 @@ class DriverNode(ManagedNode):
         self._order = tuple(values["joints"]) or tuple(servo.joint for servo in servos)
         unknown = [name for name in self._order if name not in robot.motors]
         if unknown:
-            raise ConfigurationError(
-                f"parameter joints: {robot.name} has no motor at {unknown[0]!r}; it has: {', '.join(robot.motors)}"
-            )
-        bus = DynamixelBus(
-            values["port"], servos, values["baud_rate"], values["reply_timeout"], values["fast_sync_read"]
-        )
-        settings = DriverSettings(
-            command_timeout_s=values["command_timeout"],
-            on_timeout=values["on_timeout"],
-            watchdog_s=values["watchdog"],
-            limit_margin_rad=values["limit_margin"],
-            min_clearance_m=values["min_clearance"],
-            max_velocity_rad_s=values["max_velocity"],
-            max_goal_velocity_rad_s=values["max_goal_velocity"],
-            max_temperature_C=values["max_temperature"],
-            max_jump_rad=values["max_jump"],
-            position_d_gain=values["position_d_gain"],
-            reconnect_s=values["reconnect_period"],
-        )
+            words = f"{robot.name} has no motor at {unknown[0]!r}; it has: {', '.join(robot.motors)}"
+            raise ConfigurationError(f"parameter joints: {words}")
+        connection = ("baud_rate", "reply_timeout", "fast_sync_read")
+        bus = DynamixelBus(values["port"], servos, *(values[name] for name in connection))
+        settings = DriverSettings(**fields_stated(DriverSettings, values), reconnect_s=values["reconnect_period"])
         self._driver = ArmDriver(robot, bus, settings, self.say)
         self._effort_per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
         # /diagnostics is one topic for all arms
@@ -164,7 +150,7 @@ class DriverNode(ManagedNode):
             while not self._ended.is_set():
                 self._pacer.wait()
                 sample = driver.cycle()
-                if self._states_of(driver) != self._told and not self._ended.is_set():
+                if self._state_of(driver) != self._told and not self._ended.is_set():
                     self._tell(driver)
                 if sample is not None and self.active:
                     self._publish(driver, sample)
@@ -198,22 +184,14 @@ class DriverNode(ManagedNode):
     # each logs for itself, since a place in the code is throttled, not a sentence
 
     def _on_current(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        reason = self._obey(message, info, "current_command", ArmDriver.command_currents)
-        if reason:
+        if reason := self._obey(message, info, "current_command", ArmDriver.command_currents):
             self.get_logger().error(f"current_command refused: {reason}", throttle_duration_sec=1.0)
 
     def _on_position(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        reason = self._obey(message, info, "position_command", ArmDriver.command_positions)
-        if reason:
+        if reason := self._obey(message, info, "position_command", ArmDriver.command_positions):
             self.get_logger().error(f"position_command refused: {reason}", throttle_duration_sec=1.0)
 
-    def _obey(
-        self,
-        message: Float64MultiArray,
-        info: dict[str, Any],
-        topic: str,
-        command: Callable[[ArmDriver, dict[str, float], int], str],
-    ) -> str:
+    def _obey(self, message: Float64MultiArray, info: dict[str, Any], topic: str, command: Callable[..., str]) -> str:
         """Pass a command on; returns why it was refused, or an empty string."""
         looks = (len(message.data), *(dim.label for dim in message.layout.dim))
         sender = self._senders[topic].of(info.get("publication_sequence_number"), looks)
@@ -240,9 +218,8 @@ class DriverNode(ManagedNode):
         wanted = BusState.RUNNING if request.data else BusState.RELEASED
         obeyed = driver.await_torque(5.0)  # a servo with a fault is rebooted first
         response.success = obeyed and driver.state is wanted
-        response.message = (
-            ("held" if request.data else "torque is off") if response.success else self._named(driver.reason)
-        )
+        done = "held" if request.data else "torque is off"
+        response.message = done if response.success else self._named(driver.reason)
         return response
 
     def _each_second(self) -> None:
@@ -259,12 +236,12 @@ class DriverNode(ManagedNode):
         """The node's own services by their full names: whoever reads it elsewhere can call them."""
         return words.replace("~/", f"{self.get_fully_qualified_name()}/")
 
-    def _states_of(self, driver: ArmDriver) -> tuple[str, ...]:
+    def _state_of(self, driver: ArmDriver) -> str:
         """What is published as soon as it changes."""
-        return (driver.state.value if self.active else "inactive",)
+        return str(driver.state.value) if self.active else "inactive"
 
     def _tell(self, driver: ArmDriver) -> None:
-        self._told = self._states_of(driver)
+        self._told = self._state_of(driver)
         statuses = self._statuses(driver)
         self._status.publish(statuses[0])
         motors = driver.bus.motors
@@ -281,7 +258,7 @@ class DriverNode(ManagedNode):
         late = list(self._pacer.lateness_s)
         statistics = driver.statistics
         running = driver.state is BusState.RUNNING and self.active
-        (state,) = self._states_of(driver)
+        state = self._state_of(driver)
         reason = driver.reason if state != "inactive" else "the node is not active; activate it to go on"
         values = {
             "state": state,
@@ -295,17 +272,16 @@ class DriverNode(ManagedNode):
             "latest [ms]": 1e3 * max(late, default=0.0),
         }
         level = "ok" if running else "warning" if driver.state is not BusState.DISCONNECTED else "error"
-        statuses = [
-            messages.status(level, f"{self._diagnosed}: servo bus", self._named(reason), values, self._hardware_id)
-        ]
+        told: list[tuple[str, str, str, dict[str, Any]]] = [(level, "servo bus", self._named(reason), values)]
         modes = driver.modes
         for name, health in list(driver.health.items()):
             hot = health.temperature_C >= self.values["max_temperature"]
             words = "; ".join(health.faults) or ("too hot to be driven" if hot else modes[name])
             level = "error" if health.faults else "warning" if hot else "ok"
             values = {"mode": modes[name], "temperature [C]": health.temperature_C, "voltage [V]": health.voltage_V}
-            statuses.append(messages.status(level, f"{self._diagnosed}: {name}", words, values, self._hardware_id))
-        return statuses
+            told.append((level, name, words, values))
+        named, where = self._diagnosed, self._hardware_id
+        return [messages.status(level, f"{named}: {of}", words, about, where) for level, of, words, about in told]
 
 
 def main() -> int:

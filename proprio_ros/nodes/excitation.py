@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -24,8 +25,8 @@ from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
-from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, effort_controller, goal_controller
-from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
+from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, controller_of
+from proprio_ros.nodes.parameters import ROBOT, Parameter, fields_stated, value_of
 from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, LongService, ManagedNode, run_node
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
@@ -37,7 +38,6 @@ LEASE_S = 1.5
 STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
 """Of several publishers on one topic none takes another's place, and 500 a second wait while the node rests."""
 UNPUSHED_S = 0.1  # from a current command to the driver's word that it flows: two cycles, and a late one
-
 DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
 HOLD_PAUSE_S = 0.002
@@ -111,21 +111,13 @@ class ExcitationNode(ManagedNode):
     def configure(self) -> None:
         self._robot = robot_named(self.values["robot"])
         interface = self.values["command_interface"]
-        ours, by_effort = interface == "driver", interface == "effort"
+        ours = interface == "driver"
         if ours and self.values["controller_manager"]:
             raise ConfigurationError("controller_manager is for command_interface:=effort or position: leave it out")
-        self._machine = ExcitationMachine(
-            self._robot,
-            Guards(
-                limit_margin_rad=self.values["limit_margin"],
-                max_velocity_rad_s=self.values["max_velocity"],
-                stale_after_s=self.values["stale_after"],
-                follow_error_rad=self.values["follow_error"],
-                held_joint_error_rad=self.values["held_joint_error"],
-                max_jump_rad=self.values["max_jump"],
-                patience_s=BLIND_PATIENCE * self.values["stale_after"] if by_effort else _G.patience_s,
-            ),
-        )
+        guards = Guards(**fields_stated(Guards, self.values))
+        if interface == "effort":
+            guards = replace(guards, patience_s=BLIND_PATIENCE * guards.stale_after_s)
+        self._machine = ExcitationMachine(self._robot, guards)
         self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])
         if value_of(self, "probe") != DEFAULT_PROBE:  # not every robot can make the default
             load_sequence(value_of(self, "probe"), self._robot)
@@ -173,13 +165,12 @@ class ExcitationNode(ManagedNode):
     def _controller_output(self, interface: str) -> Output:
         topic = self.values["input_topic"] or INPUT_TOPICS[interface]
         commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
-        by_effort = interface == "effort"
-        applied = self.create_publisher(JointState, "applied_effort" if by_effort else "joint_command", STREAM)
-        controller = (effort_controller if by_effort else goal_controller)(self, self._robot, topic)
+        said_on = "applied_effort" if interface == "effort" else "joint_command"
+        applied = self.create_publisher(JointState, said_on, STREAM)
+        controller = controller_of(self, self._robot, topic)
         switching = switching_of(self, commands.topic_name)
         speaker = LastWords(commands.topic_name, None if switching is None else switching.controllers)
-        let_go = controller.can_let_go and self.values["on_end"] == "zero"
-        output = ControllerOutput(self, controller, commands, applied, speaker, let_go)
+        output = ControllerOutput(self, controller, commands, applied, speaker)
         if switching is not None:
             self._switched = SwitchedRuns(self, switching, speaker, output)
         return output
@@ -205,10 +196,8 @@ class ExcitationNode(ManagedNode):
         if self.active and any(name in self._machine.joints for name in message.name):
             lost = self._output.hear(message, now, whole=sample is not None)
             if lost:
-                self.say(
-                    "error",
-                    f"the arm is let go: {lost}; check sign and unit of the efforts, what it carries, and who else moves it",
-                )
+                remedy = "check sign and unit of the efforts, what it carries, and who else moves it"
+                self.say("error", f"the arm is let go: {lost}; {remedy}")
                 self._abort(f"the arm was let go: {lost}")
 
     def _on_lease(self, message: Bool) -> None:
@@ -231,10 +220,8 @@ class ExcitationNode(ManagedNode):
         if self._unpushed_since_s is None:
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
-            does = "let go of" if run.free else "push"
-            self._abort(
-                f"the driver does not {does} {run.joint}, or has ended it: its log and /diagnostics say why", aloud=True
-            )
+            words = f"the driver does not {'let go of' if run.free else 'push'} {run.joint}, or has ended it"
+            self._abort(f"{words}: its log and /diagnostics say why", aloud=True)
 
     def _on_driver(self, message: DiagnosticStatus) -> None:
         """An arm that was let go of falls: what it does then is no fault of the probe, and nobody should look for one there."""
@@ -257,9 +244,8 @@ class ExcitationNode(ManagedNode):
         if self._leased_at_s is not None and clock.now() - self._leased_at_s > LEASE_S:
             self._leased_at_s = None
             if self._machine.busy:
-                self._abort(
-                    "whoever asked for the sequence has fallen silent: is the identifier node alive?", aloud=True
-                )
+                words = "whoever asked for the sequence has fallen silent: is the identifier node alive?"
+                self._abort(words, aloud=True)
         late = self._sample is None or abs(now - self._sample.time_s) > 0.5 * self.values["stale_after"]
         if late:
             self._tick(now)
@@ -326,10 +312,9 @@ class ExcitationNode(ManagedNode):
         except ProprioError as error:
             return str(error)
         if any(run.free for run in sequence.runs) and self._torque_enabled is None:
-            return (
-                f"{sequence.name}: nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of, and a "
-                "recording of free swings is of no use without; start proprio_ros' driver"
-            )
+            nobody = f"nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of"
+            use = "a recording of free swings is of no use without; start proprio_ros' driver"
+            return f"{sequence.name}: {nobody}, and {use}"
         return ""
 
     def _on_run(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -76,13 +76,8 @@ class Excitation:
             return f"no joint states reach {self.name}; are the topics named alike?"
         return ""
 
-    def make(self, job: Job, sequence: str, begun: Callable[[], None]) -> None:
-        """Ask for a sequence and wait until it has ended well.
-
-        Args:
-            job: Whose; may be cancelled.
-            sequence: Its name.
-            begun: Called when it is under way.
+    def make(self, job: Job, sequence: str, begun: Callable[[], None] = lambda: None) -> None:
+        """Ask for a sequence and wait until it has ended well; ``begun`` is called when it is under way.
 
         Raises:
             JobError: It was refused, aborted, cancelled, or the node fell silent.

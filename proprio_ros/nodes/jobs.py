@@ -6,11 +6,10 @@ replay` calls.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -19,7 +18,8 @@ from proprio_ros import clock, progress
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.excitation.plans import as_text, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Chooser, Decision
-from proprio_ros.experiment_design.until import chosen_known
+from proprio_ros.experiment_design.until import chosen_known, chosen_refresh
+from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, live_answer, refusal_of
@@ -38,15 +38,15 @@ from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.excitation_client import READY_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.parameters import value_of
-from proprio_ros.nodes.refreshing import refresh_robot
 from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.nodes.weighing import Weighing
-from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags
 from proprio_ros.pipeline.replay import aged_robot, replay, write_report
 from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Prepares, Probe, Shown, chooser_of
+from proprio_ros.quantity import shown
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.records import Run
 from proprio_ros.report import write_calibration_report
@@ -54,30 +54,22 @@ from proprio_ros.report.choices_page import Choice, write_choices
 
 CHECK_S, LONGEST_CHECK_S = 0.3, 2.0
 """What comes in is listened to for so long before a probe; longer where it cannot be read yet."""
-
-
+REFRESH_S = 30.0  # all pushes of a refresh take so long at most; what they leave open a whole calibration has to learn
 HEARD_S = 1.0  # a run has ended when the excitation node says so; what was measured of it may still be on its way
 AT_AN_END, AT_AN_END_TRIES = ("limit", "clearance"), 2
 """Where the arm ends when the object is heavier than was thought: it sags, or the current does not hold it. So often another push
 is chosen then."""
 
 
-def choice_of(decision: Decision) -> Choice:
-    """A decision, as its page shows it."""
+def _choice(decision: Decision) -> Choice:
+    """As its page shows it."""
     words = [f"{push.words}: {decision.said_of(push)} in {push.time_s:.1f} s" for push in decision.others]
     chosen = decision.reason if decision.push is None else decision.push.words
     return Choice(decision.value, decision.half, decision.promised, chosen, words, decision.decided_s)
 
 
 class Jobs:
-    """All that the services can ask for.
-
-    Args:
-        node: Whose parameters count.
-        workspace: Robot, calibration and folder.
-        inputs, excitation, results, weighing: What comes in, who moves the arm, where the answers go, and who weighs without that.
-        unsaved: Recordings that could be written nowhere so far.
-    """
+    """All that the services can ask for; ``unsaved`` are recordings that could be written nowhere so far."""
 
     def __init__(
         self,
@@ -108,8 +100,7 @@ class Jobs:
         if job.kind == ROBOT:
             return self._calibrate(job)
         if job.kind == REFRESH:
-            ways, results = self._value("robot_sequence"), self._results
-            return refresh_robot(job, self._workspace, self._inputs, results, ways, self.record, self._keep)
+            return self._refresh(job)
         for probe in all_probes():
             if isinstance(probe, HasBaseline) and job.kind == f"{probe.name}_baseline":
                 return self._record_baseline(job, probe)
@@ -123,10 +114,10 @@ class Jobs:
         """
         deadline = clock.now() + READY_S
         while True:
-            if not self._inputs.has_states:
-                missing = "no joint states are coming; start the driver and check its bus"
-            else:
-                missing = self._excitation.missing() or self._inputs.missing()
+            missing = (
+                "" if self._inputs.has_states else "no joint states are coming; start the driver and check its bus"
+            )
+            missing = missing or self._excitation.missing() or self._inputs.missing()
             if not missing:
                 return
             if clock.now() > deadline:
@@ -175,7 +166,7 @@ class Jobs:
             raise JobError(f"{job.reason or error}; recording: {bag}") from error
         if chooser is not None and plan.until is not None:
             sought, target = chooser.sought, plan.until.half_interval
-            choices = [choice_of(decision) for decision in job.decisions]
+            choices = list(map(_choice, job.decisions))
             self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))
         said = f"; {job.reason}" * bool(job.reason) + self._workspace.used
         if baseline is not None:
@@ -207,65 +198,98 @@ class Jobs:
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         """The robot, with an empty hand and perhaps a weighed object."""
-        self._inputs.live = None
+        self._inputs.live, tell = None, partial(self._results.tell, job.kind)
         options = replace(self._workspace.options(), robot=self._workspace.robot, calibration=None)
         request = Request(robot_of(options), options)
         sequence = self._value("robot_sequence")
         bag = self.record(job, ROBOT, sequence, request)
         empty: list[str | Path] = [bag]
         references: dict[str | Path, float] = {}
-        if chosen := self._chosen(job, sequence, request, empty, 0.0):
+        if chosen := self._chosen(job, sequence, request, empty, references, 0.0):
             empty.append(self.record(job, ROBOT, chosen, request))
         mass = float(self._value("reference_mass"))
         if mass > 0.0:
             wait_s = float(self._value("reference_wait"))
-            words = f"put the reference object of {mass:g} kg into the hand: going on in {wait_s:g} s"
-            self._results.tell(job.kind, words)
+            tell(f"put the reference object of {mass:g} kg into the hand: going on in {wait_s:g} s")
             if job.cancelled.wait(wait_s):
                 raise JobError(f"cancelled before the reference was weighed; recording: {bag}")
             sequence = self._value("reference_sequence")
             if load_sequence(sequence, request.robot).runs:
                 references[self.record(job, "reference", sequence, request)] = mass
-            if chosen := self._chosen(job, sequence, request, empty, mass, references):
+            if chosen := self._chosen(job, sequence, request, empty, references, mass):
                 references[self.record(job, "reference", chosen, request)] = mass
-        self._results.tell(job.kind, "identifying the robot")
+        tell("identifying the robot")
         output = bag.parent / "calibration.yaml"
         options = replace(options, settings=parse_settings(self._value("reference_settings")))
-        # the folder is this session's own
         estimate = calibrate_from_bags(
-            empty, references, options, output, partial(self._results.tell, job.kind), force=True
-        )
+            empty, references, options, output, tell, force=True
+        )  # in a folder of this session's
+        on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
+        return self._calibrated(estimate, output, bag, (*empty, *references), f"robot calibrated on {on}")
+
+    def _refresh(self, job: Job) -> tuple[bool, str]:
+        """The calibration in use, brought up to date by some chosen pushes with an empty hand."""
+        used, tell = self._workspace.calibration, partial(self._results.tell, job.kind)
+        if used is None:
+            raise JobError("there is no calibration to bring up to date: call ~/calibrate_robot first")
+        self._inputs.live, options = None, self._workspace.options()
+        fresh = robot_of(options)
+        learnt = fresh.calibration
+        if learnt is None or not learnt.driven:
+            raise JobError(f"{used} was not made of driven runs: call ~/calibrate_robot with robot_sequence empty_hand")
+        if learnt.made is None:
+            raise JobError(
+                f"{used} does not say when it was made, so nobody knows how old it is: call ~/calibrate_robot"
+            )
+        old = aged_robot(fresh, self._inputs.moment())
+        if old is fresh:
+            return True, f"up to date: made less than ten minutes ago, or by another clock; calibration: {used}"
+        tell("choosing the pushes that bring the calibration up to date")
+        plan = load_sequence(self._value("robot_sequence"), fresh)
+        runs, then, now = chosen_refresh(fresh, old, REFRESH_S, plan)
+        worth = f"{shown('kg', then, spec='.2f')} when it was made, {shown('kg', now, spec='.2f')} by now"
+        if not runs:
+            return True, f"up to date: a weighing of 30 g would be as sure as +-{worth}; calibration: {used}"
+        if job.cancelled.is_set():
+            raise JobError("cancelled")
+        said = f"pushes with an empty hand: {len(runs)}; a weighing of 30 g was as sure as +-{worth}"
+        self._results.tell_and_log(job.kind, said)
+        chosen = as_text(replace(plan, runs=tuple(runs), until=None, home={}))  # after them the arm stays where it is
+        bag = self.record(job, job.kind, chosen, Request(fresh, options))
+        tell("identifying what has changed")
+        output = bag.parent / "calibration.yaml"
+        try:
+            estimate = refresh_from_bags(bag, options, output, tell, force=True)
+        except ProprioError as error:
+            raise JobError(f"{error}; recording: {bag}") from error
+        said = f"calibration brought up to date by {len(estimate.run_fits)} of {estimate.runs} runs"
+        return self._calibrated(estimate, output, bag, (bag,), said)
+
+    def _calibrated(
+        self, estimate: CalibrationEstimate, output: Path, bag: Path, sources: Sequence[str | Path], said: str
+    ) -> tuple[bool, str]:
+        """A calibration is published, and takes the place of the one in use where it was accepted."""
         self._results.calibration(estimate, str(output))
-        sources = [str(path) for path in (*empty, *references)]
-        self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=sources))
+        names = [str(path) for path in sources]
+        self._keep(lambda: write_calibration_report(estimate, bag.parent / "report.html", sources=names))
         if estimate.verdict is not Verdict.ACCEPTED:
             return False, f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}"
         stays = self._workspace.keep_calibration(output)
-        on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
-        said = f"robot calibrated on {on}; calibration: {output}"
-        return True, f"{said}; {stays}" if stays else said
+        return True, f"{said}; calibration: {output}" + f"; {stays}" * bool(stays)
 
     def _chosen(
-        self,
-        job: Job,
-        sequence: str,
-        request: Request,
-        empty: list[str | Path],
-        mass_kg: float,
-        references: Mapping[str | Path, float] = MappingProxyType({}),
+        self, job: Job, sequence: str, request: Request, empty: list[Any], references: dict[Any, float], mass_kg: float
     ) -> str:
         """Pushes that a sequence with `until` wants beside its own: chosen by what was recorded so far; empty: none."""
-        robot = request.robot
-        plan = load_sequence(sequence, robot)
+        plan = load_sequence(sequence, request.robot)
         if plan.until is None:
             return ""
         self._results.tell(job.kind, "choosing further pushes")
         stated = parse_settings(self._value("reference_settings") if references else [])
-        options = replace(request.options, settings=stated)
-        so_far = calibrate_from_bags(empty, references, options)
+        so_far = calibrate_from_bags(empty, references, replace(request.options, settings=stated))
         if so_far.calibration is None or so_far.verdict is Verdict.REJECTED:
             return ""  # the whole calibration will say why
-        known = robot.with_calibration(so_far.calibration)
+        known = request.robot.with_calibration(so_far.calibration)
         runs = chosen_known(known, mass_kg, plan.until.half_interval, plan.until.at_most_s, plan)
         self._node.say("info", f"{len(runs)} further pushes with {mass_kg:g} kg in the hand were chosen")
         return as_text(replace(plan, runs=tuple(runs), until=None)) if runs else ""
@@ -353,13 +377,10 @@ class Jobs:
 
     def _excite(self, job: Job, sequence: str, chooser: Chooser | None = None) -> None:
         """Have the arm moved, and estimate meanwhile."""
-
-        def begun() -> None:
-            clock.thread(target=self._estimate_live, args=(job,), name="live estimate").start()
-
+        estimate = partial(clock.thread, self._estimate_live, "live estimate", (job,))
         try:
             if chooser is None:
-                self._excitation.make(job, sequence, begun)
+                self._excitation.make(job, sequence, lambda: estimate().start())
             else:
                 self._choose(job, sequence, chooser)
         finally:
@@ -370,15 +391,11 @@ class Jobs:
 
         There is no estimate while a push is under way: with every run it would take longer, and deciding waits for it.
         """
-
-        def begun() -> None:
-            pass
-
         live, began, tries = self._inputs.live, clock.now(), AT_AN_END_TRIES
         assert live is not None
         runs: Sequence[Run] = ()
         if chooser.first_runs:
-            self._excitation.make(job, sequence, begun)
+            self._excitation.make(job, sequence)
             runs = self._heard_runs(live, 0)
         self._await_position(live)
         while True:
@@ -394,7 +411,7 @@ class Jobs:
                 return
             chosen = as_text(chooser.sequence_of(decision.run))
             try:
-                self._excitation.make(job, chosen, begun)
+                self._excitation.make(job, chosen)
             except JobError as error:
                 if error.aborted_by in AT_AN_END and tries > 0:
                     tries, runs = tries - 1, self._heard_runs(live, len(runs))
@@ -409,11 +426,7 @@ class Jobs:
 
     @staticmethod
     def _await_position(live: LiveEstimate) -> None:
-        """Until it is known where all joints are: a recording begins with nothing heard.
-
-        Raises:
-            JobError: Some say nothing.
-        """
+        """Until it is known where all joints are: a recording begins with nothing heard."""
         deadline = clock.now() + HEARD_S
         while silent := sorted(set(live.joints) - set(live.position())):
             if clock.now() > deadline:
@@ -435,13 +448,12 @@ class Jobs:
         """
         heard: list[RawMessage] = []
         self._inputs.heard = heard
-        deadline = clock.now() + LONGEST_CHECK_S
+        deadline, notes = clock.now() + LONGEST_CHECK_S, None
         try:
-            while True:
+            while notes is None:
                 clock.sleep(CHECK_S)
                 try:
                     notes = check_input(folder, [*heard, *self._inputs.published_motors()], request)
-                    break
                 except RecordingError:
                     if clock.now() > deadline:
                         raise
@@ -460,8 +472,7 @@ class Jobs:
         for session in list(self._unsaved):
             try:
                 bag, _ = session.save()
+                self._unsaved.remove(session)
+                self._node.say("info", f"the recording of {session.name} is saved now: {bag}")
             except RecordingError as error:
                 self._node.get_logger().error(f"{session.name}: {error}", throttle_duration_sec=60.0)
-                continue
-            self._unsaved.remove(session)
-            self._node.say("info", f"the recording of {session.name} is saved now: {bag}")

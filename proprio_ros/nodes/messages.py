@@ -18,6 +18,11 @@ from proprio_ros.probes.base import Carried, Shapes
 from proprio_ros.quantity import Z95, shown, spec_for
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
+BLUE, AMBER = (0.1, 0.5, 0.9), (1.0, 0.65, 0.0)
+UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
+"""What is published where a load was published before that stands no longer."""
+Floats = Sequence[float]
 
 
 def time_message(time_ns: int) -> Time:
@@ -38,18 +43,12 @@ def first_stamp_ns(data: bytes) -> int:
 
 
 def joint_state(
-    stamp_ns: int,
-    names: Sequence[str],
-    position: Sequence[float] = (),
-    velocity: Sequence[float] = (),
-    effort: Sequence[float] = (),
+    stamp_ns: int, names: Sequence[str], position: Floats = (), velocity: Floats = (), effort: Floats = ()
 ) -> JointState:
     """Quantities that are not known stay empty."""
     message = JointState(name=list(names))
     message.header.stamp = time_message(stamp_ns)
-    message.position = [float(value) for value in position]
-    message.velocity = [float(value) for value in velocity]
-    message.effort = [float(value) for value in effort]
+    message.position, message.velocity, message.effort = (list(map(float, q)) for q in (position, velocity, effort))
     return message
 
 
@@ -57,14 +56,11 @@ def labelled(values: Mapping[str, float]) -> Float64MultiArray:
     """Numbers by joint; `layout.dim` names the joints, joined by commas."""
     size = len(values)
     layout = MultiArrayLayout(dim=[MultiArrayDimension(label=",".join(values), size=size, stride=size)])
-    return Float64MultiArray(layout=layout, data=[float(value) for value in values.values()])
+    return Float64MultiArray(layout=layout, data=list(map(float, values.values())))
 
 
 def by_joint(message: Float64MultiArray, order: Sequence[str]) -> dict[str, float] | str:
-    """Numbers by joint: as labelled, else in the given order; a sentence where neither fits.
-
-    A message without numbers drives nothing.
-    """
+    """Numbers by joint: as labelled, else in the given order; a sentence where neither fits. Without numbers nothing is driven."""
     labels = [label.strip() for dim in message.layout.dim for label in dim.label.split(",") if label.strip()]
     names = labels or list(order)
     if not message.data:
@@ -74,7 +70,7 @@ def by_joint(message: Float64MultiArray, order: Sequence[str]) -> dict[str, floa
         return f"a command of {len(message.data)} values {named}: give one value for each, or label them in layout.dim"
     if len(set(names)) != len(names):
         return f"a command names a joint twice: {', '.join(names)}"
-    return dict(zip(names, (float(value) for value in message.data), strict=True))
+    return dict(zip(names, map(float, message.data), strict=True))
 
 
 def number(value: float) -> Float64:
@@ -122,17 +118,11 @@ def inertia(stamp_ns: int, frame: str, carried: Carried) -> InertiaStamped:
     message.header.stamp = time_message(stamp_ns)
     message.header.frame_id = frame
     message.inertia.m = float(carried.mass_kg)
-    message.inertia.com.x, message.inertia.com.y, message.inertia.com.z = (float(value) for value in carried.com_m)
-    for name, row, column in (
-        ("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2),
-    ):  # fmt: skip
-        setattr(message.inertia, name, float(carried.inertia_kg_m2[row, column]))
+    message.inertia.com.x, message.inertia.com.y, message.inertia.com.z = map(float, carried.com_m)
+    upper = carried.inertia_kg_m2[np.triu_indices(3)].tolist()
+    for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), upper, strict=True):
+        setattr(message.inertia, name, value)
     return message
-
-
-BLUE, AMBER = (0.1, 0.5, 0.9), (1.0, 0.65, 0.0)
-UNKNOWN_LOAD = Carried(np.nan, [np.nan] * 3, np.full((3, 3), np.nan))
-"""What is published where a load was published before that stands no longer."""
 
 
 def no_markers() -> MarkerArray:
@@ -140,25 +130,25 @@ def no_markers() -> MarkerArray:
     return MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
 
 
-KINDS = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHERE}
-
-
 def _marker(
     header: tuple[str, int, str],
     number_: int,
     kind: int,
-    size: Sequence[float],
-    colour: Sequence[float],
-    place_m: Sequence[float] = (0.0, 0.0, 0.0),
+    size: Floats,
+    colour: Floats,
+    place_m: Floats = (0.0, 0.0, 0.0),
     rotation: np.ndarray | None = None,
 ) -> Marker:
     """One of several of a name space; the header is that, a stamp [ns] and a frame."""
+    from scipy.spatial.transform import Rotation  # takes a while, and few nodes show anything
+
     marker = Marker(ns=header[0], id=number_, type=kind, action=Marker.ADD)
     marker.header.stamp, marker.header.frame_id = time_message(header[1]), header[2]
     position, turn, scale = marker.pose.position, marker.pose.orientation, marker.scale
-    position.x, position.y, position.z = (float(value) for value in place_m)
-    turn.x, turn.y, turn.z, turn.w = (0.0, 0.0, 0.0, 1.0) if rotation is None else quaternion(rotation)
-    scale.x, scale.y, scale.z = (float(value) for value in size)
+    position.x, position.y, position.z = map(float, place_m)
+    turned = Rotation.from_matrix(np.eye(3) if rotation is None else rotation)
+    turn.x, turn.y, turn.z, turn.w = turned.as_quat(canonical=True).tolist()
+    scale.x, scale.y, scale.z = map(float, size)
     marker.color.r, marker.color.g, marker.color.b, marker.color.a = colour
     return marker
 
@@ -166,17 +156,7 @@ def _marker(
 def markers(
     stamp_ns: int, frame: str, shapes: Shapes, value: float, std: float, unit: str, accepted: bool = True
 ) -> MarkerArray:
-    """Bodies at one place with the value in words above; whatever was shown before goes.
-
-    Args:
-        stamp_ns: Of the message.
-        frame: That ``shapes`` is given in.
-        shapes: The bodies.
-        value: In the SI unit ``unit``.
-        std: Likewise.
-        unit: SI.
-        accepted: Blue bodies; otherwise the interval is too wide, and they are amber.
-    """
+    """Bodies at one place with the value in words above, in amber where its interval is too wide; what was shown before goes."""
     header, colour, spec = ("proprio", stamp_ns, frame), BLUE if accepted else AMBER, spec_for(unit, std)
     made = [
         _marker(header, n, KINDS[body.kind], body.size_m, (*colour, body.opacity), shapes.place_m, body.rotation)
@@ -193,15 +173,10 @@ def markers(
 def planned(stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: np.ndarray | None) -> MarkerArray:
     """What is known so far, in words above the hand, and the way of the hand in the push that comes next; what was shown goes.
 
-    Args:
-        stamp_ns: Of the message.
-        frame: Of the root link.
-        place_m: Of the hand, shape (3,).
-        words: To be read.
-        path_m: Of the hand, shape (N, 3); None: no push comes.
+    All in the root link's frame: the hand's place, shape (3,), and its path, shape (N, 3); None: no push comes.
     """
     header, colour = ("next push", stamp_ns, frame), (*AMBER, 1.0)
-    x, y, z = (float(value) for value in place_m)
+    x, y, z = map(float, place_m)
     above = _marker(header, 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.025), colour, (x, y, z + 0.12))
     above.text = words
     array = [*no_markers().markers, above]
@@ -211,15 +186,3 @@ def planned(stamp_ns: int, frame: str, place_m: np.ndarray, words: str, path_m: 
         # a ball where the push ends
         array += [way, _marker(header, 2, Marker.SPHERE, (0.012, 0.012, 0.012), colour, path_m[-1])]
     return MarkerArray(markers=array)
-
-
-def quaternion(rotation: np.ndarray) -> tuple[float, float, float, float]:
-    """x, y, z, w of a rotation matrix, shape (3, 3); I. Y. Bar-Itzhack, J. Guidance 23 (2000) 1085: safe at half a turn, too."""
-    r = np.asarray(rotation, dtype=np.float64)
-    twist = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
-    k = np.zeros((4, 4))
-    k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
-    k[:3, 3] = k[3, :3] = twist
-    k[3, 3] = np.trace(r)
-    x, y, z, w = np.linalg.eigh(k)[1][:, -1].tolist()
-    return (x, y, z, w) if w >= 0.0 else (-x, -y, -z, -w)

@@ -6,7 +6,6 @@ at every joint state what holds the joints, and says what it can before it ends.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from array import array
 from typing import Any
 
@@ -30,41 +29,32 @@ ON_THE_WAY_NS = 500_000  # a command that is sent later before an update than th
 LET_GO_S = 0.3  # for so long zeros are said when joints are lost; then whoever takes over is not disturbed
 
 
-def effort_controller(node: ManagedNode, robot: Robot, topic: str) -> EffortController:
-    """As the node's parameters state it.
+def controller_of(node: ManagedNode, robot: Robot, topic: str) -> EffortController | GoalController:
+    """As the node's parameters state it; the log says what that means for whoever stands beside the arm.
 
     Raises:
         ConfigurationError: They do not fit the robot.
     """
     values = node.values
-    gains = HoldGains(
-        frequency_rad_s=values["hold_frequency"], jump_rad=values["max_jump"], max_velocity_rad_s=values["max_velocity"]
+    joints, jump_rad = values["controller_joints"], values["max_jump"]
+    switches = (
+        "" if values["controller_manager"] else "this node switches no controllers: activate that one first, and "
     )
-    controller = EffortController(robot, values["controller_joints"], values["effort_unit"], gains)
-    node.say(
-        "warning",
-        f"efforts go to {topic}; this node alone holds the arm then; {_who_switches(node)}keep a hand near the emergency stop "
-        "(docs: hardware and safety)",
-    )
+    controller: EffortController | GoalController
+    if values["command_interface"] == "effort":
+        gains = HoldGains(values["hold_frequency"], jump_rad=jump_rad, max_velocity_rad_s=values["max_velocity"])
+        controller = EffortController(robot, joints, values["effort_unit"], gains)
+        said = (
+            f"efforts go to {topic}; this node alone holds the arm then; {switches}keep a hand near the emergency stop"
+        )
+    else:
+        controller = GoalController(robot, joints, jump_rad)
+        said = f"goals go to {topic}; {switches}keep a hand near the servos' supply"
+    node.say("warning", f"{said} (docs: hardware and safety)")
     return controller
 
 
-def goal_controller(node: ManagedNode, robot: Robot, topic: str) -> GoalController:
-    """The same; Raises likewise."""
-    controller = GoalController(robot, node.values["controller_joints"], node.values["max_jump"])
-    node.say(
-        "warning",
-        f"goals go to {topic}; {_who_switches(node)}keep a hand near the servos' supply (docs: hardware and safety)",
-    )
-    return controller
-
-
-def _who_switches(node: ManagedNode) -> str:
-    manager = node.values["controller_manager"]
-    return "" if manager else "this node switches no controllers: activate that one first, and "
-
-
-class Output(ABC):
+class Output:
     """Takes what the state machine commands.
 
     Attributes:
@@ -73,67 +63,49 @@ class Output(ABC):
 
     holds = False
 
-    @abstractmethod
     def check(self, sequence: ExcitationSequence) -> None:
         """Raises: ExcitationError: It cannot be made now."""
+        raise NotImplementedError
 
-    @abstractmethod
     def send(self, command: Command, slipped: bool) -> None:
         """A command; ``slipped``: after an encoder has, positions from before are other places."""
+        raise NotImplementedError
 
-    @abstractmethod
     def release(self) -> str:
         """Let go, if it is this that holds the arm; says what was done."""
+        raise NotImplementedError
 
-    @abstractmethod
     def finish(self) -> None:
         """Last words, after which the process may end."""
 
     def begin(self) -> None:
         """A sequence begins."""
-        return
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
-        """A joint state has come, and the commands for it; returns why the arm is not held any more, if so.
-
-        Args:
-            message: About some joints of the arm.
-            now_s: When it came.
-            whole: Whether all joints of the arm are seen.
-        """
+        """A joint state has come, with ``whole`` all joints of the arm seen; returns why it is not held any more, if so."""
         return ""
 
     def unheard(self) -> None:
         """No joint states come."""
-        return
 
     def hand_over(self) -> None:
         """Others hold the arm from now on."""
-        return
 
     def close(self) -> None:
         """What it has opened is not needed any more."""
-        return
 
 
 class DriverOutput(Output):
-    """Currents and positions to this package's driver.
-
-    Args:
-        currents, positions: Publishers of labelled numbers.
-    """
+    """Labelled currents and positions to this package's driver."""
 
     def __init__(self, currents: Any, positions: Any) -> None:
         self._currents, self._positions = currents, positions
         self._driving = False
 
     def check(self, sequence: ExcitationSequence) -> None:
-        """Raises: ExcitationError: It pushes by steps of goals, while this package's driver has currents for that."""
         if any(run.goal_step for run in sequence.runs):
-            raise ExcitationError(
-                f"{sequence.name} pushes by steps of goals: start this node with command_interface:=position, or choose a sequence "
-                "with currents"
-            )
+            words = "start this node with command_interface:=position, or choose a sequence with currents"
+            raise ExcitationError(f"{sequence.name} pushes by steps of goals: {words}")
 
     def send(self, command: Command, slipped: bool) -> None:
         """Currents first: an empty one ends the push at once, and what is not driven is held."""
@@ -160,7 +132,6 @@ class ControllerOutput(Output):
         commands: Publisher to it.
         applied: Publisher of what pushes, or of the goals, for whoever records.
         speaker: Speaks where this process cannot any more.
-        let_go_at_end: Whether the last word is zero, and not what holds the arm; of efforts.
     """
 
     holds = True
@@ -172,9 +143,9 @@ class ControllerOutput(Output):
         commands: Any,
         applied: Any,
         speaker: LastWords,
-        let_go_at_end: bool,
     ) -> None:
-        self._node, self._controller, self._let_go_at_end = node, controller, let_go_at_end
+        self._node, self._controller = node, controller
+        self._let_go_at_end = controller.can_let_go and node.values["on_end"] == "zero"
         self._commands, self._applied, self._last_words = commands, applied, speaker
         self._topic = self._commands.topic_name
         self._clock = StampClock()  # of the joint states
@@ -185,7 +156,6 @@ class ControllerOutput(Output):
         self._recorded_at_s = self._lost_at_s = -1e9
 
     def check(self, sequence: ExcitationSequence) -> None:
-        """Raises: ExcitationError: Nobody listens, somebody else commands, or the controller cannot make it."""
         if self._node.count_subscribers(self._topic) == 0:
             raise ExcitationError(f"nobody listens to {self._topic}: load and activate the controller")
         publishers = self._node.get_publishers_info_by_topic(self._topic)
@@ -246,8 +216,7 @@ class ControllerOutput(Output):
         self._controller.release()
         self._last_words.dismiss()
 
-    def finish(self) -> None:
-        """The controller keeps the last command, whatever becomes of us."""
+    def finish(self) -> None:  # the controller keeps the last command, whatever becomes of us
         if not self._controller.holding:
             return
         last = [0.0] * len(self._controller.joints)
@@ -289,14 +258,11 @@ class ControllerOutput(Output):
     def _take_up(self, stamp_ns: int | None) -> None:
         """Publish what was sent, stamped with when the controller took it: its next update, of which a joint state tells.
 
-        Args:
-            stamp_ns: Of a joint state; None: none comes, and what was sent is stamped so.
+        Without one, what was sent is stamped as it was.
         """
         taken = [sent_ns for sent_ns in self._untaken if stamp_ns is None or sent_ns + ON_THE_WAY_NS <= stamp_ns]
+        records = {sent_ns: self._untaken.pop(sent_ns) for sent_ns in taken}
         for sent_ns in taken if stamp_ns is None else taken[-1:]:
-            record = self._untaken[sent_ns]
+            values = {self._controller.recorded_as: list(records[sent_ns].values())}
             when_ns = sent_ns if stamp_ns is None else stamp_ns
-            values = {self._controller.recorded_as: list(record.values())}
-            self._applied.publish(messages.joint_state(when_ns, list(record), **values))
-        for sent_ns in taken:
-            del self._untaken[sent_ns]
+            self._applied.publish(messages.joint_state(when_ns, list(records[sent_ns]), **values))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -46,9 +47,8 @@ class Parameter:
         )
         if self.lowest is not None and self.highest is not None:
             if isinstance(self.default, float):
-                message.floating_point_range = [
-                    FloatingPointRange(from_value=float(self.lowest), to_value=float(self.highest), step=0.0)
-                ]
+                low, high = float(self.lowest), float(self.highest)
+                message.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
             else:
                 message.integer_range = [IntegerRange(from_value=int(self.lowest), to_value=int(self.highest), step=1)]
         return message
@@ -73,9 +73,16 @@ def value_of(node: Node, name: str) -> Any:
     return [entry for entry in value if entry != ""] if isinstance(value, (list, tuple)) else value
 
 
+def fields_stated(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a data class that are parameters, whose names have no unit: ``max_jump`` is ``max_jump_rad``."""
+    return {
+        field.name: value
+        for field in fields(kind)
+        for name, value in values.items()
+        if re.fullmatch(f"{name}(_m|_s|_C|_rad|_rad_s)?", field.name)
+    }
+
+
 ROBOT = Parameter("robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file.")
-AUTOSTART = Parameter(
-    "autostart",
-    True,
-    "Configure and activate at once; false leaves that to a lifecycle manager or `ros2 lifecycle set`.",
-)
+_ABOUT_AUTOSTART = "Configure and activate at once; false leaves that to a lifecycle manager or `ros2 lifecycle set`."
+AUTOSTART = Parameter("autostart", True, _ABOUT_AUTOSTART)

@@ -31,43 +31,24 @@ from proprio_ros.nodes.parameters import AUTOSTART, Parameter, declare
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 """The last message reaches those who come later, too."""
-
 STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Joint states that are being recorded: none may be lost while a thread is busy."""
-
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)  # only the newest command counts
-
 FROM_MANY = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """Commands, of whoever sends some: those of one publisher must not push out another's before they are seen."""
-
-
 IDLE_PAUSE_S = 0.008
 """Between two callbacks of a node that has nothing to do. Every wake-up costs 0.3 ms, whatever it is for: without this a driver at
 250 Hz had its idle listeners take a quarter of a core each. A service call still waits for three or four of them only."""
-
-
 LONGEST_TURN_S = 0.02
 """For so long messages are handed on at one wake-up: where they come faster than they are taken, timers must have their turn."""
 
 
 def waiting(subscription: Any, data: Any) -> Iterator[Any]:
-    """All that came on a subscription, taken from its queue without a wake-up for each message.
-
-    Args:
-        subscription: Whose callback this is called from.
-        data: What the callback was given.
-    """
+    """All that came on a subscription, beside what its callback was given, without a wake-up for each message."""
     yield data
     with subscription.handle:
         while (more := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
             yield more[0]
-
-
-def newest(subscription: Any, data: Any) -> Any:
-    """What came last; see `waiting`."""
-    for last in waiting(subscription, data):
-        data = last
-    return data
 
 
 class ManagedNode(LifecycleNode):
@@ -140,21 +121,15 @@ class ManagedNode(LifecycleNode):
     ) -> None:
         """Subscribe, also to best-effort publishers, which a reliable subscription does not hear.
 
-        A reliable publisher repeats what was lost, so it is asked to until one is found that does not.
-
-        Args:
-            kind: Of message.
-            topic: Its name.
-            callback: For each message.
-            quality: Reliable.
-            raw: Whether the callback takes bytes.
-            only_newest: Whether, at present, all that waits but the newest may be left out.
-            together: Whether, at present, all that waits is handed on at one wake-up: a node that pauses between them keeps up.
+        A reliable publisher repeats what was lost, so it is asked to until one is found that does not. At present, may all that
+        waits but the newest be left out (``only_newest``)? Is all that waits handed on at one wake-up (``together``), so that a
+        node that pauses between them keeps up?
         """
 
         def hear(message: Any) -> None:
             if only_newest():
-                callback(newest(subscriptions[-1], message))
+                *_, last = waiting(subscriptions[-1], message)
+                callback(last)
             elif together():
                 end_s = clock.now() + LONGEST_TURN_S
                 for each in waiting(subscriptions[-1], message):
@@ -179,23 +154,17 @@ class ManagedNode(LifecycleNode):
     def call(
         self, client: Any, request: Any, patience_s: float, then: Callable[[Any, str], None], name: str = ""
     ) -> None:
-        """Call a service without waiting for it.
+        """Call a service without waiting for it; ``name`` is its own in words, where the client's is not meant.
 
-        Args:
-            client: Of the service.
-            request: For it.
-            patience_s: So long an answer is waited for.
-            then: Called later, once, with the response and an empty string, or with None and what went wrong.
-            name: Of the service, for words; empty: as the client has it.
+        ``then`` is called later, once, with the response and an empty string, or with None and what went wrong.
         """
         future, named = client.call_async(request), name or client.srv_name
 
         def end(response: Any, why: str) -> None:
-            if timer.is_canceled():
-                return
-            timer.cancel()
-            self.destroy_timer(timer)
-            then(response, why)
+            if not timer.is_canceled():
+                timer.cancel()
+                self.destroy_timer(timer)
+                then(response, why)
 
         def responded(_: Any) -> None:
             error = future.exception()
@@ -254,17 +223,14 @@ class ManagedNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         if self.real_time:
-            self._begin_real_time()
+            # a full collection takes longer than a servo's answer: what is here now stays for good
+            gc.collect()
+            gc.freeze()
+            # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
+            run_in_real_time()
         result = self._transition("activate", self.activate)
         self.active = result == TransitionCallbackReturn.SUCCESS
         return result if not self.active else super().on_activate(state)
-
-    def _begin_real_time(self) -> None:
-        # a full collection takes longer than a servo's answer: what is here now stays for good
-        gc.collect()
-        gc.freeze()
-        # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
-        run_in_real_time()
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = False
@@ -354,13 +320,10 @@ def _leave_shared_memory() -> None:
 
 
 def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = None) -> int:
-    """Run one node until it is asked to end (SIGINT, SIGTERM), and end it in order.
+    """Run one node until it is asked to end (SIGINT, SIGTERM), and end it in order; returns the exit code as `live` does.
 
     rclpy's own handlers shut the context down first, after which nothing can be published any more; ours let the node
     leave everything safe before.
-
-    Returns:
-        Exit code: 0, or 2 when it could not be configured.
     """
     _warn_about_mixed_installations()
     # no thread may keep the others from the interpreter for long: at the default of 5 ms a flood of commands has the bus miss
@@ -368,10 +331,8 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     sys.setswitchinterval(0.0005)
     ended = clock.event()
     _stay_on_this_machine()
-    if (
-        getattr(make, "real_time", False)
-        and os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp"
-    ):
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    if getattr(make, "real_time", False) and middleware == "rmw_fastrtps_cpp":
         _leave_shared_memory()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -389,16 +350,13 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
         Exit code: 0, or 2 when it could not be configured.
     """
     node: ManagedNode | None = None
-    spinner = SingleThreadedExecutor()
-    code = 0
+    spinner, code, done = SingleThreadedExecutor(), 0, TransitionCallbackReturn.SUCCESS
     try:
         node = make()
         spinner.add_node(node)
-        if node.values["autostart"]:
-            configured = node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-            if not configured or node.trigger_activate() != TransitionCallbackReturn.SUCCESS:
-                code = 2
-                ended.set()
+        if node.values["autostart"] and (node.trigger_configure() != done or node.trigger_activate() != done):
+            code = 2
+            ended.set()
         while not ended.is_set():
             _turn(node, spinner)
             if node.pause_s > 0.0:

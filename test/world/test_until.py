@@ -24,7 +24,7 @@ from proprio_ros.excitation.plans import ExcitationRun, load_sequence
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.live.job import Job, JobError
 from proprio_ros.live.workspace import Workspace
-from proprio_ros.nodes import jobs, refreshing
+from proprio_ros.nodes import jobs
 from proprio_ros.nodes.messages import labelled
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.request import Request
@@ -52,7 +52,7 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     path = tmp_path / "empty.yaml"
     section = {"hand": "empty", "runs": [{"joint": "joint3", "current_A": -0.3, "duration_s": 0.6}]}
     path.write_text(json.dumps({"excitation": section}))
-    asked = (Job("robot", "calibrate_robot"), str(path), Request(robot), [tmp_path], 0.0)
+    asked = (Job("robot", "calibrate_robot"), str(path), Request(robot), [tmp_path], {}, 0.0)
     assert work._chosen(*asked) == "" and not made
     section["until"] = {"half_interval": 5e-4, "unit": "kg", "at_most_s": 40}
     path.write_text(json.dumps({"excitation": section}))
@@ -87,19 +87,17 @@ def test_a_calibration_in_use_is_brought_up_to_date(tmp_path: Path, monkeypatch:
     )
     inputs: Any = SimpleNamespace(live=None, moment=lambda: Moment(made_s))
     recorded: list[str] = []
-    monkeypatch.setattr(refreshing, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3))
+    monkeypatch.setattr(jobs, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3))
+
+    work: Any = jobs.Jobs.__new__(jobs.Jobs)
+    work._workspace, work._inputs, work._results = workspace, inputs, results
+    work._value = {"robot_sequence": "empty_hand"}.__getitem__
+    work.record = lambda *given: recorded.append(given[2]) or bag
+    work._keep = lambda write: write()
 
     def refreshed() -> tuple[bool, str]:
-        job = Job("refresh", "refresh_robot")
-        return refreshing.refresh_robot(
-            job,
-            workspace,
-            inputs,
-            results,
-            "empty_hand",
-            lambda *given: recorded.append(given[2]) or bag,
-            lambda write: write(),
-        )
+        words: tuple[bool, str] = work._refresh(Job("refresh", "refresh_robot"))
+        return words
 
     with pytest.raises(JobError, match="call ~/calibrate_robot first"):
         refreshed()
