@@ -5,6 +5,7 @@ What the object is, the probe says; where it has a baseline, that is recorded fi
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -30,8 +31,7 @@ from proprio_ros.nodes.runtime import LATCHED
 from proprio_ros.probes.base import Example, HasBaseline, Probe
 
 SILENCE_S = 600.0
-"""Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang;
-one that has ended is noticed at once."""
+"""Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang."""
 NOT_READY_S = 60.0  # between nodes that are all up: a node that the others do not see yet
 REFERENCE_KG = 0.1
 _interrupted = threading.Event()
@@ -44,9 +44,8 @@ class DemoResult:
     Attributes:
         accepted: Whether the robot and the object were identified.
         sentence: The service's own words.
-        value: The probe's answer, in its SI unit; None where not determined.
+        value, truth: The probe's answer, in its SI unit, None where not determined; and what it should have been.
         ci95: Its interval, as published.
-        truth: What that really was.
         report: The HTML page.
         elapsed_s: From start to result.
     """
@@ -99,7 +98,7 @@ def demo(
     with Graph(folder / "logs") as graph:
         weighs = _start(graph, example, {"robot": robot, "seed": seed}, truth, folder, full)
         tell(f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}")
-        with _Client(graph, tell) as client:
+        with contextlib.closing(_Client(graph, tell)) as client:
             _obey_interrupt()
             client.wait_until_ready()
             accepted, sentence = client.identify(probe, example, weighs)
@@ -107,16 +106,10 @@ def demo(
             elapsed = time.monotonic() - started
             tell("done; the nodes are ending")
     name, _ = probe.answer
+    value = float(final[name]) if name in final else None
     reports = sorted(folder.glob(f"*_{probe.name}/report.html"))
-    return DemoResult(
-        accepted,
-        sentence,
-        float(final[name]) if name in final else None,
-        final.get(f"{name}.ci95", ""),
-        truth,
-        reports[-1] if accepted and reports else None,
-        elapsed,
-    )
+    report = reports[-1] if accepted and reports else None
+    return DemoResult(accepted, sentence, value, final.get(f"{name}.ci95", ""), truth, report, elapsed)
 
 
 def _start(graph: Graph, example: Example, robot: dict[str, Any], truth: float, folder: Path, full: bool) -> bool:
@@ -153,10 +146,8 @@ class _Client:
     """Calls services and listens, in this process."""
 
     def __init__(self, graph: Graph, tell: Callable[[str], None]) -> None:
-        self._graph = graph
-        self._tell = tell
-        self._last_words = ""
-        self._words = 0
+        self._graph, self._tell = graph, tell
+        self._last_words, self._words = "", 0
         self._final: dict[str, dict[str, str]] = {}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("proprio_demo")
@@ -165,10 +156,7 @@ class _Client:
         self._node.create_subscription(DiagnosticStatus, "/identifier/status", self._on_status, LATCHED)
         self._node.create_subscription(DiagnosticArray, "/identifier/estimate", self._on_estimate, LATCHED)
 
-    def __enter__(self) -> _Client:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
         rclpy.try_shutdown()
@@ -215,10 +203,8 @@ class _Client:
         ready = self._spin_until(lambda: not missing())
         self._node.destroy_subscription(subscription)
         if not ready:
-            raise ConfigurationError(
-                f"the nodes did not come up: no {', no '.join(missing())}, and not a word for {SILENCE_S:g} s; "
-                f"see {self._graph.logs}"
-            )
+            lacks = f"no {', no '.join(missing())}, and not a word for {SILENCE_S:g} s"
+            raise ConfigurationError(f"the nodes did not come up: {lacks}; see {self._graph.logs}")
 
     def call(self, name: str) -> tuple[bool, str]:
         """Call a service and wait for its word."""
@@ -227,9 +213,8 @@ class _Client:
             raise ConfigurationError(f"{name} is not there; see {self._graph.logs}")
         future = client.call_async(Trigger.Request())
         if not self._spin_until(future.done):
-            raise ConfigurationError(
-                f"{name} gave no answer, and not a word for {SILENCE_S:g} s; see {self._graph.logs}"
-            )
+            words = f"{name} gave no answer, and not a word for {SILENCE_S:g} s"
+            raise ConfigurationError(f"{words}; see {self._graph.logs}")
         answer = future.result()
         return bool(answer.success), str(answer.message)
 

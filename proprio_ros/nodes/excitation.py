@@ -26,7 +26,7 @@ from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, controller_of
-from proprio_ros.nodes.parameters import ROBOT, Parameter, fields_stated, value_of
+from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter, fields_stated, value_of
 from proprio_ros.nodes.runtime import COMMANDS, IDLE_PAUSE_S, LATCHED, STREAM, LongService, ManagedNode, run_node
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.recordings.description import robot_named
@@ -42,8 +42,6 @@ DRIVER_SILENT_S = 3.0
 """The driver publishes its state every second; a word that is older may be that of a driver that is gone."""
 HOLD_PAUSE_S = 0.002
 """Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
-INPUT_TOPICS = {"effort": "/forward_effort_controller/commands", "position": "/position_controller/commands"}
-"""Where controllers of others usually listen."""
 INTERFACES = ("driver", *INPUT_TOPICS)
 """What takes the commands: this package's driver, or an effort or position controller."""
 ENDS = ("hold", "zero")

@@ -11,38 +11,26 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.messages import text_of
 
 END_S = 10.0
-"""A node releases the arm, keeps what it recorded and ends within a second; a busy computer takes longer, and what takes too long
-is killed."""
+"""A node releases the arm, keeps what it recorded and ends within a second, or a little later; after this it is killed."""
 _PR_SET_PDEATHSIG = 1
 
 
 class Patience:
-    """How long to wait for those who say how far they are: until they have been silent for some time.
-
-    Args:
-        silence_s: Nothing said for so long is the end.
-        now: A clock [s].
-    """
+    """How long to wait for those who say how far they are: until they have been silent for some time, by a clock [s]."""
 
     def __init__(self, silence_s: float, now: Callable[[], float] = time.monotonic) -> None:
-        self._silence_s = silence_s
-        self._now = now
+        self._silence_s, self._now = silence_s, now
         self._heard: object = None
         self._since_s = now()
 
     def is_over(self, heard: object) -> bool:
-        """Whether nothing new was heard for too long.
-
-        Args:
-            heard: Anything that differs once there is something new.
-        """
+        """Whether nothing new was heard for too long; what was heard differs once there is something new."""
         if heard != self._heard:
             self._heard, self._since_s = heard, self._now()
         return self._now() - self._since_s > self._silence_s
@@ -54,13 +42,9 @@ def _end_with_parent() -> None:
 
 
 class Graph:
-    """Processes of nodes.
+    """Processes of nodes; what each prints goes into a folder of logs, and ``environment`` is added to this process's.
 
     Leaving the context ends them all: the driver last but for the virtual robot, so that what others still say is obeyed.
-
-    Args:
-        logs: Folder for what each node prints.
-        environment: Added to this process's.
     """
 
     def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -73,9 +57,7 @@ class Graph:
     def __enter__(self) -> Graph:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def start(self, node: str, parameters: Mapping[str, Any], namespace: str = "") -> subprocess.Popen[bytes]:
@@ -88,16 +70,9 @@ class Graph:
         if namespace:
             words += ["-r", f"__ns:=/{namespace}"]
         with (self.logs / f"{node}.log").open("ab") as log:
-            process = subprocess.Popen(
-                words,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-                start_new_session=True,
-                preexec_fn=_end_with_parent,
-            )
-        self.processes[node] = process
+            streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": subprocess.STDOUT}
+            alone: dict[str, Any] = {"start_new_session": True, "preexec_fn": _end_with_parent}
+            process = self.processes[node] = subprocess.Popen(words, env=self._environment, **streams, **alone)
         return process
 
     def log(self, node: str) -> str:
@@ -120,12 +95,8 @@ class Graph:
 
         SIGTERM ends even one that is still starting without a traceback.
         """
-        if node is not None:
-            self._end([node], number)
-            return
-        self._end([name for name in ("identifier", "excitation") if name in self.processes], number)
-        for name in ("driver", "virtual"):
-            self._end([name] if name in self.processes else [], number)
+        for names in [(node,)] if node else [("identifier", "excitation"), ("driver",), ("virtual",)]:
+            self._end([name for name in names if name in self.processes], number)
 
     def _end(self, nodes: list[str], number: int) -> None:
         for name in nodes:

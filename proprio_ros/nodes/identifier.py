@@ -96,14 +96,9 @@ class IdentifierNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def _prepare(self) -> None:
-        """All that needs the robot.
-
-        Raises:
-            ConfigurationError, RobotError: In one line, what is wrong with it or with a parameter.
-        """
+        """All that needs the robot."""
         workspace, stated = self._workspace, parse_settings(value_of(self, "settings"))
-        warning = workspace.find_calibration(self.values["calibration"])
-        if warning:
+        if warning := workspace.find_calibration(self.values["calibration"]):
             self.say("warning", warning)
         for name, default in self._sequences.items():
             if value_of(self, name) != default:  # not every robot can make every default
@@ -153,9 +148,9 @@ class IdentifierNode(ManagedNode):
     def _start(self) -> None:
         """Be there for others."""
         missing, running = self._missing(), self._weighing.begin()
-        ready = f"ready; {running}" if running else "ready"
         if running:
             self.say("info", running)
+        ready = "ready" + f"; {running}" * bool(running)
         self._results.tell("idle", missing or ready, level="warning" if missing else "ok")
 
     def cleanup(self) -> None:
@@ -164,8 +159,7 @@ class IdentifierNode(ManagedNode):
     def deactivate(self) -> None:
         self._excitation.closing = True
         self._weighing.end()
-        job = self._job
-        if job is not None:
+        if (job := self._job) is not None:
             job.cancelled.set()
             job.ended.wait(CALL_S)
         self._jobs.save_again()
@@ -193,9 +187,8 @@ class IdentifierNode(ManagedNode):
 
     def _on_progress(self, words: str, values: dict[str, str]) -> None:
         """The excitation node is busy."""
-        job = self._job
-        if job is not None:
-            entries = {"fraction": values.get("fraction", ""), "phase": values.get("phase", "")}
+        if (job := self._job) is not None:
+            entries = {key: values.get(key, "") for key in ("fraction", "phase")}
             self._results.tell(job.kind, words, entries)
 
     # --- services -----------------------------------------------------------------------------------------------------
@@ -204,8 +197,8 @@ class IdentifierNode(ManagedNode):
         """Why no job can be begun now, or an empty string."""
         if not self.active:
             return "the identifier node is not active"
-        if self._missing():
-            return f"not ready: {self._missing()}"
+        if missing := self._missing():
+            return f"not ready: {missing}"
         job = self._job
         return "" if job is None else f"busy: {job.service} is under way; wait for it, or call ~/cancel"
 

@@ -33,11 +33,7 @@ LATEST_S = 30.0
 
 
 class Inputs:
-    """Subscriptions, as bytes: that is what goes into a bag.
-
-    Args:
-        node: That listens.
-        busy: Whether a job is under way: every message counts then.
+    """Subscriptions, as bytes: that is what goes into a bag. While ``busy`` says that a job is under way, every message counts.
 
     Attributes:
         session: Takes all messages of a recording that is under way.
@@ -49,6 +45,7 @@ class Inputs:
         by_goals: Topic of the goals of servos that know no current; empty where there are none.
         swings: Whether a joint was let go of during the recording.
         conventions: Of the driver that publishes.
+        stamp_ns: Of the newest joint state.
 
     Raises:
         ConfigurationError: There is no such driver, or its efforts are of no use.
@@ -67,7 +64,6 @@ class Inputs:
         self._motors = self._temperatures = b""
         self._state_at_s = self._effort_at_s = -1e9
         self.stamp_ns = 0
-        """Of the newest joint state."""
         self._lag_ns = self._least_lag_ns = sys.maxsize  # from a joint state's stamp, of whatever clock, to here
         self._noted_ns = (0, 0)  # when that was, by the node's clock and by one that nobody sets
         try:
@@ -91,11 +87,7 @@ class Inputs:
         return topics
 
     def open(self, drives: Mapping[str, DriveTrain]) -> None:
-        """Subscribe.
-
-        Args:
-            drives: By joint of the robot; whoever else publishes joint states may have another clock.
-        """
+        """Subscribe; whoever publishes joint states of others than these may have another clock."""
         node = self._node
         self._joints = [self.conventions.published(name).encode() for name in drives]
         for role, topic, kind in (
@@ -104,10 +96,8 @@ class Inputs:
             ("current_command", "current_command", Float64MultiArray),
         ):  # fmt: skip
             listener = self.listener(node.resolve_topic_name(topic), role, kind)
-            skip = partial(self.may_skip, role)
-            node.listen(
-                kind, topic, listener, STREAM, raw=True, only_newest=skip, together=partial(self._takes_all, role)
-            )
+            skip, together = partial(self.may_skip, role), partial(self._takes_all, role)
+            node.listen(kind, topic, listener, STREAM, raw=True, only_newest=skip, together=together)
         driven_by = [drive.driven_by for drive in drives.values() if drive.driven_by is not None]
         if driven_by:
             full = node.resolve_topic_name(BATTERY_STATE)
@@ -164,17 +154,18 @@ class Inputs:
             elif role == "applied_effort":
                 self._effort_at_s = clock.now()
             session, heard, kept, arrived = self.session, self.heard, self.kept, self.arrived
+            raw = RawMessage(full_name, msgtype, now_ns, bytes(data))
             if role == "joint_states" and kept is not None:
-                kept.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
+                kept.append(raw)
                 while now_ns - kept[0].time_ns > 1e9 * self._node.values["weigh_seconds"]:
                     kept.popleft()
             if role == "joint_states" and arrived is not None:
-                arrived.append((now_ns, bytes(data)))
+                arrived.append((now_ns, raw.data))
             if heard is not None:
-                heard.append(RawMessage(full_name, msgtype, now_ns, bytes(data)))
+                heard.append(raw)
             if session is None:
                 return
-            session.add(full_name, msgtype, now_ns, bytes(data))
+            session.add(*raw)
             live = self.live
             if live is not None and role in ("joint_states", "applied_effort", "current_command"):
                 self._add_live(live, role, now_ns, deserialize_message(data, kind))
@@ -264,10 +255,8 @@ class Inputs:
         if self.by_goals:
             if node.count_publishers(self.by_goals):
                 return ""
-            return (
-                f"nobody publishes where the servos are sent, {self.by_goals}: start the excitation node with "
-                "command_interface:=position"
-            )
+            start = "start the excitation node with command_interface:=position"
+            return f"nobody publishes where the servos are sent, {self.by_goals}: {start}"
         if self.has_effort:
             return ""
         if node.count_publishers(effort):

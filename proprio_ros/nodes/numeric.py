@@ -41,13 +41,7 @@ def _numbers(value: Any, count: int) -> list[float]:
 
 
 def fill(message: Any, probe: Probe[Any], entries: Mapping[str, Any]) -> Any:
-    """Put numbers, verdict and reasons of an estimate into a message that has the fields.
-
-    Args:
-        message: `MassEstimate`, `ElasticityEstimate` or a result of `Weigh`.
-        probe: Whose answer is meant.
-        entries: Keys and values as in ``~/estimate``.
-    """
+    """Numbers, verdict and reasons of a probe's answer, as in ``~/estimate``, in a message of an estimate or a `Weigh` result."""
     name, unit = probe.answer
     setattr(message, _FIELDS[unit], _number(entries.get(name)))
     message.std = _number(entries.get(f"{name}.std"))
@@ -61,29 +55,20 @@ def fill(message: Any, probe: Probe[Any], entries: Mapping[str, Any]) -> Any:
 
 
 class StampedEstimates:
-    """``~/mass_estimate`` and ``~/elasticity_estimate``: what ``~/estimate`` says, as numbers.
-
-    Args:
-        node: That publishes.
-    """
+    """``~/mass_estimate`` and ``~/elasticity_estimate``: what ``~/estimate`` says, as numbers."""
 
     def __init__(self, node: ManagedNode) -> None:
         self._node, self._publishers = node, {}
         if MassEstimate is None:
-            node.get_logger().debug(
-                f"proprio_msgs is not installed: no ~/{ACTION}, no estimates as messages with numbers"
-            )
+            words = f"proprio_msgs is not installed: no ~/{ACTION}, no estimates as messages with numbers"
+            node.get_logger().debug(words)
             return
         mass = node.create_publisher(MassEstimate, "~/mass_estimate", LATCHED)
         elasticity = node.create_publisher(ElasticityEstimate, "~/elasticity_estimate", LATCHED)
         self._publishers = {"kg": (mass, MassEstimate), "Pa": (elasticity, ElasticityEstimate)}
 
     def publish(self, link: str, entries: Mapping[str, Any]) -> Callable[[], None] | None:
-        """An estimate, and nothing where the entries hold none, as those of the robot.
-
-        Args:
-            link: That holds what was identified.
-            entries: Keys and values as in ``~/estimate``.
+        """An estimate of what a link holds, and nothing where the entries of ``~/estimate`` hold none, as those of the robot.
 
         Returns:
             What withdraws it; None where no number of it stands.
@@ -138,22 +123,17 @@ class WeighAction:
             self._server.destroy()
 
     def _on_goal(self, request: Any) -> GoalResponse:
-        why = self._refused()
-        if why:
+        if why := self._refused():
             self._node.say("warning", f"~/{ACTION} is refused: {why}")
         return GoalResponse.REJECT if why else GoalResponse.ACCEPT
 
     def _on_accepted(self, goal: Any) -> None:
         asked = goal.request
         target = asked.target or probe_at_work().name
-        probe = (
-            probe_at_work() if target == WEIGH else next((each for each in all_probes() if each.name == target), None)
-        )
-        if probe is None or probe.answer[1] != "kg":
-            weighing = ", ".join([each.name for each in all_probes() if each.answer[1] == "kg"] + [WEIGH])
-            return self._end(
-                goal, probe_at_work(), Job(target, ACTION, message=f"target {target!r}: give one of {weighing}")
-            )
+        weighing = {each.name: each for each in all_probes() if each.answer[1] == "kg"} | {WEIGH: probe_at_work()}
+        if (probe := weighing.get(target)) is None:
+            words = f"target {target!r}: give one of {', '.join(weighing)}"
+            return self._end(goal, probe_at_work(), Job(target, ACTION, message=words))
         job = Job(target, ACTION, settings=tuple(asked.settings), sequence=asked.sequence)
         if asked.half_interval != 0.0:  # what is no number is refused with the sequence
             job.until = Until(asked.half_interval, "kg", asked.at_most_s or Until.at_most_s)
@@ -171,25 +151,16 @@ class WeighAction:
         return self._begin(job, answer)
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        job = self._job
-        if job is None:
-            return CancelResponse.REJECT
-        job.cancelled.set()
-        return CancelResponse.ACCEPT
+        if (job := self._job) is not None:
+            job.cancelled.set()
+        return CancelResponse.REJECT if job is None else CancelResponse.ACCEPT
 
     def hear(self, message: str, entries: Mapping[str, Any]) -> None:
-        """What the identifier published: progress of the job, or how its estimate goes.
-
-        Args:
-            message: The sentence.
-            entries: Keys and values of ``~/status`` or ``~/estimate``.
-        """
+        """What the identifier published on ``~/status`` or ``~/estimate``: progress of the job, or how its estimate goes."""
         goal = self._goal
-        if goal is None:
+        if goal is None or entries.get("doing") == "idle":
             return
         name = self._probe.answer[0]
-        if entries.get("doing") == "idle":
-            return
         if name in entries:
             if entries.get("final"):
                 return

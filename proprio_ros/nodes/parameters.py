@@ -83,6 +83,8 @@ def fields_stated(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+INPUT_TOPICS = {"effort": "/forward_effort_controller/commands", "position": "/position_controller/commands"}
+"""Where controllers of others usually listen."""
 ROBOT = Parameter("robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file.")
 _ABOUT_AUTOSTART = "Configure and activate at once; false leaves that to a lifecycle manager or `ros2 lifecycle set`."
 AUTOSTART = Parameter("autostart", True, _ABOUT_AUTOSTART)

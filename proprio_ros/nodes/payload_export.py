@@ -31,11 +31,7 @@ def stated_tool(text: str) -> list[float]:
 
 
 class HandingOn:
-    """Calls the service of the controller that the parameter `hand_on` names.
-
-    Args:
-        node: That calls.
-        results: Whose load is handed on.
+    """Calls the service of the controller that the parameter `hand_on` names, with the load that stands in the results.
 
     Raises:
         ConfigurationError: The controller is unknown, its messages are not there, or the tool is not stated.
@@ -62,37 +58,34 @@ class HandingOn:
 
     def _link(self, links: set[str]) -> str:
         """Whose frame is the controller's."""
-        stated = self._node.values["hand_on_link"]
-        if stated:
+        if stated := self._node.values["hand_on_link"]:
             return str(stated)
         for usual in self._controller.links:
             if usual in links:
                 return usual
-        raise ConfigurationError(
-            f"hand_on_link: the URDF has none of {self._name}'s usual links ({', '.join(self._controller.links)}): state the link "
-            "of the flange"
-        )
+        usual = ", ".join(self._controller.links)
+        words = f"the URDF has none of {self._name}'s usual links ({usual}): state the link of the flange"
+        raise ConfigurationError(f"hand_on_link: {words}")
 
     def apply(self, answer: Answer) -> None:
         """Hand on what stands, or answer why not."""
+        try:
+            self._hand_on(answer)
+        except ProprioError as error:
+            answer(False, f"nothing was handed on: {error}")
+
+    def _hand_on(self, answer: Answer) -> None:
         if self._name == "none":
             names = ", ".join(CONTROLLERS)
-            return answer(
-                False, f"nothing was handed on: the parameter hand_on names no controller; choose one of {names}"
-            )
+            raise ConfigurationError(f"the parameter hand_on names no controller; choose one of {names}")
         standing = self._results.load
         if standing is None:
-            return answer(
-                False, "nothing was handed on: no accepted answer stands; weigh the object first (calibrate_payload)"
-            )
-        try:
-            link = self._link({each.name for each in standing.robot.model.links})
-            load = together(load_at(standing.robot, standing.carried, link), self._tool)
-        except ProprioError as error:
-            return answer(False, f"nothing was handed on: {error}")
+            raise ConfigurationError("no accepted answer stands; weigh the object first (calibrate_payload)")
+        link = self._link({each.name for each in standing.robot.model.links})
+        load = together(load_at(standing.robot, standing.carried, link), self._tool)
         service = self._client.srv_name
         if not self._client.service_is_ready():
-            return answer(False, f"nothing was handed on: {service} is not there; start the arm's driver")
+            raise ConfigurationError(f"{service} is not there; start the arm's driver")
         request = self._kind.Request()
         self._controller.fill(request, load)
         tool = f", with the tool {load.mass_kg:.4g} kg" if self._tool[0] else ""
@@ -101,13 +94,12 @@ class HandingOn:
         said = f"{standing.words}{tool}, centre of mass ({centre}) m in {link}{guess}"
 
         def answered(response: Any, why: str) -> None:
-            refusal = "" if why else self._controller.refusal(response)
             if why:
                 answer(False, f"{why}; {NOT_KNOWN}")
-            elif refusal:
+            elif refusal := self._controller.refusal(response):
                 answer(False, f"{service} refused {said}: {refusal}")
             else:
                 self._node.say("info", f"handed on to {service}: {said}")
                 answer(True, f"handed on to {service}: {said}")
 
-        return self._node.call(self._client, request, ANSWER_S, answered)
+        self._node.call(self._client, request, ANSWER_S, answered)

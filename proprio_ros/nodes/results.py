@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
@@ -31,13 +30,11 @@ from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import hand_path, zero_pose
 
 
-@dataclass(frozen=True)
-class StandingLoad:
+class StandingLoad(NamedTuple):
     """What an accepted answer says the hand holds, until something newer is known.
 
     Attributes:
         robot: In whose payload frame it is.
-        carried: The load.
         words: Its mass with the interval.
     """
 
@@ -47,11 +44,7 @@ class StandingLoad:
 
 
 class Results:
-    """Publishers, all latched.
-
-    Args:
-        node: That publishes.
-        workspace: Whose calibration is used.
+    """Publishers of a node, all latched.
 
     Attributes:
         concluded: Whether a final estimate was published since this was last set to false.
@@ -100,13 +93,7 @@ class Results:
         self.tell(doing, message)
 
     def choice(self, robot: Robot, decision: Decision, pose: Mapping[str, float]) -> None:
-        """What is known after a push, and the way of the hand in the next.
-
-        Args:
-            robot: That is pushed.
-            decision: What comes next.
-            pose: Where it stands [rad or m].
-        """
+        """What is known after a push of a robot that stands at a pose [rad or m], and the way of the hand in the next."""
         push, here = decision.push, {**zero_pose(robot), **pose}
         path = None
         if push is not None and robot.model.joint(push.joint).kind != "prismatic":  # fingers that slide move no hand
@@ -122,8 +109,7 @@ class Results:
         """Keys and values as they are, and the calibration used."""
         values = {**entries, "calibration": entries.get("calibration", self._calibration)}
         self._estimate.publish(messages.diagnostics(self._now_ns(), [messages.status(level, name, message, values)]))
-        withdraw = self._stamped.publish(self.link, values)
-        if withdraw is not None:
+        if withdraw := self._stamped.publish(self.link, values):
             self._standing["stamped"] = withdraw
         self.hear(message, values)
 
@@ -142,17 +128,10 @@ class Results:
         self._conclude(estimate, name, entries | _about_load(carried))
 
     def calibration(self, estimate: CalibrationEstimate, output: str) -> None:
-        """That of the robot.
-
-        Args:
-            estimate: What was learnt.
-            output: Its file, which counts where it was accepted.
-        """
-        accepted = estimate.verdict is Verdict.ACCEPTED
+        """That of the robot; its file ``output`` counts where it was accepted."""
+        used = output if estimate.verdict is Verdict.ACCEPTED else self._calibration
         entries = calibration_as_diagnostics(estimate)
-        self._conclude(
-            estimate, "robot", {**entries, "final": True, "calibration": output if accepted else self._calibration}
-        )
+        self._conclude(estimate, "robot", {**entries, "final": True, "calibration": used})
 
     def _conclude(self, estimate: Estimate | CalibrationEstimate, name: str, entries: dict[str, Any]) -> None:
         entries |= {f"reason.{number}": reason for number, reason in enumerate(estimate.reasons, start=1)}
@@ -170,11 +149,9 @@ class Results:
         carried = probe.carried(facts, estimate) if accepted and isinstance(probe, Carries) else None
         self.final(estimate, estimate.probe, carried)
         value = estimate.values[0]
-        if (
-            estimate.verdict not in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
-            or not isinstance(value.value, float)
-            or not isinstance(value.std, float)
-        ):
+        if estimate.verdict not in (Verdict.ACCEPTED, Verdict.TOO_WIDE):
+            return
+        if not isinstance(value.value, float) or not isinstance(value.std, float):
             return
         now_ns, frame = self._now_ns(), self._node.values["frame_prefix"] + robot.payload_frame
         values = {entry.name: entry.value for entry in estimate.values if isinstance(entry.value, float)}
@@ -189,14 +166,7 @@ class Results:
             self._standing["markers"] = partial(self._markers.publish, messages.no_markers())
 
     def running(self, feed: OnlineFeed, estimate: OnlineEstimate, link: str, behind_s: float) -> None:
-        """What the hand holds now.
-
-        Args:
-            feed: That says so.
-            estimate: Of now.
-            link: That holds it.
-            behind_s: Since the newest sample came.
-        """
+        """What the hand holds now in its link, and how long ago the newest sample came [s]."""
         probe, words = feed.probe, "; ".join(filter(None, (online_words(estimate), feed.warning)))
         level = "warning" if feed.warning else "ok"
         self.link, held = link, max(estimate.mass_kg, 0.0)
@@ -207,15 +177,14 @@ class Results:
             return self.withdraw()
         self.load = None  # the hand may hold something else since
         self._publish_numbers(probe, {probe.answer[0]: held})
-        frame = self._node.values["frame_prefix"] + link
-        return self._publish_load(self._now_ns(), frame, load)
+        return self._publish_load(self._now_ns(), self._node.values["frame_prefix"] + link, load)
 
     def _publish_numbers(self, probe: Probe[Any], values: Mapping[str, float]) -> None:
         for topic, name in probe.numbers.items():
             if name in values:
-                publisher = self._numbers[topic]
-                publisher.publish(messages.number(values[name]))
-                self._standing[topic] = partial(publisher.publish, messages.number(math.nan))
+                publish = self._numbers[topic].publish
+                publish(messages.number(values[name]))
+                self._standing[topic] = partial(publish, messages.number(math.nan))
 
     def _publish_load(self, now_ns: int, frame: str, carried: Carried) -> None:
         def withdraw() -> None:

@@ -18,7 +18,7 @@ from proprio_ros import clock
 from proprio_ros.clock import Pacer
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.parameters import ROBOT, Parameter
+from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter
 from proprio_ros.nodes.runtime import FROM_MANY, LATCHED, STREAM, ManagedNode, run_node
 from proprio_ros.probes import virtual_object, virtual_objects
 from proprio_ros.recordings.description import robot_named
@@ -28,11 +28,8 @@ from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 
-INPUT_TOPICS = {
-    "effort_controller": "/forward_effort_controller/commands",
-    "position_controller": "/position_controller/commands",
-}
-INTERFACES = ("bus", *INPUT_TOPICS)
+CONTROLLERS = {f"{kind}_controller": topic for kind, topic in INPUT_TOPICS.items()}
+INTERFACES = ("bus", *CONTROLLERS)
 DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
 
 
@@ -101,7 +98,7 @@ class VirtualNode(ManagedNode):
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._motors = self.create_publisher(JointState, "~/motors", 10)
         self.every(0.02, self._publish_motors)
-        for interface, usual in INPUT_TOPICS.items():
+        for interface, usual in CONTROLLERS.items():
             if interface == self.values["interface"]:
                 topic = self.values["input_topic"] or usual
                 self._states = self.create_publisher(JointState, "joint_states", STREAM)
@@ -160,10 +157,8 @@ class VirtualNode(ManagedNode):
         """What is really going on: true positions [rad or m], and as effort the current in each motor [A]."""
         if self._robot is not None and self.active:
             position, current = self._robot.truth()
-            names = list(current)
-            now = self.get_clock().now().nanoseconds
-            true = [position[name] for name in names]
-            self._motors.publish(messages.joint_state(now, names, true, effort=[current[name] for name in names]))
+            now, true = self.get_clock().now().nanoseconds, [position[name] for name in current]
+            self._motors.publish(messages.joint_state(now, list(current), true, effort=list(current.values())))
 
     def _broadcast(self, driver: EffortDriver) -> None:
         """As a controller manager: read, take what was commanded since, write, again and again while the node is active."""
@@ -187,8 +182,7 @@ class VirtualNode(ManagedNode):
     def _fill_hand(self) -> None:
         if self._robot is None:
             return
-        things = {"empty": None, "reference": self._reference}
-        thing = things.get(self._hand, self._object)
+        thing = {"empty": None, "reference": self._reference}.get(self._hand, self._object)
         if self._content_is_out and thing is not None:
             thing = thing.emptied
         self._robot.hold(thing)

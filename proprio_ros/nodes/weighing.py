@@ -41,24 +41,14 @@ Identify = Callable[[Job, Path, Options, Callable[[Estimate], None]], Estimate]
 class Weighing:
     """What the hand held in the last seconds, on request; what it holds now, all the time where that is asked for.
 
-    Args:
-        node: Whose parameters count.
-        workspace: Robot and calibration.
-        inputs: What comes in.
-        results: Where the answers go.
-        silent: Whether the running estimate only listens: a job is under way, or the robot is not what it was.
+    While ``silent`` says so, the running estimate only listens: a job is under way, or the robot is not what it was.
     """
 
     def __init__(
         self, node: ManagedNode, workspace: Workspace, inputs: Inputs, results: Results, silent: Callable[[], bool]
     ) -> None:
-        self._node, self._workspace, self._inputs, self._results, self._silent = (
-            node,
-            workspace,
-            inputs,
-            results,
-            silent,
-        )
+        self._node, self._workspace, self._inputs = node, workspace, inputs
+        self._results, self._silent = results, silent
         self._make_feed: Callable[[], OnlineFeed] | None = None
 
     def prepare(self) -> None:
@@ -70,19 +60,15 @@ class Weighing:
         self._inputs.kept = self._make_feed = None
         asked, stated = bool(self._node.values["running"]), parse_settings(value_of(self._node, "settings"))
         self._robot: Robot = self._workspace.configured(stated)
-        if self._robot.motion_calibration is None:
-            if asked:
-                self._node.say("warning", f"the running estimate is off: {NO_MOTIONS}")
-            return
-        self._inputs.kept = deque()
-        if any(drive.driven_by is not None for drive in self._robot.drive_trains.values()):
-            # a published effort of theirs is no current
-            if asked:
-                self._node.say(
-                    "warning", f"the running estimate is off: a voltage drives motors of {self._robot.name} (driven_by)"
-                )
-            return
-        if asked:
+        off = "" if self._robot.motion_calibration is not None else NO_MOTIONS
+        if not off:
+            self._inputs.kept = deque()
+            if any(drive.driven_by is not None for drive in self._robot.drive_trains.values()):
+                # a published effort of theirs is no current
+                off = f"a voltage drives motors of {self._robot.name} (driven_by)"
+        if asked and off:
+            self._node.say("warning", f"the running estimate is off: {off}")
+        elif asked:
             probe = probe_at_work()
             request = self._workspace.request(probe, stated, None)
             self._make_feed = partial(OnlineFeed, probe, request.robot, request.facts)
@@ -98,9 +84,8 @@ class Weighing:
             raise JobError(f"not weighed: {NO_MOTIONS}")
         unit = self._inputs.measured_unit()
         if not unit:
-            raise JobError(
-                "not weighed: nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
-            )
+            words = "nothing says what the effort of the joint states is; give the parameter driver or effort_unit"
+            raise JobError(f"not weighed: {words}")
         if not self._inputs.has_states:
             raise JobError("not weighed: no joint states are coming; start the driver and check its bus")
         kept = list(self._inputs.kept)
@@ -124,11 +109,9 @@ class Weighing:
             raise JobError(f"not weighed: {error}; recording: {bag}") from error
         answer = interval_of(estimate)
         said = f"the last {seconds:g} s{self._workspace.used}; recording: {bag}"
-        return (
-            (True, f"{request.probe.subject} {answer}, {said}")
-            if answer
-            else (False, f"{refusal_of(estimate)}; {said}")
-        )
+        if answer:
+            return True, f"{request.probe.subject} {answer}, {said}"
+        return False, f"{refusal_of(estimate)}; {said}"
 
     # --- all the time -------------------------------------------------------------------------------------------------
 
@@ -150,9 +133,8 @@ class Weighing:
             self._weigh_on(feed)
         except Exception as error:  # a defect must be reported, and must not take the services along
             self._inputs.arrived = None
-            self._node.say(
-                "error", f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
-            )
+            words = f"the running estimate has ended ({type(error).__name__}: {error}); activate the node again"
+            self._node.say("error", words)
 
     def _weigh_on(self, feed: OnlineFeed) -> None:
         """Take what arrived, and publish what it says."""
@@ -167,9 +149,8 @@ class Weighing:
                 now_ns, data = arrived.popleft()
                 message = deserialize_message(data, JointState)
                 time_s = 1e-9 * (messages.time_ns(message.header.stamp) or now_ns)
-                estimate = feed.add(
-                    time_s, renamed(message.name), message.position, message.effort, self._inputs.measured_unit()
-                )
+                unit = self._inputs.measured_unit()
+                estimate = feed.add(time_s, renamed(message.name), message.position, message.effort, unit)
                 if feed.samples > samples:
                     samples, fed_s = feed.samples, clock.now()
                 if estimate is not None and not self._silent() and clock.now() - published_s >= 0.8 * RUNNING_PERIOD_S:
@@ -178,11 +159,7 @@ class Weighing:
                     self._results.running(feed, estimate, self._link, behind_s)
 
     def _say_whether_fed(self, feed: OnlineFeed, fed_s: float, said: str) -> str:
-        """Say once that nothing came for some time from which anything can be estimated, and once that it does again.
-
-        Returns:
-            What stands as said now; empty: nothing.
-        """
+        """Say once that nothing came for some time to estimate from, and once that it does again; returns what stands."""
         if self._silent():
             return said
         why = ""
