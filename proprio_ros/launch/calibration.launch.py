@@ -35,50 +35,29 @@ from proprio_ros.probes.base import HasBaseline
 RELEASE_S = "15.0"
 """From SIGINT to SIGTERM [s]: a job that is under way is ended and its recording written before a node goes."""
 KILL_S = "5.0"
-
-ARGUMENTS = (
-    DeclareLaunchArgument(
-        "virtual", default_value="false", choices=["true", "false"], description="Start a virtual robot, and drive it."
-    ),
-    DeclareLaunchArgument(
-        "robot", default_value="", description="Robot of config/robots, or a robot file. Empty: as in the parameter files."
-    ),
-    DeclareLaunchArgument(
-        "port",
-        default_value="",
-        description="Serial port of the servo bus; with virtual:=true the path under which the virtual bus appears. "
-        "Empty: as in the parameter files (/dev/ttyUSB0); with virtual:=true one in the folder for temporary files.",
-    ),
-    DeclareLaunchArgument(
-        "rate", default_value="", description="Cycles per second of the driver [Hz]. Empty: as in the parameter files (100)."
-    ),
-    DeclareLaunchArgument(
-        "object",
-        default_value="0.05",
-        description="What the virtual hand holds in a probe: a mass [kg], payload:.., container:.., block:.., or none.",
-    ),
-    DeclareLaunchArgument(
-        "seed", default_value="", description="Draws the virtual arm's hidden numbers. Empty: as in the parameter files (1)."
-    ),
-    DeclareLaunchArgument(
-        "reference_mass",
-        default_value="",
-        description="Mass of a weighed object that you put into the hand when calibrate_robot asks for it [kg]; 0: none. "
-        "Empty: as in the parameter files (0); with virtual:=true 0.1, and the virtual robot's helper does it.",
-    ),
-    DeclareLaunchArgument(
-        "data_directory",
-        default_value="",
-        description="Where recordings, results and calibrations are kept. Empty: as in the parameter files; with virtual:=true a "
-        "folder of its own, so that no real arm is weighed with a virtual one's calibration.",
-    ),
-    DeclareLaunchArgument(
-        "params_file", default_value="", description="A parameter file of yours; counts over the package's, not over arguments."
-    ),
-    DeclareLaunchArgument(
-        "namespace", default_value="", description="Of all nodes, for several arms on one network; frames begin with it, too."
-    ),
-)  # fmt: skip
+TYPES = {"seed": int, "rate": float, "reference": float, "reference_mass": float, "reference_wait": float}
+"""Of parameters that are no texts."""
+ABOUT = {
+    "virtual": ("false", "Start a virtual robot, and drive it."),
+    "robot": ("", "Robot of config/robots, or a robot file. Empty: as in the parameter files."),
+    "port": ("", "Serial port of the servo bus; with virtual:=true the path under which the virtual bus appears. "
+             "Empty: as in the parameter files (/dev/ttyUSB0); with virtual:=true one in the folder for temporary files."),
+    "rate": ("", "Cycles per second of the driver [Hz]. Empty: as in the parameter files (100)."),
+    "object": ("0.05", "What the virtual hand holds in a probe: a mass [kg], payload:.., container:.., block:.., or none."),
+    "seed": ("", "Draws the virtual arm's hidden numbers. Empty: as in the parameter files (1)."),
+    "reference_mass": ("", "Mass of a weighed object that you put into the hand when calibrate_robot asks for it [kg]; 0: none. "
+                       "Empty: as in the parameter files (0); with virtual:=true 0.1, and the virtual robot's helper does it."),
+    "data_directory": ("", "Where recordings, results and calibrations are kept. Empty: as in the parameter files; with "
+                       "virtual:=true a folder of its own, so that no real arm is weighed with a virtual one's calibration."),
+    "params_file": ("", "A parameter file of yours; counts over the package's, not over arguments."),
+    "namespace": ("", "Of all nodes, for several arms on one network; frames begin with it, too."),
+}  # fmt: skip
+"""Default and description of every argument."""
+BOOLEAN = ["true", "false"]
+ARGUMENTS = [
+    DeclareLaunchArgument(name, default_value=value, description=words, choices=BOOLEAN if value in BOOLEAN else None)
+    for name, (value, words) in ABOUT.items()
+]
 
 
 def _program(node: str) -> dict[str, str]:
@@ -103,41 +82,33 @@ def _nodes(context: LaunchContext) -> list[Any]:
         raise RuntimeError(str(error)) from None
     link = Path(tempfile.gettempdir()) / "_".join(["proprio_virtual", *namespace.split("/")]).rstrip("_")
     port = given["port"] or (str(link) if virtual else "")
-    overrides: dict[str, dict[str, tuple[str, type]]] = {
-        "virtual": {
-            "robot": (given["robot"], str),
-            "link": (port, str),
-            "object": (given["object"], str),
-            "seed": (given["seed"], int),
-        },
-        "driver": {"robot": (given["robot"], str), "port": (port, str), "rate": (given["rate"], float)},
-        "excitation": {"robot": (given["robot"], str)},
+    mass, data, wait_s = given["reference_mass"], given["data_directory"], ""
+    if virtual:
+        mass, wait_s = mass or "0.1", "1.0"
+        data = data or f"~/.ros/proprio_ros/virtual_{given['seed'] or 'default'}"
+    reference = (
+        mass if virtual and float(mass) > 0.0 else ""
+    )  # whoever has no weight has none to put into the hand either
+    overrides: dict[str, dict[str, str]] = {
+        "virtual": {"link": port, "object": given["object"], "seed": given["seed"], "reference": reference},
+        "driver": {"port": port, "rate": given["rate"]},
+        "excitation": {},
         "identifier": {
-            "robot": (given["robot"], str),
-            "data_directory": (given["data_directory"], str),
-            "reference_mass": (given["reference_mass"], float),
-            "frame_prefix": (f"{namespace}/" if namespace else "", str),
+            "data_directory": data,
+            "reference_mass": mass,
+            "reference_wait": wait_s,
+            "frame_prefix": f"{namespace}/" if namespace else "",
         },
     }
-    if virtual:
-        mass = given["reference_mass"] or "0.1"
-        own = f"~/.ros/proprio_ros/virtual_{given['seed'] or 'default'}"
-        overrides["identifier"] |= {
-            "data_directory": (given["data_directory"] or own, str),
-            "reference_mass": (mass, float),
-            "reference_wait": ("1.0", float),
-        }
-        # whoever has no weight has none to put into the hand either
-        overrides["virtual"]["reference"] = (mass if float(mass) > 0.0 else "", float)
-    else:
+    if not virtual:
         del overrides["virtual"]
     prefix = "setpriv --pdeathsig INT --" if shutil.which("setpriv") else None
     actions: list[Any] = []
     for node, values in overrides.items():
         files = [str(resource("parameters", node)), *([given["params_file"]] if given["params_file"] else [])]
         stated = {
-            name: ParameterValue(TextSubstitution(text=value), value_type=kind)
-            for name, (value, kind) in values.items()
+            name: ParameterValue(TextSubstitution(text=value), value_type=TYPES.get(name, str))
+            for name, value in {"robot": given["robot"], **values}.items()
             if value
         }
         # nothing can be weighed without the driver; started anew it would take hold of an arm that nobody expects to move

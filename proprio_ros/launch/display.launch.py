@@ -17,18 +17,18 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource, share_directory
 from proprio_ros.robot import RobotModel
 
-ARGUMENTS = (
-    DeclareLaunchArgument(
-        "urdf", default_value="open_manipulator_x", description="URDF of the robot: one that comes with the package, or a path."
-    ),
-    DeclareLaunchArgument("namespace", default_value="", description="Of the arm's nodes and frames, as in calibration.launch.py."),
-    DeclareLaunchArgument(
-        "rviz", default_value="true", choices=["true", "false"], description="Start RViz; false publishes the frames only."
-    ),
-    DeclareLaunchArgument(
-        "rviz_config", default_value="", description="RViz configuration file. Empty: the package's config/proprio.rviz."
-    ),
-)  # fmt: skip
+ABOUT = {
+    "urdf": ("open_manipulator_x", "URDF of the robot: one that comes with the package, or a path."),
+    "namespace": ("", "Of the arm's nodes and frames, as in calibration.launch.py."),
+    "rviz": ("true", "Start RViz; false publishes the frames only."),
+    "rviz_config": ("", "RViz configuration file. Empty: the package's config/proprio.rviz."),
+}
+"""Default and description of every argument."""
+BOOLEAN = ["true", "false"]
+ARGUMENTS = [
+    DeclareLaunchArgument(name, default_value=value, description=words, choices=BOOLEAN if value in BOOLEAN else None)
+    for name, (value, words) in ABOUT.items()
+]
 
 
 def _installed(package: str) -> bool:
@@ -45,9 +45,8 @@ def _rviz_config(namespace: str) -> Path:
     if not namespace:
         return config
     copy = Path(tempfile.mkdtemp(prefix="proprio_rviz_")) / config.name
-    copy.write_text(
-        config.read_text(encoding="utf-8").replace('TF Prefix: ""', f"TF Prefix: {namespace}"), encoding="utf-8"
-    )
+    text = config.read_text(encoding="utf-8").replace('TF Prefix: ""', f"TF Prefix: {namespace}")
+    copy.write_text(text, encoding="utf-8")
     return copy
 
 
@@ -67,17 +66,13 @@ def _nodes(context: LaunchContext) -> list[Any]:
         raise RuntimeError(str(error)) from None
     prefix = f"/{namespace}" if namespace else ""
     frames = f"{namespace}/" if namespace else ""
+    text = ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str)
     actions: list[Any] = [
         Node(
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=namespace,
-            parameters=[
-                {
-                    "robot_description": ParameterValue(urdf.read_text(encoding="utf-8"), value_type=str),
-                    "frame_prefix": frames,
-                }
-            ],
+            parameters=[{"robot_description": text, "frame_prefix": frames}],
             output="screen",
         )
     ]

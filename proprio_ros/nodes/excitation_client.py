@@ -25,11 +25,7 @@ ABORT_S = 2.0
 
 
 class Excitation:
-    """Clients and the status of an excitation node.
-
-    Args:
-        node: That asks.
-        on_progress: Called with each status while it is busy.
+    """Clients and the status of an excitation node; ``on_progress`` is called with each status while it is busy.
 
     Attributes:
         values: Of its newest status.

@@ -25,8 +25,7 @@ def services() -> dict[str, str]:
 
 def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
     """What can be said to the node about a probe."""
-    called = f"calibrate_{probe.name}"
-    baseline = f"record_{probe.name}_baseline"
+    called, baseline = f"calibrate_{probe.name}", f"record_{probe.name}_baseline"
     if isinstance(probe, HasBaseline):
         called += f" and {baseline}"
     parameters = [
@@ -35,11 +34,9 @@ def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
     if isinstance(probe, HasBaseline):
         words = f"Bag of the {probe.baseline.noun}; empty: what {baseline} kept last; none: without."
         parameters.append(Parameter(f"{probe.name}_baseline", "", words, dynamic=True))
-    for limit in probe.limits if isinstance(probe, Guards) else ():
-        parameters.append(
-            Parameter(limit.name, limit.default, limit.description, limit.lowest, limit.highest, dynamic=True)
-        )
-    return parameters
+    limits = probe.limits if isinstance(probe, Guards) else ()
+    stated = ((each.name, each.default, each.description, each.lowest, each.highest) for each in limits)
+    return parameters + [Parameter(*limit, dynamic=True) for limit in stated]
 
 
 PARAMETERS = (

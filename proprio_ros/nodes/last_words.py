@@ -42,11 +42,7 @@ SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for c
 
 
 class LastWords:
-    """The other process, as the node sees it.
-
-    Args:
-        topic: Of the controller, with its full name.
-        controllers: What is switched back; None: nothing.
+    """The other process, as the node sees it: told the controller's topic, and the controllers that are switched back.
 
     Attributes:
         engaged: Whether they were switched.
@@ -65,15 +61,13 @@ class LastWords:
         ready, _, _ = select.select([self._process.stdout], [], [], START_S)
         if not ready or not self._process.stdout.readline():
             self._process.kill()
-            raise ConfigurationError(
-                "the process that holds the arm if this one is killed does not start: see its words above"
-            )
+            words = "the process that holds the arm if this one is killed does not start: see its words above"
+            raise ConfigurationError(words)
         os.set_blocking(self._process.stdin.fileno(), False)
         self._told_s = -1e9
 
     @property
     def alive(self) -> bool:
-        """Whether it would speak."""
         return self._process.poll() is None
 
     @property

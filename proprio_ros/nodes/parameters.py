@@ -42,9 +42,8 @@ class Parameter:
             raise ConfigurationError(f"parameter {self.name}={value!r}: choose one of {', '.join(self.choices)}")
 
     def descriptor(self) -> ParameterDescriptor:
-        message = ParameterDescriptor(
-            name=self.name, description=self.description, read_only=not self.dynamic, dynamic_typing=self.loose
-        )
+        kind = {"read_only": not self.dynamic, "dynamic_typing": self.loose}
+        message = ParameterDescriptor(name=self.name, description=self.description, **kind)
         if self.lowest is not None and self.highest is not None:
             if isinstance(self.default, float):
                 low, high = float(self.lowest), float(self.highest)

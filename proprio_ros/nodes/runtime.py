@@ -257,15 +257,10 @@ Answer = Callable[[bool, str], None]  # what answers a service call, once, from 
 
 
 class LongService:
-    """A `std_srvs/Trigger` service that is answered later, without a thread that waits.
+    """A `std_srvs/Trigger` service that is answered later, without a thread that waits: ``serve`` returns at once.
 
     rclpy answers when the callback returns; a coroutine that waits, or `MultiThreadedExecutor`, keeps a processor busy until
     then (rclpy 7.1: the identifier stood at 95 % of a core). So the answer is held back at the service's own `send_response`.
-
-    Args:
-        node: That offers it.
-        name: Of the service.
-        serve: Called with what answers; returns at once.
     """
 
     def __init__(self, node: ManagedNode, name: str, serve: Callable[[Answer], None]) -> None:
@@ -344,11 +339,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
 
 
 def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
-    """A node's life: made, configured, activated, spun until it is to end, and ended in order.
-
-    Returns:
-        Exit code: 0, or 2 when it could not be configured.
-    """
+    """A node's life: made, configured, activated, spun, and ended in order; returns 0, or 2 when it could not be configured."""
     node: ManagedNode | None = None
     spinner, code, done = SingleThreadedExecutor(), 0, TransitionCallbackReturn.SUCCESS
     try:
@@ -389,6 +380,5 @@ def _warn_about_mixed_installations() -> None:
     here = getattr(rclpy, "__file__", "") or ""
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p.startswith("/opt/ros")]
     if prefixes and here.startswith(sys.prefix) and not here.startswith("/opt/ros"):
-        logging.getLogger("proprio_ros").warning(
-            "rclpy comes from %s although %s is sourced: use one of the two, not both (README)", sys.prefix, prefixes[0]
-        )
+        words = "rclpy comes from %s although %s is sourced: use one of the two, not both (README)"
+        logging.getLogger("proprio_ros").warning(words, sys.prefix, prefixes[0])

@@ -30,13 +30,7 @@ ANSWER_S = 3.0  # whoever asked for a sequence waits for five seconds
 
 @dataclass(frozen=True)
 class Controllers:
-    """What is switched.
-
-    Attributes:
-        manager: Name of the controller manager.
-        ours: Controller that takes the commands.
-        others: Those that have the joints else.
-    """
+    """What is switched by a controller manager: ours takes the commands, the others have the joints else."""
 
     manager: str
     ours: str
@@ -44,7 +38,6 @@ class Controllers:
 
     @property
     def service(self) -> str:
-        """Of the switch."""
         return f"{self.manager}/switch_controller"
 
     def request(self, kind: Any, engage: bool) -> Any:
@@ -58,11 +51,7 @@ class Controllers:
 
 
 def switch_kind() -> Any:
-    """The service's class.
-
-    Raises:
-        ImportError: Its package is not there.
-    """
+    """The service's class; raises ImportError where its package is not there."""
     return importlib.import_module(f"{PACKAGE}.srv").SwitchController
 
 
@@ -73,10 +62,6 @@ def own_controller(topic: str) -> str:
 
 class Switching:
     """Asks a controller manager, without waiting.
-
-    Args:
-        node: That asks.
-        controllers: What is switched.
 
     Attributes:
         engaged: Whether ours is active, or may be.
@@ -93,12 +78,7 @@ class Switching:
         self.engaged = self.pending = False
 
     def ask(self, engage: bool, then: Callable[[str], None]) -> None:
-        """Have it switched.
-
-        Args:
-            engage: Whether to take over, or to hand back.
-            then: Called later with why it was not switched; empty: it was.
-        """
+        """Take over, or hand back; ``then`` is called later with why it was not switched, or an empty string."""
         if not self._client.service_is_ready():
             return then(f"{self.controllers.service} is not there: is controller_manager running?")
         # from now on ours may be active, whatever the answer
@@ -119,42 +99,28 @@ class Switching:
 def switching_of(node: ManagedNode, topic: str) -> Switching | None:
     """As the node's parameters state it; None where nobody is to switch, or the messages for it are not there.
 
-    Args:
-        node: That asks.
-        topic: Of the commands.
-
     Raises:
-        ConfigurationError: Nobody says which controller takes them.
+        ConfigurationError: Nobody says which controller takes the commands on this topic.
     """
     values = node.values
     if not values["controller_manager"]:
         return None
     ours = values["activate_controller"] or own_controller(topic)
     if not ours:
-        raise ConfigurationError(
-            f"activate_controller is empty, and {topic} names no controller: state which one takes the commands"
-        )
+        words = f"activate_controller is empty, and {topic} names no controller"
+        raise ConfigurationError(f"{words}: state which one takes the commands")
     manager, others = values["controller_manager"].rstrip("/"), tuple(values["deactivate_controllers"])
     try:
         return Switching(node, Controllers(manager, ours, others))
     except ImportError as error:
-        node.say(
-            "warning",
-            f"controllers are not switched, for the messages of {PACKAGE} are not there ({error}): activate {ours} yourself "
-            f"before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}",
-        )
+        lacks = f"controllers are not switched, for the messages of {PACKAGE} are not there ({error})"
+        install = f"activate {ours} yourself before a sequence, or install ros-jazzy-{PACKAGE.replace('_', '-')}"
+        node.say("warning", f"{lacks}: {install}")
         return None
 
 
 class SwitchedRuns:
-    """Sequences between two switches.
-
-    Args:
-        node: That makes them.
-        switching: Of its controllers.
-        speaker: Speaks for a node that is gone.
-        output: Holds the arm.
-    """
+    """A node's sequences between two switches; the output holds the arm, and the speaker speaks for a node that is gone."""
 
     def __init__(self, node: ExcitationNode, switching: Switching, speaker: LastWords, output: Output) -> None:
         self._node, self._switching, self._speaker, self._output = node, switching, speaker, output

@@ -39,8 +39,7 @@ class _Polled(CallbackGroup):
     def can_execute(self, entity: Any) -> bool:
         return False
 
-    def beginning_execution(self, entity: Any) -> bool:
-        return False
+    beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
         pass
