@@ -76,9 +76,8 @@ class Controller:
             words = f"state the {self.kind} controller's `joints` in its order; {robot.name} drives {driven}"
             raise ConfigurationError(f"controller_joints is empty: {words}")
         if unknown := [name for name in joints if name not in robot.drive_trains]:
-            raise ConfigurationError(
-                f"controller_joints: {robot.name} does not drive {', '.join(unknown)}{self.without}; it drives {driven}"
-            )
+            words = f"{robot.name} does not drive {', '.join(unknown)}{self.without}; it drives {driven}"
+            raise ConfigurationError(f"controller_joints: {words}")
         if len(set(joints)) != len(joints):
             raise ConfigurationError(f"controller_joints names a joint twice: {', '.join(joints)}")
         self.joints = tuple(joints)
@@ -93,10 +92,9 @@ class Controller:
         """
         named = {name for run in sequence.runs for name in (run.joint, *run.start)}
         if others := sorted({*named, *sequence.home, *sequence.from_here} - {*self.joints}):
-            raise ExcitationError(
-                f"{sequence.name} moves {', '.join(others)}, which the {self.kind} controller does not have: add to "
-                "controller_joints, or choose a sequence without it"
-            )
+            lacks = f"{', '.join(others)}, which the {self.kind} controller does not have"
+            remedy = "add to controller_joints, or choose a sequence without it"
+            raise ExcitationError(f"{sequence.name} moves {lacks}: {remedy}")
 
 
 class EffortController(Controller):
@@ -136,10 +134,8 @@ class EffortController(Controller):
     def check(self, sequence: ExcitationSequence) -> None:
         super().check(sequence)
         if any(run.goal_step for run in sequence.runs):
-            raise ExcitationError(
-                f"{sequence.name} pushes by steps of goals, which an effort controller does not take: choose a sequence with "
-                "currents"
-            )
+            words = "pushes by steps of goals, which an effort controller does not take"
+            raise ExcitationError(f"{sequence.name} {words}: choose a sequence with currents")
         if not self._hold.knows or self._hold.rate_hz < SLOWEST_HZ:
             raise ExcitationError(
                 f"joint states come {self._hold.rate_hz:.0f} times a second: efforts hold an arm with {SLOWEST_HZ:g} or more; "
@@ -243,10 +239,8 @@ class GoalController(Controller):
 
     def check(self, sequence: ExcitationSequence) -> None:
         if not all(run.goal_step for run in sequence.runs):
-            raise ExcitationError(
-                f"{sequence.name} pushes with currents, which a position controller does not take: choose a sequence whose runs "
-                "state goal_step"
-            )
+            words = "pushes with currents, which a position controller does not take"
+            raise ExcitationError(f"{sequence.name} {words}: choose a sequence whose runs state goal_step")
         super().check(sequence)
 
     def begin(self) -> None:

@@ -45,12 +45,7 @@ class FreeResponse:
 
 
 def free_swing(robot: Robot, joint: str, pose: Mapping[str, float]) -> FreeResponse:
-    """The pendulum that a joint is, with an empty hand.
-
-    Args:
-        robot: The arm.
-        joint: One that turns.
-        pose: Positions of all independent joints [rad or m].
+    """The pendulum that a joint is, with an empty hand, where all independent joints are at a pose [rad or m].
 
     Raises:
         ExcitationError: The joint slides, drives another one too, or gravity does not move it.

@@ -59,11 +59,7 @@ def unfit(sample: JointSample, joints: Sequence[str]) -> str:
 
 
 def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
-    """Whether an excitation may begin at a sample.
-
-    Raises:
-        ExcitationError: The sample is no good, or a joint is beyond its limits.
-    """
+    """Raises ExcitationError where no excitation may begin: the sample is no good, or a joint is beyond its limits."""
     if problem := unfit(sample, ways.joints):
         raise ExcitationError(f"cannot start: {problem}")
     for name in ways.joints:
@@ -79,32 +75,22 @@ def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
 def check_step(
     run: ExcitationRun, start: Mapping[str, float], sequence: ExcitationSequence, ways: Ways, guards: Guards, words: str
 ) -> None:
-    """Whether a servo that goes all the way to its goal stays within limits and clear of the table.
-
-    Raises:
-        ExcitationError: It would not.
-    """
+    """Raises ExcitationError where a servo that goes all the way to its goal leaves its limits, or comes too near to the table."""
     low, high = ways.limits(run.joint, guards.limit_margin_rad)
     goal = start[run.joint] + run.goal_step
     if not low <= goal <= high:
-        raise ExcitationError(
-            f"{words}: its goal would be {goal:.3g}, outside {low:.3g} .. {high:.3g} (limits less a margin); use a smaller "
-            "goal_step, or another start"
-        )
+        limits = f"{low:.3g} .. {high:.3g} (limits less a margin)"
+        remedy = "use a smaller goal_step, or another start"
+        raise ExcitationError(f"{words}: its goal would be {goal:.3g}, outside {limits}; {remedy}")
     if not ways.clear((start, {**start, run.joint: goal}), sequence.min_clearance_m):
-        raise ExcitationError(
-            f"{words}: on the way to its goal the arm would come too near to the base's plane; choose a higher pose"
-        )
+        near = "on the way to its goal the arm would come too near to the base's plane"
+        raise ExcitationError(f"{words}: {near}; choose a higher pose")
 
 
 def check_free_response(
     run: ExcitationRun, start: Mapping[str, float], sequence: ExcitationSequence, ways: Ways, guards: Guards, words: str
 ) -> None:
-    """Whether the joint would swing back without a guard ending it, with the lightest rotor that the robot file allows.
-
-    Raises:
-        ExcitationError: It would not.
-    """
+    """Raises ExcitationError where a guard would end the swing, with the lightest rotor that the robot file allows."""
     name, pose = run.joint, ways.whole(start)
     swing = free_swing(ways.robot, name, pose)
     drive = ways.robot.drive_trains[name]

@@ -86,18 +86,13 @@ class RunOutcome:
 
 
 class ExcitationMachine:
-    """Makes sequences of excitations, one at a time.
+    """Makes sequences of excitations, one at a time. All joints with a drive train are commanded, and must be in every sample.
 
     The same samples and times give the same commands. `start` begins a sequence; `tick` is to be called 40 times a second or
     more often until `busy` is false, and what it returns is to be sent to the servos at once.
 
-    Args:
-        robot: The arm. All joints with a drive train are commanded, and must be in every sample.
-        guards: When to stop.
-
     Attributes:
         ways: Of the arm, from pose to pose.
-        phase: What is going on.
         sequence: The present one or the last one; None before the first.
         command: The last one; right after `abort` already the one that holds.
         outcomes: What became of each push of the present or last sequence.
@@ -121,9 +116,8 @@ class ExcitationMachine:
         self.fraction = 0.0
         self.message = "waiting for a sequence"
         self.abort_reason = self.aborted_by = ""
-        self._run_index = 0
-        self._lost_runs = 0
-        self._current_A = 0.0
+        self._run_index = self._lost_runs = 0
+        self._current_A = self._onset_position = self._travel = 0.0
         self._goals: dict[str, float] = {}
         self._run_pose: dict[str, float] = {}  # goals when the current came on
         self._way = Way()
@@ -133,8 +127,6 @@ class ExcitationMachine:
         self._way_s = 0.0  # how far along the way the goals are
         self._seen_s = 0.0  # how much of the time since the last tick was seen
         self._recent: deque[tuple[float, float]] = deque()  # times and positions of the run's joint at rest
-        self._onset_position = 0.0
-        self._travel = 0.0
         self._off_since_s: dict[str, float] = {}
         self._expected_s: list[tuple[float, ...]] = []
         self._swing: FreeResponse | None = None  # of the run, where it is one
@@ -166,14 +158,12 @@ class ExcitationMachine:
             ConfigurationError, RobotError: The robot cannot make these runs.
         """
         if self.sequence is not None and self.busy:
-            raise ExcitationError(
-                f"{self.sequence.name} is under way (run {self.run_number} of {self.runs}): wait for its end, or abort it"
-            )
+            where = f"{self.sequence.name} is under way (run {self.run_number} of {self.runs})"
+            raise ExcitationError(f"{where}: wait for its end, or abort it")
         check_sequence(sequence, self.robot)
         if not sequence.runs:
-            raise ExcitationError(
-                f"{sequence.name}: its pushes are chosen while it goes on, by the identifier: call its service, not this one"
-            )
+            words = "its pushes are chosen while it goes on, by the identifier: call its service, not this one"
+            raise ExcitationError(f"{sequence.name}: {words}")
         check_start(sample, self.ways, self.guards)
         pose = self.ways.pose(sample)
         if sequence.from_here:
@@ -528,10 +518,9 @@ class ExcitationMachine:
         poor = [str(number) for number in range(1, self.runs + 1) if number not in good]
         if not poor:
             return f"{self.sequence.name} is done: all {self.runs} runs are good"
-        return (
-            f"{self.sequence.name} is done: {len(good)} of {self.runs} runs are good; run {', '.join(poor)} moved too little: "
-            f"allow {'a larger goal_step' if self._run.goal_step else 'more current'}, or start where gravity helps"
-        )
+        more = "a larger goal_step" if self._run.goal_step else "more current"
+        words = f"run {', '.join(poor)} moved too little: allow {more}, or start where gravity helps"
+        return f"{self.sequence.name} is done: {len(good)} of {self.runs} runs are good; {words}"
 
     def _progress(self) -> float:
         if self.phase is Phase.DONE:

@@ -51,12 +51,7 @@ class Way:
 
 
 def approach_s(widest_rad: FloatArray | float, velocity_rad_s: float) -> FloatArray:
-    """How long a minimum-jerk way takes [s].
-
-    Args:
-        widest_rad: Of the joint that moves farthest, at the motor's shaft.
-        velocity_rad_s: Peak speed there.
-    """
+    """How long a minimum-jerk way takes [s], by the way and the peak speed of the joint that moves farthest, at its shaft."""
     return np.maximum(MIN_APPROACH_S, PEAK_OVER_MEAN * widest_rad / velocity_rad_s)
 
 
@@ -95,16 +90,10 @@ class Ways:
     def find(
         self, before: Mapping[str, float], after: Mapping[str, float], sequence: ExcitationSequence, where: str
     ) -> Way:
-        """The straight way in joint space, or one over a higher pose when that comes too low.
-
-        Args:
-            before: Where all driven joints are [rad or m].
-            after: Where they are to be.
-            sequence: Says how fast, and how near to the base's plane.
-            where: What is there, for the message.
+        """The straight way of all driven joints [rad or m], or one over a higher pose when that comes too low.
 
         Raises:
-            ExcitationError: Neither keeps the clearance.
+            ExcitationError: Neither keeps the sequence's clearance; ``where`` says what is there.
         """
         for via in itertools.chain([()], ((pose,) for pose in self._high_poses(before, after))):
             poses = (dict(before), *via, dict(after))
@@ -120,11 +109,8 @@ class Ways:
         """Poses to go over, highest first: some joints moved before the others, or the arm at its zero pose."""
         turning = [name for name in self.joints if self.robot.model.joint(name).kind != "prismatic"]
         moved = [name for name in turning if before[name] != after[name]]
-        poses = [
-            {**before, **{name: after[name] for name in first}}
-            for count in range(1, len(moved))
-            for first in itertools.combinations(moved, count)
-        ]
+        some = itertools.chain.from_iterable(itertools.combinations(moved, count) for count in range(1, len(moved)))
+        poses = [{**before, **{name: after[name] for name in first}} for first in some]
         # the base joint does not lift anything: leave it where it is
         poses.append({**before, **{name: self._rest[name] for name in turning[1:]}})
         return sorted(poses, key=lambda pose: -self.height(pose))

@@ -175,12 +175,11 @@ class ExcitationNode(ManagedNode):
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         """A probe that cannot be made is refused when it is named, with the reason."""
-        for parameter in parameters:
-            if parameter.name == "probe":
-                try:
-                    load_sequence(str(parameter.value), self._robot)
-                except ProprioError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+        try:
+            for named in (parameter for parameter in parameters if parameter.name == "probe"):
+                load_sequence(str(named.value), self._robot)
+        except ProprioError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     # --- the way of the data ------------------------------------------------------------------------------------------
@@ -192,8 +191,7 @@ class ExcitationNode(ManagedNode):
             self._sample = sample
             self._tick(now)
         if self.active and any(name in self._machine.joints for name in message.name):
-            lost = self._output.hear(message, now, whole=sample is not None)
-            if lost:
+            if lost := self._output.hear(message, now, whole=sample is not None):
                 remedy = "check sign and unit of the efforts, what it carries, and who else moves it"
                 self.say("error", f"the arm is let go: {lost}; {remedy}")
                 self._abort(f"the arm was let go: {lost}")
@@ -244,8 +242,7 @@ class ExcitationNode(ManagedNode):
             if self._machine.busy:
                 words = "whoever asked for the sequence has fallen silent: is the identifier node alive?"
                 self._abort(words, aloud=True)
-        late = self._sample is None or abs(now - self._sample.time_s) > 0.5 * self.values["stale_after"]
-        if late:
+        if self._sample is None or abs(now - self._sample.time_s) > 0.5 * self.values["stale_after"]:
             self._tick(now)
         if self.active and not self._fresh:
             self._output.unheard()
@@ -370,10 +367,8 @@ class ExcitationNode(ManagedNode):
         return machine.phase, machine.run_number, machine.attempt, self._count, self._fresh, self._limp
 
     def _tell(self) -> None:
-        machine = self._machine
-        self._published = self._state()
-        self._published_at_s = clock.now()
-        sequence = machine.sequence
+        machine, sequence = self._machine, self._machine.sequence
+        self._published, self._published_at_s = self._state(), clock.now()
         values = {
             "sequence": self._count,
             "phase": machine.phase.value,

@@ -89,11 +89,7 @@ class Jobs:
         return value_of(self._node, name)
 
     def make(self, job: Job) -> tuple[bool, str]:
-        """Whether a job succeeded, and what there is to say.
-
-        Raises:
-            ProprioError: Why it ended without a result.
-        """
+        """Whether a job succeeded, and what there is to say; raises ProprioError where it ended without a result."""
         if job.kind == WEIGH:
             return self._weighing.weigh(job, self.identify)
         self.await_others()
@@ -107,18 +103,11 @@ class Jobs:
         return self._identify_object(job, probe_named(job.kind))
 
     def await_others(self) -> None:
-        """Driver and excitation may have come up a moment ago.
-
-        Raises:
-            JobError: One of them is not there.
-        """
+        """Driver and excitation may have come up a moment ago; raises JobError where one of them is not there."""
         deadline = clock.now() + READY_S
         while True:
-            missing = (
-                "" if self._inputs.has_states else "no joint states are coming; start the driver and check its bus"
-            )
-            missing = missing or self._excitation.missing() or self._inputs.missing()
-            if not missing:
+            missing = "no joint states are coming; start the driver and check its bus"
+            if self._inputs.has_states and not (missing := self._excitation.missing() or self._inputs.missing()):
                 return
             if clock.now() > deadline:
                 raise JobError(f"not ready: {missing}")
@@ -221,9 +210,7 @@ class Jobs:
         tell("identifying the robot")
         output = bag.parent / "calibration.yaml"
         options = replace(options, settings=parse_settings(self._value("reference_settings")))
-        estimate = calibrate_from_bags(
-            empty, references, options, output, tell, force=True
-        )  # in a folder of this session's
+        estimate = calibrate_from_bags(empty, references, options, output, tell, force=True)
         on = f"{len(estimate.run_fits)} of {estimate.runs} runs" if estimate.run_fits else f"{estimate.runs} motions"
         return self._calibrated(estimate, output, bag, (*empty, *references), f"robot calibrated on {on}")
 
@@ -238,9 +225,8 @@ class Jobs:
         if learnt is None or not learnt.driven:
             raise JobError(f"{used} was not made of driven runs: call ~/calibrate_robot with robot_sequence empty_hand")
         if learnt.made is None:
-            raise JobError(
-                f"{used} does not say when it was made, so nobody knows how old it is: call ~/calibrate_robot"
-            )
+            words = "does not say when it was made, so nobody knows how old it is: call ~/calibrate_robot"
+            raise JobError(f"{used} {words}")
         old = aged_robot(fresh, self._inputs.moment())
         if old is fresh:
             return True, f"up to date: made less than ten minutes ago, or by another clock; calibration: {used}"
