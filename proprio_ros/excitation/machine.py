@@ -21,8 +21,15 @@ import numpy as np
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.free_response import FreeResponse, free_swing
-from proprio_ros.excitation.guards import Guards, check_free_response, check_start, check_step, unfit
+from proprio_ros.excitation.guards import (
+    FreeResponse,
+    Guards,
+    check_free_response,
+    check_start,
+    check_step,
+    free_swing,
+    unfit,
+)
 from proprio_ros.excitation.plans import LEAST_CURRENT_A, ExcitationRun, ExcitationSequence, check_sequence, margin
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot

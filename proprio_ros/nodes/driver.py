@@ -82,8 +82,8 @@ class DriverNode(ManagedNode):
         if unknown:
             words = f"{robot.name} has no motor at {unknown[0]!r}; it has: {', '.join(robot.motors)}"
             raise ConfigurationError(f"parameter joints: {words}")
-        connection = ("baud_rate", "reply_timeout", "fast_sync_read")
-        bus = DynamixelBus(values["port"], servos, *(values[name] for name in connection))
+        port, baud_rate, timeout_s = values["port"], values["baud_rate"], values["reply_timeout"]
+        bus = DynamixelBus(port, servos, baud_rate, timeout_s, values["fast_sync_read"])
         settings = DriverSettings(**fields_stated(DriverSettings, values), reconnect_s=values["reconnect_period"])
         self._driver = ArmDriver(robot, bus, settings, self.say)
         self._effort_per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}

@@ -13,8 +13,7 @@ from support.hand import JOINTS, PERIOD_S, RATE_HZ, ROBOT, Hand
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation import machine as machine_module
 from proprio_ros.excitation.commands import Command, JointSample
-from proprio_ros.excitation.free_response import free_swing
-from proprio_ros.excitation.guards import Guards
+from proprio_ros.excitation.guards import Guards, free_swing
 from proprio_ros.excitation.machine import CAUGHT_RAD_S, LET_GO_S, LONGEST_CATCH_S, ExcitationMachine, Phase
 from proprio_ros.excitation.plans import LEAST_CURRENT_A, ExcitationRun, ExcitationSequence, load_sequence
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
