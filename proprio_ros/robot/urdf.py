@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -84,15 +85,7 @@ class Link:
 
 
 class UrdfReader:
-    """Reads one URDF document; every problem becomes one line that names the file, the element and the remedy.
-
-    Args:
-        text: The document.
-        source: What messages call it.
-
-    Raises:
-        RobotError: It is no URDF.
-    """
+    """Reads one URDF document; every problem becomes one line (`RobotError`) that names the source, the element and the remedy."""
 
     def __init__(self, text: str | bytes, source: str) -> None:
         self._source = source
@@ -119,35 +112,30 @@ class UrdfReader:
             RobotError: The document describes no physical tree of links.
         """
         for tag in ("link", "joint"):
-            count = len(self._robot.findall(tag))
-            if count > MOST_LINKS:
+            if (count := len(self._robot.findall(tag))) > MOST_LINKS:
                 self._fail(
                     f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves"
                 )
-        links = self._unique("link", [self._link(element) for element in self._robot.findall("link")])
+        links = self._unique("link", self._link)
         if not links:
             self._fail("the robot has no <link>")
-        joints = self._unique("joint", [self._joint(element) for element in self._robot.findall("joint")])
+        joints = self._unique("joint", self._joint)
         for joint in joints.values():
             for role, name in (("parent", joint.parent), ("child", joint.child)):
                 if name not in links:
                     self._fail(f"joint {joint.name!r} names an unknown {role} link {name!r}; links: {', '.join(links)}")
         self._check_mimics(joints)
         root = self._root(links, joints)
-        ordered = self._ordered(root, links, joints)
-        return (
-            one_line(self._robot.get("name") or "robot", LONGEST_NAME),
-            (links[root], *(links[joint.child] for joint in ordered)),
-            tuple(ordered),
-            root,
-        )
+        ordered = self._ordered(root, joints)
+        name = one_line(self._robot.get("name") or "robot", LONGEST_NAME)
+        return name, (links[root], *(links[joint.child] for joint in ordered)), tuple(ordered), root
 
-    def _unique(self, what: str, items: list[Any]) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for item in items:
-            if item.name in result:
-                self._fail(f"two {what}s are named {item.name!r}; give each a name of its own")
-            result[item.name] = item
+    def _unique(self, tag: str, read: Callable[[ElementTree.Element], Any]) -> dict[str, Any]:
+        items = [read(element) for element in self._robot.findall(tag)]
+        result = {item.name: item for item in items}
+        for name, count in Counter(item.name for item in items).items():
+            if count > 1:
+                self._fail(f"two {tag}s are named {name!r}; give each a name of its own")
         return result
 
     def _name(self, element: ElementTree.Element) -> str:
@@ -199,24 +187,24 @@ class UrdfReader:
         if mass_element is None or inertia_element is None:
             self._fail(f"{where}: <inertial> needs both <mass> and <inertia>; leave it out for a frame without mass")
         mass = self._number(mass_element, "value", where)
-        xx, xy, xz, yy, yz, zz = (
-            self._number(inertia_element, key, where) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        )
-        if 0.0 <= mass <= _NO_MASS_KG and max(map(abs, (xx, xy, xz, yy, yz, zz))) <= _NO_INERTIA_KG_M2:
+        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        xx, xy, xz, yy, yz, zz = (self._number(inertia_element, key, where) for key in keys)
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if 0.0 <= mass <= _NO_MASS_KG and np.abs(inertia).max() <= _NO_INERTIA_KG_M2:
             return Link(name, frozen(np.zeros((4, 4))))
         if mass <= 0.0:
             self._fail(f"{where}: mass must be positive, got {mass} kg; leave <inertial> out for a frame without mass")
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         smallest, middle, largest = np.linalg.eigvalsh(inertia)
+        moments = f"principal moments {smallest:.4g}, {middle:.4g}, {largest:.4g} kg m^2"
         if smallest <= 0.0:
             self._fail(
-                f"{where}: the inertia is not positive definite (principal moments {smallest:.4g}, {middle:.4g}, "
-                f"{largest:.4g} kg m^2): no body has it; take it from the CAD model or a solid of that size"
+                f"{where}: the inertia is not positive definite ({moments}): no body has it; take it from the CAD model or a "
+                "solid of that size"
             )
         if largest > (smallest + middle) * (1.0 + _ROUNDING):
             self._fail(
-                f"{where}: the inertia breaks the triangle inequality (principal moments {smallest:.4g}, {middle:.4g}, "
-                f"{largest:.4g} kg m^2; none may exceed the sum of the others): no body has it; check units and signs"
+                f"{where}: the inertia breaks the triangle inequality ({moments}; none may exceed the sum of the others): no "
+                "body has it; check units and signs"
             )
         link_from_inertial = self._origin(inertial, where)
         central = pseudo_inertia(mass, np.zeros(3), inertia)
@@ -297,9 +285,8 @@ class UrdfReader:
                 if joints[source].kind == "fixed":
                     self._fail(f"joint {seen[-1]!r} mimics {source!r}, which is fixed; let it mimic a joint that moves")
                 if source in seen:
-                    self._fail(
-                        f"joints mimic each other in a circle: {' -> '.join([*seen, source])}; leave one independent"
-                    )
+                    circle = " -> ".join([*seen, source])
+                    self._fail(f"joints mimic each other in a circle: {circle}; leave one independent")
                 seen.append(source)
                 mimic = joints[source].mimic
 
@@ -319,19 +306,15 @@ class UrdfReader:
             self._fail(f"several links have no parent: {', '.join(roots)}; join them to one root with fixed joints")
         return roots[0]
 
-    def _ordered(self, root: str, links: Mapping[str, Link], joints: Mapping[str, Joint]) -> list[Joint]:
-        children: dict[str, list[Joint]] = {name: [] for name in links}
-        for joint in joints.values():
+    def _ordered(self, root: str, joints: Mapping[str, Joint]) -> list[Joint]:
+        children: dict[str, list[Joint]] = defaultdict(list)
+        for joint in reversed(list(joints.values())):
             children[joint.parent].append(joint)
-        ordered: list[Joint] = []
-        waiting = list(reversed(children[root]))
+        ordered, waiting = [], [*children[root]]
         while waiting:
-            joint = waiting.pop()
-            ordered.append(joint)
-            waiting.extend(reversed(children[joint.child]))
-        if len(ordered) < len(joints):
-            reached = {joint.name for joint in ordered}
-            loop = [name for name in joints if name not in reached]
+            ordered.append(waiting.pop())
+            waiting += children[ordered[-1].child]
+        if loop := [name for name, joint in joints.items() if joint not in ordered]:
             self._fail(
                 f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it"
             )
