@@ -75,22 +75,15 @@ def warmer_K(one: Moment, other: Moment) -> dict[str, float]:
 
 
 def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibration:
-    """The same as a prior of another moment; unchanged where either moment is not known.
-
-    Args:
-        calibration: With the moment at which it was made.
-        drift: As the robot file states it.
-        now: When it is used.
-    """
+    """The same as a prior of another moment, when it is used; unchanged where either moment is not known."""
     then = calibration.made
     if then is None or now is None or (hours := hours_between(then, now)) is None:
         return calibration
     warmer = warmer_K(then, now)
     if hours <= ONE_SESSION_H and max(map(abs, warmer.values()), default=0.0) <= READ_TO_K:
         return calibration
-    return replace(
-        calibration, covariance=calibration.covariance + _growth(calibration, drift, hours, warmer), made=now
-    )
+    grown = calibration.covariance + _growth(calibration, drift, hours, warmer)
+    return replace(calibration, covariance=grown, made=now)
 
 
 def _growth(calibration: Calibration, drift: Drift, hours: float, warmer: Mapping[str, float]) -> FloatArray:
@@ -119,11 +112,8 @@ def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:
     friction, torque = drift.of("friction", hours, degrees), drift.of("torque_constant", hours, degrees)
     if friction < WORTH_SAYING:
         return ""
-    warmth = (
-        f" and a motor {abs(degrees):.0f} K {'warmer' if degrees > 0.0 else 'colder'}"
-        if abs(degrees) > READ_TO_K
-        else ""
-    )
+    warmth = f" and a motor {abs(degrees):.0f} K {'warmer' if degrees > 0.0 else 'colder'}"
+    warmth = warmth if abs(degrees) > READ_TO_K else ""
     return (
         f"{_age(hours)}{warmth} lie between the calibration and this recording: friction counts as uncertain by "
         f"{100 * friction:.0f} % and torque constants by {100 * torque:.1f} % beside what it knew; some empty-hand runs bring it "
@@ -132,6 +122,6 @@ def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:
 
 
 def _age(hours: float) -> str:
-    return (
-        f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} h" if hours >= 1.0 else f"{60 * hours:.0f} min"
-    )
+    if hours >= 48.0:
+        return f"{hours / 24.0:.0f} days"
+    return f"{hours:.0f} h" if hours >= 1.0 else f"{60 * hours:.0f} min"

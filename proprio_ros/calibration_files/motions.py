@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.section import (
+    RUN,
     check_section,
     correlation_of,
     exactly,
@@ -66,11 +67,6 @@ Key = tuple[str, str]
 """Kind of a term, and its joint."""
 _LARGEST = 1e5
 _LEAST_STD = 1e-15
-_RUN: dict[str, Form] = {
-    "name": Text(longest=9000),
-    "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
-    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
-}
 _JOINT: dict[str, Form] = {
     "name": Text(),
     "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
@@ -184,7 +180,7 @@ class MotionCalibration:
                 f"version {shortly(section.get('version', 1))} is of another release, this one reads {VERSION}: calibrate "
                 "again with the same recordings (`proprio calibrate`), which takes seconds"
             )
-        runs, entries = runs_of(section, _RUN), []
+        runs, entries = runs_of(section, RUN), []
         for number, entry in enumerate(part_of(section, "joints", list), 1):
             with under("joints", number):
                 entries.append(exactly(entry, _JOINT))

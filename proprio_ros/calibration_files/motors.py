@@ -36,21 +36,15 @@ class MotorIdentity:
     drive_mode: int
     moving_threshold: int
 
-    def as_settings(self) -> dict[str, int]:
-        """Plain numbers."""
-        return asdict(self)
+    as_settings = asdict
 
     def as_text(self) -> str:
         """As it goes over a topic."""
-        return json.dumps(self.as_settings())
+        return json.dumps(asdict(self))
 
     @classmethod
     def from_settings(cls, given: Any) -> MotorIdentity:
-        """The reverse of ``as_settings``.
-
-        Raises:
-            FormError: It is none.
-        """
+        """The reverse of ``as_settings``; raises `FormError`."""
         names = [field.name for field in fields(cls)]
         if not isinstance(given, Mapping) or set(given) != set(names):
             raise FormError(f"expected {', '.join(names)}, got {shortly(given)}")
@@ -73,7 +67,7 @@ def other_arm(calibrated: Motors, found: Motors) -> str:
     """How motors differ from those of a calibration, in words; empty where they may be the same."""
     differences = []
     for joint in [name for name in calibrated if name in found]:
-        one, other = calibrated[joint].as_settings(), found[joint].as_settings()
+        one, other = asdict(calibrated[joint]), asdict(found[joint])
         differ = [name for name in one if name != "firmware" and one[name] != other[name]]
         differences += [f"{joint} has {name.replace('_', ' ')} {other[name]}, not {one[name]}" for name in differ]
     return "; ".join(differences[:3])

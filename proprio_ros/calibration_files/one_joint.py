@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.section import (
+    RUN,
     check_section,
     lines_of,
     numbers_of,
@@ -30,7 +31,7 @@ from proprio_ros.calibration_files.section import (
     runs_of,
     short,
 )
-from proprio_ros.inputs.forms import Form, FormError, Number, Text
+from proprio_ros.inputs.forms import Form, FormError, Number
 from proprio_ros.records import FloatArray
 
 TERMS: Mapping[str, str] = {
@@ -46,12 +47,9 @@ shares of load friction are of the true torque and of its square."""
 FEWEST_RUNS = 3
 """Of fewer, none says by how much they differ."""
 _LARGEST = 1e6
-_RUN: dict[str, Form] = {
-    "name": Text(longest=9000),
-    "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
-    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
-    "read_kg": Number(unit="kg", lowest=-1e6, highest=1e6),
-    "std_kg": Number(unit="kg", lowest=0.0, highest=1e6),
+_RUN: dict[str, Form] = RUN | {
+    "read_kg": Number(unit="kg", lowest=-_LARGEST, highest=_LARGEST),
+    "std_kg": Number(unit="kg", lowest=0.0, highest=_LARGEST),
 }
 _FORMS: dict[str, Form] = {
     "torque_constant_N_m_per_A": Number("that the currents were multiplied with", "N m/A", 0.0, 1e3, open=True),
@@ -108,21 +106,13 @@ class JointCalibration:
 
     @classmethod
     def from_settings(cls, section: Any) -> JointCalibration:
-        """Read the section of a robot file.
-
-        Raises:
-            FormError: A key is missing, or a number is none.
-        """
+        """Read the section of a robot file; raises `FormError` where a key is missing, or a number is none."""
         check_section(section)
         runs, joint = runs_of(section, _RUN), part_of(section, "joint", str)
         constant, *terms, spread, residual = (read_under(section, key, form) for key, form in _FORMS.items())
         rows = numbers_of(section, "without")
-        if (
-            len(runs) < FEWEST_RUNS
-            or len(rows) != len(runs)
-            or any(len(row) != len(TERMS) for row in rows)
-            or not np.all(np.isfinite(rows))
-        ):
+        whole = len(rows) == len(runs) and all(len(row) == len(TERMS) for row in rows) and np.all(np.isfinite(rows))
+        if len(runs) < FEWEST_RUNS or not whole:
             raise FormError(
                 f"without must have a line of {len(TERMS)} finite numbers for each of {FEWEST_RUNS} runs or more; "
                 "calibrate again"

@@ -23,6 +23,7 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -111,11 +112,7 @@ class Moment:
 
     @classmethod
     def from_settings(cls, given: Any) -> Moment:
-        """The reverse of ``as_settings``.
-
-        Raises:
-            FormError: It is none.
-        """
+        """The reverse of ``as_settings``; raises `FormError`."""
         if not isinstance(given, Mapping) or not {"time_s"} <= set(given) <= {"time_s", "temperature_C"}:
             raise FormError(f"expected time_s and perhaps temperature_C, got {shortly(given)}")
         time_s, warmth = read_under(given, "time_s", _TIME), {}
@@ -256,11 +253,10 @@ class Calibration:
                     raise FormError(f"unit must be {_unit(keys[-1])!r}, got {shortly(entry['unit'])}")
         scale = np.array(stds)
         covariance = correlation_of(section, len(keys), _SMALLEST_EIGENVALUE) * scale[:, None] * scale[None, :]
+        defaults = zip(NOISE.items(), (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
         noise = {
-            name.removesuffix("_N_m").removesuffix("_rad_s").removesuffix("_rad"): read_under(
-                section, name, form, default
-            )
-            for (name, form), default in zip(NOISE.items(), (1.0, 0.0, 0.0, 0.01, 0.0, 0.0), strict=True)
+            re.sub("_(N_m|rad_s|rad)$", "", name): read_under(section, name, form, default)
+            for (name, form), default in defaults
         }
         if "made" in section:
             with under("made"):
@@ -271,13 +267,7 @@ class Calibration:
 def check_complete(
     calibration: Calibration, links: Sequence[str], drive_trains: Mapping[str, Any], priors: Mapping[str, Quantity]
 ) -> None:
-    """Whether the unknowns of a calibration file are those of this robot, and none of a calibrated joint was lost.
-
-    Args:
-        calibration: As the file has it.
-        links: Of the robot, by name.
-        drive_trains: Of the robot file, by joint; each a ``DriveTrain``.
-        priors: What the robot file says of unknowns that no drive train has, by kind.
+    """Check a calibration against the robot file's links, drive trains (by joint) and what it says of other unknowns (by kind).
 
     Raises:
         FormError: An unknown belongs to no joint or link of the robot, a joint lacks one that the robot file leaves open, or a
@@ -325,5 +315,4 @@ def _key(name: Any) -> Key:
 
 
 def _unit(key: Key) -> str:
-    kind = key if isinstance(key, str) else key[0]
-    return KINDS[kind].unit if kind in KINDS else ""
+    return KINDS[_kind(key)].unit if _kind(key) in KINDS else ""

@@ -7,8 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.inputs.forms import Form, FormError, shortly, under
+from proprio_ros.inputs.forms import Form, FormError, Number, Text, shortly, under
 from proprio_ros.records import FloatArray
+
+RUN: dict[str, Form] = {
+    "name": Text(longest=9000),
+    "duration_s": Number(unit="s", lowest=0.0, highest=1e7),
+    "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
+}
+"""What is said of a motion that a calibration was made of."""
 
 
 def triangle_of(correlation: FloatArray) -> str:
@@ -22,15 +29,10 @@ def lines_of(rows: Iterable[FloatArray], digits: int) -> str:
 
 
 def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> FloatArray:
-    """The matrix under ``correlation``, shape (count, count).
-
-    Args:
-        section: Of a calibration.
-        count: Of unknowns.
-        smallest: Eigenvalue that it must have.
+    """The matrix of so many unknowns under ``correlation``, shape (count, count).
 
     Raises:
-        FormError: It is none of so many unknowns, or of no covariance.
+        FormError: It is none of so many, or of no covariance: an eigenvalue is under the smallest.
     """
     rows = numbers_of(section, "correlation")
     if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
@@ -47,11 +49,7 @@ def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> F
 
 
 def numbers_of(section: Mapping[str, Any], key: str) -> list[list[float]]:
-    """The lines of numbers under a key.
-
-    Raises:
-        FormError: There are none, or a word is none.
-    """
+    """The lines of numbers under a key; raises `FormError` where there are none, or a word is none."""
     rows = []
     for n, line in enumerate(part_of(section, key, str).splitlines(), start=1):
         try:
@@ -62,22 +60,14 @@ def numbers_of(section: Mapping[str, Any], key: str) -> list[list[float]]:
 
 
 def exactly(entry: Any, forms: Mapping[str, Form], beside: tuple[str, ...] = ()) -> list[Any]:
-    """The values of a mapping that has exactly these keys, in their order.
-
-    Raises:
-        FormError: It has not, or a value is none of its form.
-    """
+    """The values of a mapping in the order of its keys, which must be exactly these; raises `FormError`."""
     if not isinstance(entry, Mapping) or set(entry) != {*forms, *beside}:
         raise FormError(f"expected {', '.join((*forms, *beside))}, got {shortly(entry)}")
     return [read_under(entry, key, form) for key, form in forms.items()]
 
 
 def read_under(given: Mapping[str, Any], key: str, form: Form, default: Any = None) -> Any:
-    """The value of a key as its form takes it.
-
-    Raises:
-        FormError: It is none of that form.
-    """
+    """The value of a key as its form takes it; raises `FormError` under the key."""
     with under(key):
         return form.read(given.get(key, default))
 
@@ -89,11 +79,7 @@ def check_section(section: Any) -> None:
 
 
 def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any, ...]:
-    """The runs of a calibration, each a mapping that has exactly these keys.
-
-    Raises:
-        FormError: One is not.
-    """
+    """The runs of a calibration, each a mapping that must have exactly these keys; raises `FormError`."""
     runs = part_of(section, "runs", list)
     for number, run in enumerate(runs, 1):
         with under("runs", number):
@@ -102,11 +88,7 @@ def runs_of(section: Mapping[str, Any], forms: Mapping[str, Form]) -> tuple[Any,
 
 
 def part_of(section: Mapping[str, Any], key: str, kind: type) -> Any:
-    """A part of a section that must be there.
-
-    Raises:
-        FormError: It is not, or is something else.
-    """
+    """A part of a section that must be there; raises `FormError` where it is not, or is something else."""
     if not isinstance(section.get(key), kind):
         raise FormError(f"{key} is missing or no {kind.__name__}; write it with `proprio calibrate`")
     return section[key]

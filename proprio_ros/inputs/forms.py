@@ -44,20 +44,12 @@ def under(*keys: object) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Form:
-    """What a value may be.
-
-    Attributes:
-        meaning: For the documentation.
-    """
+    """What a value may be; its meaning is for the documentation."""
 
     meaning: str = ""
 
     def read(self, value: Any) -> Any:
-        """The value as the code takes it.
-
-        Raises:
-            FormError: It is none of this form.
-        """
+        """The value as the code takes it; raises `FormError` where it is none of this form."""
         raise NotImplementedError
 
     def described(self) -> str:
@@ -67,12 +59,10 @@ class Form:
 
 @dataclass(frozen=True)
 class Number(Form):
-    """A finite number within a range.
+    """A finite number within a range, of an SI unit or none.
 
     Attributes:
-        unit: SI unit, or nothing.
-        lowest, highest: The range.
-        open: Whether the lowest is outside it.
+        open: Whether the lowest is outside the range.
         hint: How a number outside comes about, such as ``lengths are in m``.
     """
 
@@ -89,10 +79,9 @@ class Number(Form):
             raise FormError(f"expected {kind}, got {shortly(value)}")
         if self.lowest <= number <= self.highest and not (self.open and number == self.lowest):
             return number
+        words = f"must be {self._range()}"
         if self.lowest >= 0.0 >= number:
             words = "must not be negative" if self.lowest == 0.0 and not self.open else "must be positive"
-        else:
-            words = f"must be {self._range()}"
         raise FormError(f"{words}, got {number}{self._hint()}")
 
     def _hint(self) -> str:
@@ -129,9 +118,7 @@ class Numbers(Form):
     """A list of numbers.
 
     Attributes:
-        each: Form of each.
-        count: How many; None: any number from ``least`` on.
-        least, most: How many there may be.
+        count: How many; None: from ``least`` to ``most``.
         rising: Whether each must be greater than the one before.
         example: What a message shows, such as ``[x, y, z] in m``.
     """
@@ -176,12 +163,7 @@ class Truth(Form):
 
 @dataclass(frozen=True)
 class Text(Form):
-    """A printable text of one line.
-
-    Attributes:
-        what: It names.
-        longest: Characters that it may have.
-    """
+    """A printable text of one line, of at most so many characters; ``what`` it names."""
 
     what: str = "a text"
     longest: int = 255
@@ -229,12 +211,7 @@ class Perhaps(Form):
 
 @dataclass(frozen=True)
 class Part(Form):
-    """Keys and values, or whatever else a function of its own reads.
-
-    Attributes:
-        by: Reads the value; raises `FormError`.
-        kind: What the value is, for the documentation.
-    """
+    """Keys and values, or whatever else a function reads, which raises `FormError`; ``kind`` is for the documentation."""
 
     by: Callable[[Any], Any] = field(kw_only=True)
     kind: str = "keys and values"

@@ -12,10 +12,9 @@ import os
 import re
 import stat
 import warnings
-from collections.abc import Iterator
 from copy import deepcopy
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ LONGEST_TABLE = 64_000_000
 """Bytes of a CSV file: over ten hours at 30 Hz."""
 DEEPEST = 32
 """Lists and mappings within each other; the deepest file of this package has six."""
+_TOO_DEEP = f"nested more than {DEEPEST} deep"
 MOST_NODES = 20_000
 """Keys, values, lists and mappings of a YAML file, those that an alias stands for counted each time."""
 LONGEST_NAME, LONGEST_PATH = 255, 4095
@@ -65,18 +65,12 @@ def path_problem(path: str | Path) -> str:
 
 
 def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) -> str:
-    """The text of a file, without a byte order mark.
-
-    Args:
-        path: Of a regular file.
-        error: What is raised, with one sentence.
-        longest: Bytes that it may have.
+    """The text of a regular file of at most so many bytes, without a byte order mark.
 
     Raises:
         ProprioError: Of the kind given: it cannot be read, is no text, or is too long.
     """
-    problem = path_problem(path)
-    if problem:
+    if problem := path_problem(path):
         raise error(f"{path}: {problem}")
     try:
         if path.exists() and not stat.S_ISREG(path.stat().st_mode):
@@ -102,7 +96,7 @@ def json_of(text: str) -> Any:
     try:
         content = json.loads(text, parse_int=_whole)
     except RecursionError:
-        raise _Refused(f"nested more than {DEEPEST} deep") from None
+        raise _Refused(_TOO_DEEP) from None
     _check_depth(content)
     return content
 
@@ -116,16 +110,11 @@ def _check_depth(content: Any) -> None:
     level, depth = [content], 0
     while level:
         if depth > DEEPEST:
-            raise _Refused(f"nested more than {DEEPEST} deep")
-        level = [inner for outer in level for inner in _within(outer)]
-        depth += 1
-
-
-def _within(value: Any) -> Iterator[Any]:
-    if isinstance(value, dict):
-        yield from value.values()
-    elif isinstance(value, list):
-        yield from value
+            raise _Refused(_TOO_DEEP)
+        nested = [
+            outer.values() if isinstance(outer, dict) else outer for outer in level if isinstance(outer, (dict, list))
+        ]
+        level, depth = list(chain.from_iterable(nested)), depth + 1
 
 
 def yaml_of(text: str) -> Any:
@@ -160,13 +149,10 @@ def _parsed(text: str) -> Any:
         if id(node) in above:
             raise _Refused("an alias stands for what it is part of")
         if len(above) > DEEPEST:
-            raise _Refused(f"nested more than {DEEPEST} deep")
+            raise _Refused(_TOO_DEEP)
         if id(node) not in weights:
-            inner: list[Any] = []
-            if isinstance(node, MappingNode):
-                inner = [part for pair in node.value for part in pair]
-            elif isinstance(node, SequenceNode):
-                inner = list(node.value)
+            inner = node.value if isinstance(node, SequenceNode) else ()
+            inner = chain.from_iterable(node.value) if isinstance(node, MappingNode) else inner
             weights[id(node)] = 1 + sum(weight(part, (*above, id(node))) for part in inner)
             if weights[id(node)] > MOST_NODES:
                 raise _Refused(f"its aliases stand for more than {MOST_NODES} values")
@@ -175,7 +161,7 @@ def _parsed(text: str) -> Any:
     # the scanner looks ahead over all brackets of a line, which takes the square of their number
     depths = accumulate(1 if bracket in "[{" else -1 for bracket in re.findall(r"[][{}]", text))
     if max(depths, default=0) > 8 * DEEPEST:
-        raise _Refused(f"nested more than {DEEPEST} deep")
+        raise _Refused(_TOO_DEEP)
     weights: dict[int, int] = {}
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer = Counting
@@ -190,7 +176,7 @@ def _parsed(text: str) -> Any:
             weight(node, ())
             return constructor.construct_document(node)
     except RecursionError:
-        raise _Refused(f"nested more than {DEEPEST} deep") from None
+        raise _Refused(_TOO_DEEP) from None
     # a reader of YAML lets whatever its text leads it to through: of dates that are none, of tags that nobody knows
     except Exception as reason:
         problem, mark = getattr(reason, "problem", None), getattr(reason, "problem_mark", None)
@@ -200,12 +186,7 @@ def _parsed(text: str) -> Any:
 
 
 def yaml_file(path: Path, kind: type[ProprioError], called: str = "") -> Any:
-    """What a YAML file says (plain types only).
-
-    Args:
-        path: Of a regular file.
-        kind: What is raised, with one sentence.
-        called: What the file is called in it; empty: by its path.
+    """What a YAML file says (plain types only); messages call it by its path, or otherwise.
 
     Raises:
         ProprioError: Of that kind: it is not readable, or no YAML that `yaml_of` takes.

@@ -62,22 +62,14 @@ def share_directory() -> Path:
 
 
 def resource_names(kind: str) -> tuple[str, ...]:
-    """Names of all resources of a kind, sorted.
-
-    Args:
-        kind: One of `KINDS`.
-    """
+    """Names of all resources of one of `KINDS`, sorted."""
     folder, suffix = KINDS[kind]
     found = (share_directory() / folder).glob(f"*{suffix}")
     return tuple(sorted(path.name.removesuffix(suffix) for path in found if suffix or path.is_dir()))
 
 
 def resource(kind: str, name: str) -> Path:
-    """Path of a resource.
-
-    Args:
-        kind: One of `KINDS`.
-        name: Its name, with or without the suffix of its kind.
+    """Path of a resource by its name, with or without the suffix of its kind.
 
     Raises:
         ConfigurationError: There is none of that name.
@@ -99,12 +91,7 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
     """Write a text file that is either whole or as it was before.
 
     A new file gets the mode that the user's umask leaves, a replaced one keeps its own. A link is followed, and what is no file
-    (``/dev/stdout``, a pipe) is written into: nothing but a file is ever replaced.
-
-    Args:
-        path: Of the file.
-        text: All of it.
-        option: The command-line option that named the file, for the message.
+    (``/dev/stdout``, a pipe) is written into: nothing but a file is ever replaced. The option is what named the file.
 
     Raises:
         ConfigurationError: The file cannot be written.

@@ -93,16 +93,11 @@ class Settings:
         return frozenset(self._left)
 
     def take(self, key: str, default: Any, form: Form | None = None) -> Any:
-        """The user's value, or the default; as the form reads it, where there is one.
-
-        Raises:
-            ConfigurationError: It is none of that form.
-        """
+        """The user's value, or the default; as the form reads it, where there is one (see `read`)."""
         self._known.append(key)
-        value = default
         if key in self._left:
             self.taken.add(key)
-            value = self._left.pop(key)
+        value = self._left.pop(key, default)
         return value if form is None else read(key, value, form)
 
     def take_prefix(self, prefix: str) -> dict[str, Any]:
@@ -112,22 +107,18 @@ class Settings:
         return {key[len(prefix) :]: value for key, value in found.items()}
 
     def options(self, kind: Callable[..., _Options], prefix: str, defaults: Mapping[str, Any]) -> _Options:
-        """The options of a solver, a data class, from the keys under a prefix.
+        """The options of a solver, a data class, from the keys under a prefix such as ``solver.``; `SEARCH` has their forms.
 
-        Args:
-            kind: The data class; `SEARCH` knows the forms of its fields.
-            prefix: Such as ``solver.``.
-            defaults: Of the probe's file; a field that it leaves out has the class's own.
+        What the user leaves out is as in the defaults (of the probe's file), else as in the class.
 
         Raises:
             ConfigurationError: A value of the wrong form.
         """
         values: dict[str, Any] = {}
         for entry in fields(kind):  # type: ignore[arg-type]
-            if entry.name == "solver":  # the command line has a flag for it
-                continue
-            key = prefix + entry.name
-            values[entry.name] = self.take(key, defaults.get(entry.name, entry.default), SEARCH.get(key))
+            if entry.name != "solver":  # the command line has a flag for it
+                key = prefix + entry.name
+                values[entry.name] = self.take(key, defaults.get(entry.name, entry.default), SEARCH.get(key))
         return kind(**values)
 
     def refuse_rest(self) -> None:
@@ -142,14 +133,10 @@ class Settings:
 
 
 def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
-    """What ``config/probes`` says about a probe.
-
-    Args:
-        name: Of the file, without its suffix.
-        sections: That it must have.
+    """What the file of a probe in ``config/probes`` says.
 
     Raises:
-        ConfigurationError: It is not readable, or lacks a section.
+        ConfigurationError: It is not readable, or lacks one of these sections.
     """
     path: Path = resource("probes", name)
     content = yaml_file(path, ConfigurationError)
@@ -159,11 +146,7 @@ def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def read(key: str, value: Any, form: Form) -> Any:
-    """A value as its form reads it.
-
-    Raises:
-        ConfigurationError: It is none of that form.
-    """
+    """A value as its form reads it; raises a `ConfigurationError` where it is none of that form."""
     try:
         return form.read(value)
     except FormError as error:
