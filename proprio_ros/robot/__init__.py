@@ -7,33 +7,21 @@
 """
 
 from proprio_ros.robot.description import is_description
-from proprio_ros.robot.drive_train import DriveTrain, FingerTravel, Motor
+from proprio_ros.robot.drive_train import DriveTrain
 from proprio_ros.robot.fields import nested_settings
-from proprio_ros.robot.geometry import (
-    inertia_about_origin,
-    motion,
-    pseudo_inertia,
-    rotation_about,
-    rotation_from_rpy,
-    transform,
-)
+from proprio_ros.robot.geometry import inertia_about_origin, motion, pseudo_inertia, rotation_about, rotation_from_rpy
 from proprio_ros.robot.live_description import LiveDescription
-from proprio_ros.robot.robot_file import Robot, bare_settings, load_robot, with_recorded_torque
+from proprio_ros.robot.robot_file import Robot, load_robot, with_recorded_torque
 from proprio_ros.robot.tree import ReducedModel, RobotModel
-from proprio_ros.robot.urdf import JOINT_KINDS, Joint, Link
+from proprio_ros.robot.urdf import Joint
 
 __all__ = [
-    "JOINT_KINDS",
     "DriveTrain",
-    "FingerTravel",
     "Joint",
-    "Link",
     "LiveDescription",
-    "Motor",
     "ReducedModel",
     "Robot",
     "RobotModel",
-    "bare_settings",
     "inertia_about_origin",
     "is_description",
     "load_robot",
@@ -42,6 +30,5 @@ __all__ = [
     "pseudo_inertia",
     "rotation_about",
     "rotation_from_rpy",
-    "transform",
     "with_recorded_torque",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from proprio_ros.robot.wide import Wide, largest_torque
 STATE = "STATE THIS"
 CHECK = "CHECK THIS"
 _COLUMN = 52  # where comments begin
+_NO_TEXT = ("null", "true", "false", "yes", "no", "on", "off", "y", "n")  # what YAML reads as something else
 _WRITTEN_BY_CALIBRATE = ("model_fingerprint", "calibration", "joint_calibration")
 
 
@@ -46,7 +48,7 @@ def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | No
     """Write down what a URDF says of a robot, and what must be stated beside it.
 
     Args:
-        source: URDF file, bag with ``/robot_description``, or ``robot_descriptions:NAME``.
+        source: As for `read_model`.
         output: Where the file will be, since it names its URDF by the way to it.
         of_bag: As for `read_model`.
 
@@ -64,9 +66,8 @@ def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | No
         words = {"payload_frame": f"{CHECK}, a guess: "}.get(key, "") + _words(entry)
         lines.append(_line(0, key, values.get(key, _default(entry, model)), words))
         if key == "name":
-            lines.append(
-                _line(0, "urdf", _way(source, output), "its description: a .urdf file, a bag, robot_descriptions:NAME")
-            )
+            words = "its description: a .urdf file, a bag, robot_descriptions:NAME"
+            lines.append(_line(0, "urdf", _way(source, output), words))
     lines += ["", "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held", "joints:"]
     to_state = []
     for number, name in enumerate(model.independent_joints):
@@ -96,12 +97,8 @@ def _joint(model: RobotModel, name: str, explained: bool) -> list[str]:
         words = mark + _words(entry) if explained or mark else ""
         return _line(indent, key, _default(entry, model, name) if value is ... else value, words)
 
-    limits = (
-        ""
-        if math.isinf(joint.effort_limit)
-        else f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
-    )
-    lines = [f"  {_yaml(name)}:  # {joint.kind}{limits}", "    motor:"]
+    limits = f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
+    lines = [f"  {_yaml(name)}:  # {joint.kind}{limits if math.isfinite(joint.effort_limit) else ''}", "    motor:"]
     for key, entry in MOTOR.items():
         if key == NOMINAL:
             words = f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
@@ -125,10 +122,9 @@ def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
     """What holds where the key is left out, as the file writes it."""
     default = entry.default
     if isinstance(default, Wide):
-        names = (
-            [joint] if joint else [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
-        )
-        spread = default.at(0.0, min(largest_torque(model, name) for name in names or model.independent_joints)).std
+        turning = [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
+        names = [joint] if joint else turning or model.independent_joints
+        spread = default.at(0.0, min(largest_torque(model, name) for name in names)).std
         if not joint:
             return float(f"{spread:.2g}")
         default = Quantity(0.0, float(f"{spread:.2g}"))
@@ -173,11 +169,6 @@ def _yaml(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(_yaml, value)) + "]"
     if isinstance(value, str):
-        plain = value.replace("_", "").replace("/", "").replace(".", "").replace("-", "").isalnum()
-        plain = (
-            plain
-            and value[0].isalpha()
-            and value.lower() not in ("null", "true", "false", "yes", "no", "on", "off", "y", "n")
-        )
+        plain = re.fullmatch(r"[^\W\d_][\w/.-]*", value) and value.lower() not in _NO_TEXT
         return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     return f"{value:g}" if "e" not in f"{value:g}" else f"{value:.12f}".rstrip("0")

@@ -145,24 +145,15 @@ class Robot:
                 f"{self.source.name}: the calibration is of {', '.join(foreign)}, but {self.name} drives "
                 f"{', '.join(self.drive_trains)}: calibrate this robot"
             )
-        known = calibration.quantities
-        drives = {}
+        known, drives = calibration.quantities, {}
         for joint, drive in self.drive_trains.items():
             terms: dict[str, Any] = {term: known.get((term, joint), getattr(drive, term)) for term in TERMS}
             drives[joint] = replace(drive, **terms)
-        return replace(
-            self,
-            drive_trains=drives,
-            arm_scale=known.get("arm_scale", self.arm_scale),
-            delay=known.get("delay", self.delay),
-            torque_disturbance=calibration.torque_disturbance,
-            start_velocity=calibration.start_velocity,
-            friction_spread=calibration.friction_spread or self.friction_spread,
-            swing_error=calibration.swing_error,
-            residual_scale=calibration.residual_scale,
-            stamp_jitter_s=calibration.stamp_jitter_s,
-            calibration=calibration,
-        )
+        noise = ("torque_disturbance", "start_velocity", "swing_error", "residual_scale", "stamp_jitter_s")
+        changes: dict[str, Any] = {name: getattr(calibration, name) for name in noise}
+        changes |= {name: known.get(name, getattr(self, name)) for name in ("arm_scale", "delay")}
+        friction_spread = calibration.friction_spread or self.friction_spread
+        return replace(self, drive_trains=drives, friction_spread=friction_spread, calibration=calibration, **changes)
 
 
 _PATH = Text(longest=LONGEST_PATH)
@@ -175,21 +166,17 @@ def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
     if is_description(str(path)):
         return bare_settings(str(path))
     try:
-        text = text_of(path, RobotError)
-    except RobotError as error:
-        raise RobotError(f"{error}; {_choices()}") from error
-    try:
-        content = yaml_of(text)
-    except ValueError as error:
-        raise RobotError(f"{path}: not YAML ({error})") from error
-    try:
-        settings = dict(mapping(content))
+        settings = dict(mapping(yaml_of(text_of(path, RobotError))))
         for key in ("urdf", "extends"):
             if key in settings and (key == "extends" or settings[key] is not None):
                 with under(key):
                     _PATH.read(settings[key])
+    except RobotError as error:
+        raise RobotError(f"{error}; {_choices()}") from error
     except FormError as error:
         raise RobotError(f"{path.name}: {error}") from None
+    except ValueError as error:
+        raise RobotError(f"{path}: not YAML ({error})") from error
     if settings.get("urdf") is not None:
         settings["urdf"] = _urdf_source(settings["urdf"], path)
     if "extends" in settings:
@@ -206,8 +193,7 @@ def _urdf_source(text: str, source: Path) -> str:
     if text.startswith(PACKAGE):
         return text
     beside = source.parent / text
-    problem = path_problem(beside)
-    if problem:
+    if problem := path_problem(beside):
         raise RobotError(f"{source.name}: urdf: {one_line(text, 60)} {problem}")
     beside = beside.resolve()
     if beside.is_file() or (beside.is_dir() and is_bag(beside)):

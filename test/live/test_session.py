@@ -37,7 +37,8 @@ from proprio_ros.probes.softness import block_rotation, largest_squeeze
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import Recording
-from proprio_ros.robot import FingerTravel, load_robot
+from proprio_ros.robot import load_robot
+from proprio_ros.robot.drive_train import FingerTravel
 from proprio_ros.sim import sphere_kernels, squeeze
 
 ROBOT = load_robot("open_manipulator_x")

@@ -26,7 +26,8 @@ from proprio_ros.probes.softness.facts import block_facts
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem, block_unknowns
 from proprio_ros.quantity import Quantity
-from proprio_ros.robot import FingerTravel, Robot, load_robot
+from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot.drive_train import FingerTravel
 from proprio_ros.sim.energies import lame, young
 from proprio_ros.sim.mesh import box
 

@@ -13,7 +13,8 @@ from support.small_urdf import INERTIAL, THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource_names
-from proprio_ros.robot import bare_settings, load_robot, with_recorded_torque
+from proprio_ros.robot import load_robot, with_recorded_torque
+from proprio_ros.robot.robot_file import bare_settings
 
 MINIMAL = """\
 name: arm

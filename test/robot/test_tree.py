@@ -13,7 +13,9 @@ from support.small_urdf import THREE, chain, joint, link
 
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource
-from proprio_ros.robot import JOINT_KINDS, ReducedModel, RobotModel, load_robot, rotation_from_rpy, transform
+from proprio_ros.robot import ReducedModel, RobotModel, load_robot, rotation_from_rpy
+from proprio_ros.robot.geometry import transform
+from proprio_ros.robot.urdf import JOINT_KINDS
 
 GRAVITY = np.array([0.7, -1.9, -9.4])  # not along an axis, so that no component can be lost
 
