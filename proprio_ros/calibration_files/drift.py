@@ -98,8 +98,7 @@ def _growth(calibration: Calibration, drift: Drift, hours: float, warmer: Mappin
             by_time = drift.of("torque_constant", hours, 0.0)
             by_warmth = math.copysign(drift.of("torque_constant", 0.0, degrees), degrees)
             common[row] = value * np.sqrt(0.5) * by_time, value * np.sqrt(0.5) * by_warmth
-    growth: FloatArray = np.diag(own) + common @ common.T
-    return growth
+    return np.diag(own) + common @ common.T
 
 
 def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:

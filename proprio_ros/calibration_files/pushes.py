@@ -169,8 +169,7 @@ class Calibration:
     def correlation(self) -> FloatArray:
         """Shape (C, C)."""
         stds = np.sqrt(np.diag(self.covariance))
-        result: FloatArray = self.covariance / stds[:, None] / stds[None, :]
-        return result
+        return self.covariance / stds[:, None] / stds[None, :]
 
     @property
     def joints(self) -> tuple[str, ...]:

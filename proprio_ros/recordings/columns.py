@@ -25,8 +25,7 @@ class JointColumns(NamedTuple):
 
     def ahead_ns(self) -> TimeArray:
         """How far each header stamp is ahead of the recorder's time [ns], of those messages that have one."""
-        ahead: TimeArray = (self.stamp_ns - self.bag_ns)[self.stamp_ns != 0]
-        return ahead
+        return (self.stamp_ns - self.bag_ns)[self.stamp_ns != 0]
 
     def clock_ns(self) -> int:
         """How far the header stamps are ahead of the recorder's time [ns], 0 without any stamp."""

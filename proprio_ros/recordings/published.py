@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -23,19 +22,13 @@ PROBE_FRAMES = 36
 
 def published_robot(robot: Robot, text: TextRecording) -> Robot:
     """The robot with what the recording's own setting states: armature, and the torque that the current stands for."""
-    prefix = f"joints.{text.joint}.drive_train."
-    changes: dict[str, Any] = {}
-    current = _current(text)
-    nominal = abs(float(text.setting["torque_N_m"]) / current)
-    if text.joint in robot.drive_trains:
-        changes[f"{prefix}torque_constant_N_m_per_A"] = {
-            "value": nominal, "std": robot.drive_trains[text.joint].torque_constant.std,
-        }  # fmt: skip
+    stated, drive = {}, robot.drive_trains.get(text.joint)
+    if drive is not None:
+        nominal = abs(float(text.setting["torque_N_m"]) / _current(text))
+        stated["torque_constant_N_m_per_A"] = {"value": nominal, "std": drive.torque_constant.std}
         if "armature_kg_m2" in text.setting:
-            changes[f"{prefix}armature_kg_m2"] = {
-                "value": float(text.setting["armature_kg_m2"]), "std": robot.drive_trains[text.joint].armature.std,
-            }  # fmt: skip
-    robot = robot.with_overrides(changes)
+            stated["armature_kg_m2"] = {"value": float(text.setting["armature_kg_m2"]), "std": drive.armature.std}
+    robot = robot.with_overrides({f"joints.{text.joint}.drive_train.{key}": entry for key, entry in stated.items()})
     if "gravity_m_s2" in text.setting:
         robot = replace(robot, gravity=np.array([0.0, 0.0, -float(text.setting["gravity_m_s2"])]))
     return robot

@@ -303,15 +303,13 @@ def _is_excitation(record: JointRecord, inputs: InputRecord, interval: _Interval
 def _active(inputs: InputRecord) -> BoolArray:
     """Where each joint is driven, shape (C, J)."""
     if not inputs.measured:
-        commanded: BoolArray = np.abs(inputs.current_A) > ZERO_CURRENT_A
-        return commanded
+        return np.abs(inputs.current_A) > ZERO_CURRENT_A
     opening = inputs.times_ns <= inputs.times_ns[0] + int(REST_S * 1e9)
     opening[: min(MIN_SAMPLES, len(opening))] = True
     rest = np.median(inputs.current_A[opening], axis=0)
     # 1.4826: the median absolute deviation of a normal distribution is its standard deviation / 1.4826
     sigma = 1.4826 * float(np.median(np.abs(inputs.current_A[opening] - rest)))
-    raised: BoolArray = np.abs(inputs.current_A - rest) > max(MEASURED_CURRENT_FLOOR_A, 6.0 * sigma)
-    return raised
+    return np.abs(inputs.current_A - rest) > max(MEASURED_CURRENT_FLOOR_A, 6.0 * sigma)
 
 
 def _intervals_of_joint(record: JointRecord, inputs: InputRecord, joint: str, active: BoolArray) -> list[_Interval]:

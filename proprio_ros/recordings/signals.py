@@ -320,8 +320,7 @@ def _signed(names: Sequence[str], effort: FloatArray, notes: list[str]) -> Float
         f"effort of {which}: {_of(negative & columns)} values of {REGISTER - LARGEST_COUNT} and more beside small ones are "
         f"negative numbers of a 16-bit register that was read as unsigned; {REGISTER} was subtracted from them."
     )
-    result: FloatArray = np.where(negative & columns, effort - REGISTER, effort)
-    return result
+    return np.where(negative & columns, effort - REGISTER, effort)
 
 
 def _measured(path: Path, topic: Topic, record: JointRecord, asked: _Asked) -> InputRecord:

@@ -93,5 +93,4 @@ def _smoothed(signals: DriveSignals) -> FloatArray:
     first = np.searchsorted(times_s, times_s - 0.5 * SMOOTHED_S)
     last = np.searchsorted(times_s, times_s + 0.5 * SMOOTHED_S, side="right")
     total = np.concatenate([[0.0], np.cumsum(signals.voltage_V)])
-    result: FloatArray = (total[last] - total[first]) / (last - first)
-    return result
+    return (total[last] - total[first]) / (last - first)

@@ -60,8 +60,7 @@ class FingerTravel:
         """How far the finger moves per rad at some angles [m/rad]."""
         angle = np.asarray(angle_rad, dtype=np.float64)
         first, second, third = self.coefficients
-        ratio: FloatArray = first + angle * (2.0 * second + 3.0 * third * angle)
-        return ratio
+        return first + angle * (2.0 * second + 3.0 * third * angle)
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,7 @@ def rotation_about(axis: ArrayLike, angle: float) -> FloatArray:
     """Rotation matrix from a unit axis and an angle [rad] (Rodrigues' formula), shape (3, 3)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
-    return rotation
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
@@ -78,5 +77,4 @@ def pseudo_inertia(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) ->
 def inertia_about_origin(pseudo: ArrayLike) -> FloatArray:
     """Rotational inertia about the frame's origin [kg m^2], shape (3, 3), of a pseudo-inertia (4, 4)."""
     second = np.asarray(pseudo, dtype=np.float64)[:3, :3]
-    inertia: FloatArray = np.trace(second) * np.eye(3) - second
-    return inertia
+    return np.trace(second) * np.eye(3) - second

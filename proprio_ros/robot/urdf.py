@@ -67,8 +67,7 @@ class Joint:
 
     def transform(self, position: float) -> FloatArray:
         """parent_T_child at a position [rad or m], shape (4, 4)."""
-        result: FloatArray = self.origin @ motion(self.kind, self.axis, position)
-        return result
+        return self.origin @ motion(self.kind, self.axis, position)
 
 
 @dataclass(frozen=True, eq=False)
