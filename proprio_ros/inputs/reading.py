@@ -88,11 +88,7 @@ def text_of(path: Path, error: type[ProprioError], longest: int = LONGEST_TEXT) 
 
 
 def json_of(text: str) -> Any:
-    """What a JSON text says.
-
-    Raises:
-        ValueError: It is none, or is nested too deep.
-    """
+    """What a JSON text says. Raises `ValueError`: It is none, or is nested too deep."""
     try:
         content = json.loads(text, parse_int=_whole)
     except RecursionError:

@@ -21,11 +21,7 @@ _Options = TypeVar("_Options")
 
 
 def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
-    """Settings by dotted key; values are JSON, or bare words.
-
-    Raises:
-        ConfigurationError: A pair is not of that form.
-    """
+    """Settings by dotted key; values are JSON, or bare words. Raises `ConfigurationError`: A pair is not of that form."""
     settings: dict[str, Any] = {}
     for pair in pairs:
         key, separator, text = pair.partition("=")

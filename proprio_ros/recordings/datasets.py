@@ -99,11 +99,7 @@ class DataSet:
 
 
 def arrow() -> Any:
-    """The module pyarrow.
-
-    Raises:
-        ConfigurationError: It is not installed.
-    """
+    """The module pyarrow. Raises `ConfigurationError`: It is not installed."""
     try:
         import pyarrow
         import pyarrow.compute

@@ -15,11 +15,7 @@ def robot_named(name_or_path: str | Path, overrides: Mapping[str, Any] | None = 
 
 
 def description_of(bag: Path) -> str:
-    """The URDF that a bag holds on ``/robot_description``.
-
-    Raises:
-        RecordingError: It cannot be read, or holds no description.
-    """
+    """The URDF that a bag holds on ``/robot_description``. Raises `RecordingError`: It cannot be read, or holds no description."""
     from proprio_ros.recordings.contents import read_description
 
     return read_description(bag)

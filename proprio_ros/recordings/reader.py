@@ -98,11 +98,7 @@ class Bag:
         self.topics = Topics(path, tuple(Topic(*key, count) for key, count in sorted(counts.items())))
 
     def cut(self, states: Topic, span: Span | None) -> None:
-        """Read only a part from now on, of every topic.
-
-        Raises:
-            RecordingError: The part is behind the last joint state.
-        """
+        """Read only a part from now on, of every topic. Raises `RecordingError`: The part is behind the last joint state."""
         if span is None:
             return
         files = self._wanted(states)

@@ -196,11 +196,7 @@ def override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def nested_settings(joints: Sequence[str], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted settings as the robot file nests them.
-
-    Raises:
-        RobotError: A key is unknown.
-    """
+    """Dotted settings as the robot file nests them. Raises `RobotError`: A key is unknown."""
     paths = override_paths(joints)
     settings: dict[str, Any] = {}
     for key, value in overrides.items():

@@ -100,11 +100,7 @@ class RobotModel:
         return {joint.child: joint for joint in self.joints}
 
     def joint(self, name: str) -> Joint:
-        """A joint by name.
-
-        Raises:
-            RobotError: There is no such joint.
-        """
+        """A joint by name. Raises `RobotError`: There is no such joint."""
         if name not in self._joints_by_name:
             raise RobotError(
                 f"{self.name} has no joint {name!r}; its joints: {', '.join(self._joints_by_name) or 'none'}"
