@@ -169,11 +169,7 @@ class MotionCalibration:
 
     @classmethod
     def from_settings(cls, section: Any) -> MotionCalibration:
-        """Read the section of a robot file; the fingerprint stands elsewhere in the file.
-
-        Raises:
-            FormError: It is of another version, a key is missing, a number is none, or the correlations belong to no covariance.
-        """
+        """Read the section of a robot file, but for the fingerprint, which stands elsewhere in it; raises `FormError`."""
         check_section(section)
         if section.get("version", 1) != VERSION:
             raise FormError(

@@ -175,10 +175,8 @@ class Calibration:
     def joints(self) -> tuple[str, ...]:
         """Joints whose drive trains were calibrated; a free response needs no torque constant, which may be stated exactly."""
         swung = {run["joint"] for run in self.runs} if self.swing_error > 0.0 else set()
-        known = (
-            str(key[1]) for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung)
-        )
-        return tuple(dict.fromkeys(known))
+        known = (key for key in self.keys if key[0] == "torque_constant" or (key[0] in TERMS and key[1] in swung))
+        return tuple(dict.fromkeys(str(key[1]) for key in known))
 
     @property
     def driven(self) -> tuple[str, ...]:
@@ -188,12 +186,8 @@ class Calibration:
     def without(self, keys: set[Key]) -> Calibration:
         """The same with some unknowns marginalised out; keys that it does not hold are ignored."""
         keep = [row for row, key in enumerate(self.keys) if key not in keys]
-        return replace(
-            self,
-            keys=tuple(self.keys[row] for row in keep),
-            values=self.values[keep],
-            covariance=self.covariance[np.ix_(keep, keep)],
-        )
+        kept, covariance = tuple(self.keys[row] for row in keep), self.covariance[np.ix_(keep, keep)]
+        return replace(self, keys=kept, values=self.values[keep], covariance=covariance)
 
     def given(self, keys: set[Key]) -> Calibration:
         """What is known of the others where some unknowns are exactly as here; keys that it does not hold are ignored."""
@@ -207,6 +201,7 @@ class Calibration:
 
     def as_settings(self) -> dict[str, Any]:
         """Plain numbers for the file; the correlations as text, which reads a hundred times faster than as YAML numbers."""
+        swung = {"friction_spread": short(self.friction_spread), "swing_error_rad": short(self.swing_error)}
         return {
             "runs": [dict(run) for run in self.runs],
             "residual_scale": short(self.residual_scale),
@@ -215,11 +210,7 @@ class Calibration:
             "start_velocity_rad_s": short(self.start_velocity),
             **({"made": self.made.as_settings()} if self.made is not None else {}),
             **({"motors": {joint: motor.as_settings() for joint, motor in self.motors.items()}} if self.motors else {}),
-            **(
-                {"friction_spread": short(self.friction_spread), "swing_error_rad": short(self.swing_error)}
-                if self.swing_error > 0.0
-                else {}
-            ),
+            **(swung if self.swing_error > 0.0 else {}),
             "unknowns": {
                 name_of(key): {"value": short(known.value, 15), "std": short(known.std, 15), "unit": _unit(key)}
                 for key, known in self.quantities.items()
@@ -229,11 +220,7 @@ class Calibration:
 
     @classmethod
     def from_settings(cls, section: Any) -> Calibration:
-        """Read the section of a robot file.
-
-        Raises:
-            FormError: A key is missing, a number is none, or the correlations belong to no covariance.
-        """
+        """Read the section of a robot file; raises `FormError`."""
         check_section(section)
         unknowns, runs, motors, made = part_of(section, "unknowns", Mapping), runs_of(section, _RUN), {}, None
         for joint, entry in (part_of(section, "motors", Mapping) if "motors" in section else {}).items():

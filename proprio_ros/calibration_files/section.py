@@ -29,11 +29,7 @@ def lines_of(rows: Iterable[FloatArray], digits: int) -> str:
 
 
 def correlation_of(section: Mapping[str, Any], count: int, smallest: float) -> FloatArray:
-    """The matrix of so many unknowns under ``correlation``, shape (count, count).
-
-    Raises:
-        FormError: It is none of so many, or of no covariance: an eigenvalue is under the smallest.
-    """
+    """The matrix under ``correlation``, shape (count, count); refuses other sizes, and eigenvalues under the smallest."""
     rows = numbers_of(section, "correlation")
     if not count or [len(row) for row in rows] != [n + 1 for n in range(count)]:
         raise FormError(f"correlation must be the lower triangle of {count} unknowns, one row each; calibrate again")

@@ -129,11 +129,7 @@ class Settings:
 
 
 def probe_file(name: str, sections: Sequence[str] = ()) -> dict[str, Any]:
-    """What the file of a probe in ``config/probes`` says.
-
-    Raises:
-        ConfigurationError: It is not readable, or lacks one of these sections.
-    """
+    """What the file of a probe in ``config/probes`` says; refuses one that is not readable, or lacks one of these sections."""
     path: Path = resource("probes", name)
     content = yaml_file(path, ConfigurationError)
     if not isinstance(content, dict) or not all(isinstance(content.get(section), dict) for section in sections):

@@ -1,4 +1,7 @@
-"""What a bag holds beside joint states and input: motors, temperatures, the robot's description, points that a camera saw."""
+"""What a bag holds beside joint states and input: motors, temperatures, the robot's description, points that a camera saw.
+
+Every function raises a `RecordingError` where the bag cannot be read.
+"""
 
 from __future__ import annotations
 
@@ -46,11 +49,7 @@ class Contents:
 def look_into(
     path: str | Path, state_topic: str | None, command_topic: str | None, conventions: Conventions = OUR_DRIVER
 ) -> Contents:
-    """List a bag's topics, and say which ones `read_recording` takes.
-
-    Raises:
-        RecordingError: It is no bag, or cannot be opened.
-    """
+    """List a bag's topics, and say which ones `read_recording` takes."""
     with open_bag(path) as bag:
         found = Contents(tuple((one_line(each.name), one_line(each.msgtype), each.size) for each in bag.topics.all))
         try:
@@ -65,21 +64,13 @@ def look_into(
 def parts_of(
     path: str | Path, most: int, *, state_topic: str | None = None, conventions: Conventions = OUR_DRIVER
 ) -> list[Span]:
-    """Parts of a bag with about as many joint states each, of which none has more than ``most``; they leave no gap.
-
-    Raises:
-        RecordingError: The bag cannot be read.
-    """
+    """Parts of a bag with about as many joint states each, of which none has more than ``most``; they leave no gap."""
     with open_bag(path) as bag:
         return bag.parts(bag.topics.states(state_topic, None, conventions), most)
 
 
 def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
-    """The motors of the arm whose joint states a bag holds, as its driver named them on ``motors``; empty where it did not.
-
-    Raises:
-        RecordingError: The bag cannot be read.
-    """
+    """The motors of the arm whose joint states a bag holds, as its driver named them on ``motors``; empty where it did not."""
     with open_bag(path) as bag:
         topics = _beside_states(bag, state_topic, "motors", STATUS)
         entries = [entry for topic in topics for _, message in bag.messages(topic) for entry in message.values]
@@ -88,11 +79,7 @@ def read_motors(path: str | Path, state_topic: str | None = None) -> Motors:
 
 
 def read_temperatures(path: str | Path, state_topic: str | None = None) -> dict[str, float]:
-    """How warm the motors were on average, as the driver of a bag's joint states said on ``motor_temperatures`` [deg C]; by joint.
-
-    Raises:
-        RecordingError: The bag cannot be read.
-    """
+    """How warm the motors were on average, as the driver of the joint states said on ``motor_temperatures``, by joint [deg C]."""
     heard: dict[str, list[float]] = {}
     with open_bag(path) as bag:
         for topic in _beside_states(bag, state_topic, TEMPERATURES, FLOAT_ARRAYS[0]):
@@ -113,11 +100,7 @@ def _beside_states(bag: Bag, state_topic: str | None, name: str, msgtype: str) -
 
 
 def read_description(path: str | Path) -> str:
-    """The URDF that a robot's driver published on ``/robot_description`` and the recorder kept.
-
-    Raises:
-        RecordingError: The bag cannot be read, or holds no description, or several that differ.
-    """
+    """The URDF that a robot's driver published on ``/robot_description``; refuses a bag with none, or several that differ."""
     with open_bag(path) as bag:
         topics = bag.topics.called("robot_description", [STRING])
         if not topics:
@@ -131,11 +114,7 @@ def read_description(path: str | Path) -> str:
 
 
 def read_points(path: str | Path, topic: str, option: str) -> PointTrack:
-    """Where something was seen, by a topic of geometry_msgs/PointStamped that the user named with an option.
-
-    Raises:
-        RecordingError: The bag cannot be read, holds no such topic, or a point is not finite or not stamped.
-    """
+    """Where something was seen, by a topic of geometry_msgs/PointStamped that an option names; refuses points without stamps."""
     with open_bag(path) as bag:
         messages = [message for _, message in bag.messages(bag.topics.chosen(topic, [POINT], option))]
     stamps = np.array([stamp_ns(message) for message in messages], dtype=np.int64)

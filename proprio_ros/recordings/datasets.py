@@ -4,7 +4,7 @@ One episode is named ``FOLDER#INDEX`` wherever a bag may be named. Only the colu
 column means (degrees or radians, what the effort is) no data set says: the driver's profile does. Layout: huggingface/lerobot,
 ``src/lerobot/datasets`` (``utils.py``, ``io_utils.py``, ``dataset_writer.py``); of 2.1 the same files before version 3.
 
-pyarrow is in the extra ``batch`` and is imported only here and where rows are written.
+pyarrow is in the extra ``batch`` and is imported only here and where rows are written. What cannot be read is a `RecordingError`.
 """
 
 from __future__ import annotations
@@ -125,11 +125,7 @@ def is_data_set(path: str | Path) -> bool:
 
 
 def open_data_set(folder: str | Path) -> DataSet:
-    """Read what a data set says about itself; again it costs nothing until that changes.
-
-    Raises:
-        RecordingError: It is none, of another version, or its ``meta/`` cannot be read.
-    """
+    """Read what a data set says about itself, again only where that changed; refuses what is none, or of another version."""
     folder = Path(folder)
     info = folder / "meta" / "info.json"
     if problem := path_problem(folder):
@@ -264,11 +260,7 @@ def _columns_within(
 
 
 def parts_of_episode(folder: str | Path, index: int, most: int) -> list[Span]:
-    """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap.
-
-    Raises:
-        RecordingError: It cannot be read.
-    """
+    """Parts of an episode with about as many frames each, of which none has more than ``most``; they leave no gap."""
     data = open_data_set(folder)
     count = -(-data.episodes[index].length // most) if index in data.episodes else 1
     if count < 2:
@@ -366,11 +358,7 @@ def read_episode(
 def _usable(
     times_ns: TimeArray, position: FloatArray, columns: Columns, called: str
 ) -> tuple[BoolArray, tuple[str, ...]]:
-    """Which frames have a position and a time of their own, shape (T,); and a note where some have not.
-
-    Raises:
-        RecordingError: They are too few, or a position is none in rad or m.
-    """
+    """Which frames have a position and a time of their own, shape (T,), and a note where some have not; refuses too few."""
     whole: BoolArray = np.isfinite(position).all(axis=1) & (np.diff(times_ns, prepend=times_ns[:1] - 1) > 0)
     count, left_out = int(whole.sum()), int((~whole).sum())
     if count < MIN_SAMPLES:
@@ -428,11 +416,7 @@ def _times(
 
 
 def marked(data: DataSet, index: int, column: str) -> bool:
-    """Whether every frame of an episode has something other than zero in a column.
-
-    Raises:
-        RecordingError: There is no such column, or it cannot be read.
-    """
+    """Whether every frame of an episode has something other than zero in a column; refuses one that is not there."""
     read = read_columns(data, index, [column])
     if column not in read:
         raise RecordingError(f"{data.folder}#{index}: no column {column}; there are: {', '.join(data.features)}")

@@ -182,14 +182,7 @@ class Driver:
 
 
 def load_driver(name_or_path: str | Path) -> Driver:
-    """Read a profile.
-
-    Args:
-        name_or_path: Of ``config/drivers``, or the path of a YAML file.
-
-    Raises:
-        ConfigurationError: There is none, or it is wrong; in one line.
-    """
+    """Read a profile of ``config/drivers``, or from the path of a YAML file; refuses it in one line (`ConfigurationError`)."""
     name = str(name_or_path)
     settings, parents = _settings(name, Path(), ())
     if "title" not in settings:

@@ -37,15 +37,12 @@ def known_or_none(values: FloatArray) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class Effort:
-    """What effort is, as the user states it.
+    """What effort is, as the user states it; an unknown unit is refused (`ConfigurationError`).
 
     Attributes:
         unit: One of `EFFORT_UNITS`; None: not stated.
         nominal: Torque constants with which efforts were made of currents, by joint [N m/A or N/A].
         per_count_A: Current of one raw count [A].
-
-    Raises:
-        ConfigurationError: Unknown unit.
     """
 
     unit: str | None

@@ -126,19 +126,11 @@ class Bag:
         return list(zip(ends, [*ends[1:], last_ns - begins[0] + 1], strict=True))
 
     def messages(self, topic: Topic, most: int | None = None) -> list[tuple[int, Any]]:
-        """Recorder's time [ns] and message, of at most so many bytes each, in the order of time; at least one, unless cut.
-
-        Raises:
-            RecordingError: There are more messages or bytes than are read, or none.
-        """
+        """Recorder's time [ns] and message, of at most so many bytes each, in the order of time (see `_limited`)."""
         return [(time_ns, deserialised(raw, topic.msgtype)) for time_ns, raw in self._raw(topic, most)]
 
     def rows(self, topic: Topic) -> list[Rows]:
-        """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together.
-
-        Raises:
-            RecordingError: There are more messages or bytes than are read, or none.
-        """
+        """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
         try:
             found = list(_in_rows(_in_order(self._limited(topic)), topic.msgtype))
         except _OutOfOrder:  # files of one bag that overlap
@@ -170,7 +162,7 @@ class Bag:
                 yield time_ns, bytes(raw)
 
     def _limited(self, topic: Topic, most: int | None = None) -> Iterator[tuple[int, bytes]]:
-        """The same, of at most so many bytes each, at least one unless the bag was cut."""
+        """The same, of at most so many bytes each; refuses more than is read, and none, unless the bag was cut."""
         most, size, count = most or MOST_BYTES_OF_ONE, 0, 0
         for time_ns, raw in self._read(topic):
             size += len(raw)

@@ -43,11 +43,7 @@ def is_text_recording(path: str | Path) -> bool:
 
 
 def read_text_recording(path: str | Path) -> TextRecording:
-    """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json.
-
-    Raises:
-        RecordingError: A file is missing or malformed, or a needed key of the setting is.
-    """
+    """Read a folder with trajectory.csv (columns `time_s,<joint>_relative_rad`) and setting.json; refuses malformed ones."""
     path = Path(path)
     if not is_text_recording(path):
         raise RecordingError(f"{path}: not a text recording; it needs trajectory.csv and setting.json")

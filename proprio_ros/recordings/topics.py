@@ -125,11 +125,7 @@ class Topics:
         return [topic for topic in filled if topic.name.endswith(f"/{name}")]
 
     def chosen(self, name: str, msgtypes: Sequence[str], option: str) -> Topic:
-        """The topic that the user named with an option.
-
-        Raises:
-            RecordingError: It is not in the bag, of another type, or empty.
-        """
+        """The topic that the user named with an option; refuses one that is not there, of another type, or empty."""
         found = [topic for topic in self.all if topic.name in (name, f"/{name}")]
         fitting = [topic for topic in found if topic.msgtype in msgtypes]
         if not fitting:
@@ -144,15 +140,12 @@ class Topics:
         raise RecordingError(f"{self.path}: {why}")
 
     def states(self, name: str | None, command_name: str | None = None, conventions: Conventions = OUR_DRIVER) -> Topic:
-        """The joint states.
+        """The joint states; refuses a bag that has none, or several that may be meant.
 
         Args:
             name: What the user calls them; None: those that the driver's conventions name, else the only ones.
             command_name: What the user calls the input, which is not taken for them.
             conventions: Of the driver.
-
-        Raises:
-            RecordingError: There are none, or several may be meant.
         """
         if name is not None:
             return self.chosen(name, [JOINT_STATE], "--state-topic")
@@ -180,15 +173,12 @@ class Topics:
     def input(
         self, name: str | None, states: Topic, conventions: Conventions = OUR_DRIVER
     ) -> tuple[Topic, InputTopic] | None:
-        """The topic of what drove the joints, and what it means; None where there is none.
+        """The topic of what drove the joints, and what it means; None where there is none, several are refused.
 
         Args:
             name: What the user calls it; None: the first that the driver's conventions name.
             states: The joint states, whose namespace it has.
             conventions: Of the driver.
-
-        Raises:
-            RecordingError: Several may be meant, or the named one does not fit.
         """
         if name is not None:
             topic = self.chosen(name, [JOINT_STATE, *FLOAT_ARRAYS], "--command-topic")

@@ -17,12 +17,9 @@ _MCAP_CHUNK = 6
 
 
 def write_messages(path: str | Path, messages: Sequence[RawMessage], storage: str = "mcap") -> None:
-    """Write messages to a new bag as they came, byte by byte, in the order of time.
+    """Write messages to a new bag ('mcap' or 'sqlite3') as they came, byte by byte, in the order of time.
 
-    Args:
-        path: Folder to make; it must not exist. Nothing is left of it when writing fails.
-        messages: Of the types in which recordings come: JointState, Float64MultiArray and DiagnosticStatus.
-        storage: 'mcap' or 'sqlite3'.
+    The folder must not exist; nothing is left of it when writing fails.
 
     Raises:
         RecordingError: The folder exists or cannot be written, as on a full disk.

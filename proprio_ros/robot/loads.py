@@ -15,6 +15,7 @@ import numpy as np
 
 from proprio_ros.robot.geometry import FloatArray, motion
 from proprio_ros.robot.robot_file import Robot
+from proprio_ros.robot.urdf import Joint
 
 
 class Load(NamedTuple):
@@ -33,33 +34,23 @@ class Load(NamedTuple):
 
 
 class Loads:
-    """Gravity and inertia by joint, as the URDF has them, with an empty hand.
-
-    Args:
-        robot: The arm.
-    """
+    """Gravity and inertia by joint, as the URDF has them, with an empty hand."""
 
     def __init__(self, robot: Robot) -> None:
         model = robot.model
         inertias = {link.name: robot.arm_scale.value * link.pseudo_inertia for link in model.links}
         self.joints = model.independent_joints
         self._gravity = robot.gravity
-        # one body for each joint that moves, with all that is fixed to it
-        self._kinds: list[str] = []
-        self._axes: list[FloatArray] = []
+        # one body for each joint that moves, with all that is fixed to it: the joint, its parent body and place there
+        self._bodies: list[tuple[Joint, int, FloatArray]] = []
         self._driving: list[tuple[str, float, float]] = []
-        self._parents: list[int] = []
-        self._placement: list[FloatArray] = []
         self._pseudo: list[FloatArray] = []
         frames = {model.root: (-1, np.eye(4))}
         for joint in model.joints:
             body, place = frames[joint.parent]
             place = place @ joint.origin
             if joint.kind != "fixed":
-                self._parents.append(body)
-                self._placement.append(place)
-                self._kinds.append(joint.kind)
-                self._axes.append(joint.axis)
+                self._bodies.append((joint, body, place))
                 self._driving.append(model.driving(joint))
                 self._pseudo.append(np.zeros((4, 4)))
                 body, place = len(self._pseudo) - 1, np.eye(4)
@@ -68,24 +59,18 @@ class Loads:
                 self._pseudo[body] = self._pseudo[body] + place @ inertias[joint.child] @ place.T
 
     def at(self, pose: Mapping[str, float]) -> Load:
-        """Efforts and inertias in a pose. A joint that others follow moves them, too.
-
-        Args:
-            pose: Positions of all independent joints [rad or m].
-        """
+        """Efforts and inertias in a pose of all independent joints [rad or m]. A joint that others follow moves them, too."""
         places: list[FloatArray] = []
         moving: list[FloatArray] = []  # velocity of the points beyond, as a matrix on their coordinates
-        beyond: list[FloatArray] = []
-        for row, (name, multiplier, offset) in enumerate(self._driving):
-            parent = self._parents[row]
-            frame = places[parent] @ self._placement[row] if parent >= 0 else self._placement[row]
-            place = frame @ motion(self._kinds[row], self._axes[row], multiplier * pose[name] + offset)
-            places.append(place)
-            moving.append(multiplier * _velocity(self._kinds[row], frame, self._axes[row]))
-            beyond.append(place @ self._pseudo[row] @ place.T)
+        parents = [parent for _, parent, _ in self._bodies]
+        for (joint, parent, frame), (name, multiplier, offset) in zip(self._bodies, self._driving, strict=True):
+            frame = places[parent] @ frame if parent >= 0 else frame
+            places.append(frame @ motion(joint.kind, joint.axis, multiplier * pose[name] + offset))
+            moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
+        beyond = [place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)]
         for row in range(len(places) - 1, 0, -1):
-            if self._parents[row] >= 0:
-                beyond[self._parents[row]] = beyond[self._parents[row]] + beyond[row]
+            if parents[row] >= 0:
+                beyond[parents[row]] = beyond[parents[row]] + beyond[row]
         gravity = dict.fromkeys(self.joints, 0.0)
         inertia = dict.fromkeys(self.joints, 0.0)
         reactions: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in self.joints}
@@ -102,11 +87,11 @@ class Loads:
             momentum = moving[row] @ beyond[row]
             gravity[name] -= float(self._gravity @ momentum[:3, 3])
             inertia[name] += float(np.sum(momentum * moving[row]))
-            before = self._parents[row]
+            before = parents[row]
             while before >= 0:  # each of the two moves what is beyond both
                 add(before, row, momentum)
                 add(row, before, moving[before] @ beyond[row])
-                before = self._parents[before]
+                before = parents[before]
         return Load(gravity, inertia, reactions)
 
 

@@ -229,11 +229,7 @@ def _located(name_or_path: str, folder: Path) -> Path:
 
 
 def bare_settings(source: str) -> dict[str, Any]:
-    """What a description alone says of a robot: its joints that turn have motors of which nothing is known.
-
-    Raises:
-        RobotError: There is no such description, or a link that moves has no mass.
-    """
+    """What a description alone says of a robot (see `read_model`): its joints that turn have motors of which nothing is known."""
     model = read_model(source)
     check_masses(model, Path(source).name)
     return {
@@ -479,10 +475,7 @@ def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any])
     """Overrides for a description alone whose motors' torque was recorded, so that no torque constant is needed.
 
     Torque then counts as current of 1 N m/A, known to a tenth: boards that estimate their motors' torque were seen to err by that.
-
-    Args:
-        name_or_path: As for `load_robot`.
-        overrides: What the user states beside that.
+    What the user states beside that stays.
     """
     path = _located(str(name_or_path), Path())
     if not is_description(str(path)):
