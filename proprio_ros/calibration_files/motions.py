@@ -201,21 +201,12 @@ class MotionCalibration:
         stated = part_of(section, "torque_scale", Mapping)
         with under("torque_scale"):
             torque_scale, torque_scale_std = exactly(stated, _SCALE)
-        return cls(
-            joints,
-            numbers[:, 0],
-            np.array([term[0] for term in read]),
-            correlation * scale[:, None] * scale,
-            np.array(rows)[:, place] * scale,
-            np.array([spread for term in read for spread in term[2:]]),
-            numbers[:, 1],
-            numbers[:, 2],
-            torque_scale,
-            torque_scale_std,
-            read_under(section, "arm_over_urdf", Number("", "", -100.0, 100.0)),
-            "",
-            runs,
-        )
+        over_urdf = read_under(section, "arm_over_urdf", Number("", "", -100.0, 100.0))
+        values, spread = np.array([term[0] for term in read]), np.array([part for term in read for part in term[2:]])
+        fitted = (values, correlation * scale[:, None] * scale, np.array(rows)[:, place] * scale, spread)
+        constants, residual, correlated = numbers.T
+        scales = (torque_scale, torque_scale_std, over_urdf)
+        return cls(joints, constants, *fitted, residual, correlated, *scales, "", runs)
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

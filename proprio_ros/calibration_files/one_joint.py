@@ -64,7 +64,6 @@ class JointCalibration:
     """One joint as motions with known loads show it.
 
     Attributes:
-        joint: Its name.
         torque_constant: That the currents were multiplied with [N m/A].
         values: See `TERMS`, shape (6,).
         without: The same from all recordings but one, shape (runs, 6).

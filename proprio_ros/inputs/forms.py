@@ -258,7 +258,7 @@ def refuse_unknown(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
 
 
 def section(value: Any, fields: Mapping[str, Field | Form]) -> dict[str, Any]:
-    """Read keys and values, of bare forms only those there are; raises `FormError`: a key is unknown or missing, or a value wrong."""
+    """Read keys and values, of bare forms only those there are; raises `FormError`: a key is unknown or missing, a value wrong."""
     given = mapping(value)
     refuse_unknown(given, fields)
     result = {}

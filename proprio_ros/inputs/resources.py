@@ -125,11 +125,7 @@ def write_in_one_step(path: Path, text: str, option: str) -> None:
 
 
 def check_new_yaml(path: Path, force: bool) -> None:
-    """Refuse an impossible output, and one that is there already, before the work is done.
-
-    Raises:
-        ConfigurationError: It is no .yaml file, cannot be written, or is there and may not be replaced.
-    """
+    """Refuse an output that is no .yaml file, cannot be written, or is there and may not be replaced, before the work is done."""
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"--output {path}: name a .yaml file")
     if not path.resolve().parent.is_dir() or not os.access(path.resolve().parent, os.W_OK):
@@ -146,11 +142,7 @@ def _umask() -> int:
 
 
 def private_folder(path: Path) -> Path:
-    """A folder that only this user can read, made where it is not there, below one that others may write to.
-
-    Raises:
-        OSError: It is a link, or belongs to somebody else, or cannot be made.
-    """
+    """A folder that only this user can read, made where it is not; raises `OSError` where it is a link or somebody else's."""
     path.mkdir(mode=0o700, parents=False, exist_ok=True)
     there = path.lstat()
     if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid():

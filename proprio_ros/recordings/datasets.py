@@ -77,7 +77,6 @@ class DataSet:
     """What ``meta/`` says.
 
     Attributes:
-        folder: Of the data set.
         version: Of its layout, as it states it.
         rate_hz: Frames per second.
         features: By column: type, shape, names.
@@ -194,13 +193,9 @@ def _groups(file: Path, _changed_ns: int) -> tuple[Any, FloatArray, FloatArray]:
 
 
 def read_columns(data: DataSet, index: int, columns: Sequence[str], span: Span | None = None) -> dict[str, FloatArray]:
-    """Columns of one episode by name: numbers, shape (T,) or (T, K).
+    """Columns of one episode by name: numbers, shape (T,) or (T, K); one that the data set lacks is left out.
 
-    Args:
-        data: The data set.
-        index: Of the episode.
-        columns: Their names; one that the data set lacks is left out.
-        span: The part that is read, since the first frame; for one, `CLOCK` must be among the columns.
+    To read a part, `CLOCK` must be among the columns.
 
     Raises:
         RecordingError: There is no such episode, or its file cannot be read.

@@ -155,8 +155,7 @@ class Driver:
     """A profile.
 
     Attributes:
-        name: What the user called it.
-        title: In a few words.
+        name, title: What the user called it, and what it is in a few words.
         conventions: Its topics, and their units.
         effort_unit: What effort of its joint states is; None where it does not say.
         refused: Why nothing can be weighed with it, or an empty string.

@@ -63,12 +63,7 @@ def labels_of(message: Any) -> list[str]:
 
 
 class RawMessage(NamedTuple):
-    """A message as it came over the wire.
-
-    Attributes:
-        time_ns: When it was received [ns].
-        data: Its CDR bytes; of a raw subscription, not of rclpy's `serialize_message`, which leaves stray bytes behind.
-    """
+    """A message as a raw subscription receives it at a time [ns], in CDR; rclpy's `serialize_message` leaves stray bytes behind."""
 
     topic: str
     msgtype: str

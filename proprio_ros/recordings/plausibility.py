@@ -372,13 +372,7 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
 def effort_units(
     per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float
 ) -> tuple[EffortUnit, ...]:
-    """How plausible each unit is that effort may be in.
-
-    Args:
-        per_torque: Effort per N m that gravity needs, by joint.
-        constants: Torque constants [N m/A]; empty where nobody stated them.
-        per_count_A: Current of a raw count [A].
-    """
+    """How plausible each unit is that effort may be in, by `effort_per_torque`, torque constants [N m/A] and current per count."""
     result = []
     for unit in EFFORT_UNITS:
         ratio = dict(per_torque)

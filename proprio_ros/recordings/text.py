@@ -23,8 +23,7 @@ class TextRecording:
     """The motion of one joint as text, with the setting in which it was made.
 
     Attributes:
-        name: Name of the folder.
-        joint: The joint that moved.
+        name, joint: Of the folder, and of the joint that moved.
         times_s: Sampling instants [s], strictly increasing, shape (T,).
         relative_position: Position of the joint minus its start pose [rad], shape (T,).
         setting: What setting.json says: `moving_joint`, `torque_N_m`, `start_pose_rad` by joint, and whatever else.
@@ -105,11 +104,7 @@ def _setting(file: Path) -> dict[str, Any]:
 
 
 def read_point_file(path: str | Path) -> PointTrack:
-    """Read where something was seen from a CSV file with the header ``stamp_ns,x,y,z``: clock of the joint states [ns], and m.
-
-    Raises:
-        RecordingError: The file is missing or malformed.
-    """
+    """Where something was seen, by a CSV file with the header ``stamp_ns,x,y,z``: clock of the joint states [ns], and m."""
     header, table = _csv_table(Path(path), "stamp_ns,x,y,z")
     if header != ["stamp_ns", "x", "y", "z"]:
         raise RecordingError(f"{path}: the header must be stamp_ns,x,y,z, got {','.join(header)}")

@@ -30,11 +30,9 @@ def is_bag(path: Path) -> bool:
 
 
 def read_model(source: str, of_bag: Callable[[Path], str] | None = None) -> RobotModel:
-    """The tree of links that a source describes.
+    """The tree of links that a source, a path or ``robot_descriptions:NAME``, describes.
 
-    Args:
-        source: A path, or ``robot_descriptions:NAME``.
-        of_bag: Takes a description out of a bag; it raises what it likes. None: a bag is refused.
+    What takes a description out of a bag raises what it likes; without it, a bag is refused.
 
     Raises:
         RobotError: There is no such description, or it is no physical tree.

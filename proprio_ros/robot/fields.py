@@ -188,10 +188,12 @@ def unknown_of(path: tuple[str, ...]) -> Key:
 def override_paths(joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Every key that may be overridden, as text and as the way to it; a joint's name may itself hold dots."""
     paths: list[tuple[str, ...]] = [(key,) for key in ROBOT if key not in _FILE_ONLY]
-    for joint in joints:
-        paths += [("joints", joint, "motor", key) for key in MOTOR]
-        paths += [("joints", joint, "drive_train", key) for key in DRIVE_TRAIN]
-        paths += [("joints", joint, key) for key in JOINT]
+    of_joint = [
+        *(("motor", key) for key in MOTOR),
+        *(("drive_train", key) for key in DRIVE_TRAIN),
+        *((key,) for key in JOINT),
+    ]
+    paths += [("joints", joint, *path) for joint in joints for path in of_joint]
     return {".".join(path): path for path in paths}
 
 

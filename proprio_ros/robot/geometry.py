@@ -60,10 +60,7 @@ def motion(kind: str, axis: ArrayLike, position: float) -> FloatArray:
 def pseudo_inertia(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> FloatArray:
     """Pseudo-inertia about a frame's origin, shape (4, 4).
 
-    Args:
-        mass: [kg].
-        com: Centre of mass [m], shape (3,).
-        inertia_about_com: Rotational inertia about the centre of mass, in the frame's axes [kg m^2], shape (3, 3).
+    Of a mass [kg] at a centre [m], shape (3,), with its rotational inertia about that, in the frame's axes [kg m^2], shape (3, 3).
     """
     com = np.asarray(com, dtype=np.float64)
     inertia = np.asarray(inertia_about_com, dtype=np.float64)

@@ -30,9 +30,6 @@ class NewFile:
     """A robot file to fill in.
 
     Attributes:
-        name: Of the robot.
-        text: Of the file.
-        joints: That it lists.
         payload_frame: A guess at the link in which objects are held, to be checked.
         to_state: Dotted keys that must be stated before the file can be loaded.
     """
@@ -45,12 +42,9 @@ class NewFile:
 
 
 def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | None = None) -> NewFile:
-    """Write down what a URDF says of a robot, and what must be stated beside it.
+    """Write down what a URDF (see `read_model`) says of a robot, and what must be stated beside it.
 
-    Args:
-        source: As for `read_model`.
-        output: Where the file will be, since it names its URDF by the way to it.
-        of_bag: As for `read_model`.
+    The file names its URDF by the way to it, so it is said where that will be.
 
     Raises:
         RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.

@@ -56,13 +56,7 @@ class Kinematics:
 
 
 def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) -> Kinematics:
-    """Kinematics of all joints of a reduced model along a motion.
-
-    Args:
-        model: Revolute joints, n of them.
-        position: [rad], shape (T, n).
-        velocity: [rad/s], shape (T, n).
-    """
+    """Kinematics of a model of n revolute joints along a motion: position [rad] and velocity [rad/s], shape (T, n) each."""
     count, bodies = position.shape
     rotation, origin = np.zeros((count, bodies, 3, 3)), np.zeros((count, bodies, 3))
     axis, twist = np.zeros((count, bodies, 6)), np.zeros((count, bodies, 6))

@@ -44,10 +44,7 @@ class Robot:
     """A robot with its drive trains, as its YAML file states it.
 
     Attributes:
-        name: Its name.
-        model: Tree of links.
-        drive_trains: By joint; joints without a motor have none.
-        motors: By joint, the same joints.
+        drive_trains, motors: By joint; joints without a motor have none.
         delay: From the stamp of a command to torque, less that of a position [s].
         arm_scale: All masses of the model times this.
         stamp_jitter_s: Standard deviation of the stamps.
@@ -68,8 +65,7 @@ class Robot:
         friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
         payload_frame: Link in which objects are held.
         gravity: In the base frame [m/s^2], shape (3,).
-        source: The YAML file.
-        settings: The YAML file's content with everything it extends merged in; `with_overrides` builds on it.
+        source, settings: The YAML file, and its content with everything it extends merged in; `with_overrides` builds on it.
     """
 
     name: str
@@ -101,8 +97,7 @@ class Robot:
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
 
-        Args:
-            joints: Whether a calibration has learnt the drive trains of all of these; a file that only says so has learnt none.
+        Of joints: whether a calibration has learnt the drive trains of all of these; a file that only says so has learnt none.
         """
         if joints is None:
             return self.calibration is not None or bool(self.settings.get("calibrated"))

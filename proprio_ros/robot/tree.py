@@ -55,9 +55,7 @@ class RobotModel:
     """Kinematics and inertias of a robot: a tree of links.
 
     Attributes:
-        name: The robot's name in the URDF.
-        links: All links, parents before children.
-        joints: All joints, parents before children.
+        links, joints: All, parents before children.
         root: Name of the root link; its frame is the base frame.
     """
 

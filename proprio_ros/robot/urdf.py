@@ -35,16 +35,12 @@ class Joint:
     """One joint of the tree.
 
     Attributes:
-        name: Its name in the URDF.
         kind: One of `JOINT_KINDS`.
-        parent: Link it stands on.
-        child: Link it carries.
+        parent, child: Link it stands on, and link it carries.
         origin: parent_T_joint at position zero, shape (4, 4).
         axis: Unit axis in the joint frame, shape (3,).
-        lower: Smallest position [rad or m], -inf when there is none.
-        upper: Largest position [rad or m], inf when there is none.
-        velocity_limit: [rad/s or m/s], inf when there is none.
-        effort_limit: [N m or N], inf when there is none.
+        lower, upper: Smallest and largest position [rad or m], infinite when there is none.
+        velocity_limit, effort_limit: [rad/s or m/s] and [N m or N], infinite when there is none.
         mimic: (source joint, multiplier, offset) of a joint that follows another; None for an independent one.
     """
 
@@ -72,12 +68,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """One link of the tree.
-
-    Attributes:
-        name: Its name in the URDF.
-        pseudo_inertia: About the link's frame, shape (4, 4); zeros when the URDF gives no inertial.
-    """
+    """One link of the tree; its pseudo-inertia is about its frame, shape (4, 4), zeros when the URDF gives no inertial."""
 
     name: str
     pseudo_inertia: FloatArray
