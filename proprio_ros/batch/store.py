@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import itertools
 import json
 import os
 from collections import Counter
@@ -45,14 +46,9 @@ def chunk_id(episodes: Sequence[Episode]) -> str:
 
 def chunks_of(episodes: Sequence[Episode], size: int) -> Iterator[list[Episode]]:
     """Episodes in groups of at most so many, each of one source."""
-    group: list[Episode] = []
-    for episode in episodes:
-        if group and (len(group) == size or group[-1].source != episode.source):
-            yield group
-            group = []
-        group.append(episode)
-    if group:
-        yield group
+    for _, group in itertools.groupby(episodes, key=lambda episode: episode.source):
+        own = list(group)
+        yield from (own[at : at + size] for at in range(0, len(own), size))
 
 
 class Store:

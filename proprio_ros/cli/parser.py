@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 from proprio_ros.cli import commands as obey
@@ -119,8 +119,9 @@ def _replay(add: Callable[..., _Parser]) -> None:
     )
     it.share("set")
     solving = [probe for probe in all_probes() if isinstance(probe, HasSolvers)]
-    it.add_argument("--solver", default="lm", choices=_choices(probe.solvers for probe in solving))
-    profiles = _choices(probe.profiles for probe in solving)
+    solvers = tuple(dict.fromkeys(solver for probe in solving for solver in probe.solvers))
+    profiles = tuple(dict.fromkeys(profile for probe in solving for profile in probe.profiles))
+    it.add_argument("--solver", default="lm", choices=solvers)
     it.add_argument("--profile", default="default", choices=profiles, help="paper: the paper's own method")
     it.share(*TOPICS)
     it.add_argument(
@@ -313,8 +314,3 @@ def _demo(add: Callable[..., _Parser]) -> None:
 
 def _names() -> list[str]:
     return [probe.name for probe in all_probes()]
-
-
-def _choices(groups: Iterable[Sequence[str]]) -> tuple[str, ...]:
-    """Each once, in the order in which they come."""
-    return tuple(dict.fromkeys(choice for group in groups for choice in group))
