@@ -44,7 +44,7 @@ class NewFile:
 def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | None = None) -> NewFile:
     """Write down what a URDF (see `read_model`) says of a robot, and what must be stated beside it.
 
-    The file names its URDF by the way to it, so it is said where that will be.
+    The file names its URDF by the way from ``output``, where it will be.
 
     Raises:
         RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.
