@@ -25,6 +25,17 @@ from proprio_ros.robot import load_robot
 pytestmark = pytest.mark.long
 
 
+PUSH = """
+excitation:
+  hand: any
+  settle_s: 0.3
+  brake_s: 0.2
+  approach_velocity: 1.5
+  runs:
+    - {joint: joint3, current_A: -0.28, duration_s: 0.6, max_travel: 1.5, start: {joint2: -0.2, joint3: 0.8, joint4: 0.0}}
+"""
+
+
 @contextmanager
 def bridge(*more: str) -> Iterator[None]:
     """The topics of another driver, by a process of their own."""
@@ -40,11 +51,15 @@ def bridge(*more: str) -> Iterator[None]:
 
 def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    parameters: dict[str, Any] = {"data_directory": tmp_path / "data", "payload_sequence": "payload_elbow"}
+    push = tmp_path / "push.yaml"
+    push.write_text(PUSH)
+    parameters: dict[str, Any] = {"data_directory": tmp_path / "data", "payload_sequence": str(push)}
     with Graph(tmp_path / "logs") as graph:
-        graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.15})
-        graph.start("driver", {"port": tmp_path / "bus"}, namespace="hardware")
-        graph.start("excitation", {})
+        graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.05})
+        graph.start(
+            "driver", {"port": tmp_path / "bus", "reply_timeout": 0.1, "command_timeout": 0.5}, namespace="hardware"
+        )
+        graph.start("excitation", {"stale_after": 4.0})  # nobody here may take a late message for silence
         graph.start("identifier", parameters | {"calibration": "none", "report": False})
         client = Client()
         try:
