@@ -169,5 +169,5 @@ def test_the_schema_refuses(validator: Any, capsys: pytest.CaptureFixture[str]) 
 def test_every_code_is_in_the_table_and_every_entry_is_used() -> None:
     used = {"other"}
     for path in (ROOT / "proprio_ros").rglob("*.py"):
-        used.update(re.findall(r'\b(?:Reason|rejected|not_identifiable)\(\s*"(\w+)"', path.read_text()))
+        used.update(re.findall(r'\b(?:(?:Reason|rejected|not_identifiable)\(\s*|yield )"(\w+)"', path.read_text()))
     assert used == set(CODES)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -20,11 +20,11 @@ def wiring() -> set[Path]:
     return {REPOSITORY / name for name in listed.split()}
 
 
-def trees() -> Iterator[tuple[Path, ast.Module]]:
+@cache
+def trees() -> list[tuple[Path, ast.Module]]:
     """What is tested with, but for benchmarks: those measure time."""
-    for path in sorted(TEST.rglob("*.py")):
-        if not path.is_relative_to(TEST / "benchmarks"):
-            yield path, ast.parse(path.read_text(encoding="utf-8"))
+    paths = [path for path in sorted(TEST.rglob("*.py")) if not path.is_relative_to(TEST / "benchmarks")]
+    return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in paths]
 
 
 def looks_at_the_clock(tree: ast.Module) -> list[str]:

@@ -119,10 +119,10 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     final = client.estimates[-1]
     assert final["final"] == "true" and final["verdict"] == "accepted"
     assert float(final["sphere_mass"]) == client.masses[-1] and final["sphere_mass.unit"] == "kg"
-    # half an interval is 1.2 to 1.5 g here: what lies two of them off is wrong, and a width beyond 6 g is of no use
+    # half an interval is 1.2 to 1.5 g here: what lies two of them off is wrong, and a width beyond 4 g is of no use
     for mass, truth in (("sphere_mass", sphere_kg), ("container_mass", SHELL_KG)):
         low, high = json.loads(final[f"{mass}.ci95"])
-        assert abs(float(final[mass]) - truth) < high - low < 0.006, final
+        assert abs(float(final[mass]) - truth) < high - low < 0.004, final
     baseline = (arm.data / "open_manipulator_x_container_baseline").resolve()
     assert f"old: {baseline}" in answer.message and "older than" not in answer.message
     # a sphere that rolls is no rigid payload, and no live estimate of one makes sense

@@ -102,9 +102,8 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
             assert answer.success, answer.message
             live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
             value = live["estimates"][0]
-            # which 12 s of the motion they were is chance, and one interval in twenty misses: twice its half is the limit
             low, high = value["ci95"]
-            assert abs(value["value"] - HELD_KG) < min(0.05, high - low), value
+            assert abs(value["value"] - HELD_KG) < 0.02 and low < HELD_KG < high, value
 
             # a driver that measures nothing: what stood is withdrawn, and why is said
             arm.stop()

@@ -40,7 +40,11 @@ def hear_less(client: Client) -> None:
 def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
     virtual = {"interface": "effort_controller", "object": str(MASS_KG), "state_rate": 250.0, **CONTROLLER}
     stated = ["payload.com=[0,0,0]", "payload.shape=point"]
-    facts = {"robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow", "settings": stated}
+    facts = {
+        "robot_sequence": "empty_hand_elbow", "payload_sequence": "payload_elbow",
+        "reference_sequence": "reference_elbow", "reference_mass": 0.1, "reference_wait": 0.5, "settings": stated,
+        "reference_settings": stated,
+    }  # fmt: skip
     output = {"command_interface": "effort", **CONTROLLER}
     nodes = ("virtual", "excitation", "identifier")
     with running(tmp_path, *nodes, virtual=virtual, excitation=output, identifier=facts) as client:
@@ -60,7 +64,7 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
         assert answer.success, (answer.message, client.log("excitation"))
         assert client.wait_for(lambda: bool(client.masses) and client.estimates[-1]["final"] == "true")
         low, high = json.loads(client.estimates[-1]["payload_mass.ci95"])
-        assert abs(client.masses[-1] - MASS_KG) < high - low < 0.015, answer.message
+        assert abs(client.masses[-1] - MASS_KG) < min(0.003, high - low), answer.message
     bag = Path(answer.message.split("recording: ")[1])
     constants = {
         name: drive.nominal_effort_per_current for name, drive in load_robot("open_manipulator_x").drive_trains.items()

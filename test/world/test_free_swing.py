@@ -43,5 +43,7 @@ def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path) -> N
     for kind in ("coulomb", "armature"):
         found = calibration.quantities[kind, WRIST]
         assert (
-            abs(found.value - getattr(wrist, kind)) < 4.0 * found.std < getattr(ROBOT.drive_trains[WRIST], kind).std
+            abs(found.value - getattr(wrist, kind))
+            < 3.0 * found.std
+            < 0.75 * getattr(ROBOT.drive_trains[WRIST], kind).std
         ), kind

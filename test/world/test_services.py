@@ -67,20 +67,19 @@ def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     assert client.wait_for(lambda: bool(client.masses and client.estimates) and client.estimates[-1]["final"] == "true")
     final = client.estimates[-1]
     low, high = json.loads(final["payload_mass.ci95"])
-    # the interval reaches a gram to either side, a little more where samples were lost; one in twenty misses the truth, hardly one
-    # is off by twice its half. How often it holds is measured over many arms (test/benchmarks/coverage.py)
-    assert abs(client.masses[-1] - mass_kg) < high - low < 0.003, final
+    # the interval reaches a gram at most to either side; how often it holds: test/benchmarks/coverage.py
+    assert abs(client.masses[-1] - mass_kg) < high - low < 0.002, final
     assert float(final["payload_mass"]) == client.masses[-1] and final["payload_mass.unit"] == "kg"
     assert final["calibration"].endswith("calibration.yaml")
 
     # while the probe was under way the interval shrank as samples came
     live = [told for told in client.estimates if told["final"] == "false"]
-    assert live, "how often depends on what else the computer does"
+    assert len(live) > 2
     samples = [int(told["samples"]) for told in live]
     std = [float(told["payload_mass.std"]) for told in live]
     assert samples == sorted(samples)
-    assert all(after < 1.1 * before for before, after in pairwise(std)), std
-    assert samples[-1] < 2 * samples[0] or std[-1] < 0.97 * std[0], (samples, std)
+    assert all(after < 1.03 * before for before, after in pairwise(std)), std
+    assert std[-1] < 0.97 * std[0], (samples, std)
 
 
 def test_replaying_the_bag_gives_the_same_numbers_bit_for_bit(arm: Calibrated) -> None:
