@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,11 @@ from rosbags.rosbag2 import Reader
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.pipeline.check import check_bags
-from proprio_ros.pipeline.loading import bag_runs
+from proprio_ros.pipeline.loading import bag_recording, bag_runs
 from proprio_ros.pipeline.request import Options, Request
 from proprio_ros.recordings.columns import JointColumns
-from proprio_ros.recordings.contradictions import pace_of_stamps
+from proprio_ros.recordings.contradictions import pace_of_stamps, refuse_other_current
+from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.robot import load_robot
@@ -97,6 +100,18 @@ def test_a_unit_that_the_command_contradicts_is_refused() -> None:
     with pytest.raises(RecordingError, match=r"1\.78 times the current of /current_command.*--effort-unit"):
         bag_runs(PUSH, Request(ARM.robot, Options(driver="ur_current")))
     assert bag_runs(PUSH, Request(ARM.robot, Options(driver="proprio")))
+
+
+@pytest.mark.parametrize(("factor", "refused"), [(0.85, False), (1.2, False), (2.0, True), (3.0, True)])
+def test_a_torque_that_others_measure_may_lack_what_friction_takes(factor: float, refused: bool) -> None:
+    push = bag_recording(PUSH, ARM)
+    assert push.inputs is not None
+    inputs = replace(
+        push.inputs, source="/forward_effort_controller/commands", current_A=push.inputs.current_A / factor
+    )
+    other = replace(push, inputs=inputs)
+    with pytest.raises(RecordingError, match="times the current of /forward") if refused else nullcontext():
+        refuse_other_current(other, Effort(None, ARM.effort_per_current), {"joint3": np.inf})
 
 
 @pytest.mark.parametrize(("factor", "said"), [(1.01, "1.0 % faster"), (1.03, "3.0 % faster"), (0.98, "2.0 % slower")])
