@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,6 +17,7 @@ pytest.importorskip("mujoco")
 
 from support.listening import replayed_alike
 from support.simulated_live import Client, running
+from visualization_msgs.msg import Marker
 
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
@@ -133,3 +135,17 @@ def test_object_facts_are_parameters(arm: Calibrated) -> None:
     assert list(arm.client.get("/identifier", "settings").string_array_value) == ["payload.com=[0,0,0]"]
     assert not arm.client.set("/virtual", "object", "50 g").successful
     assert not arm.client.set("/excitation", "probe", "no_such_probe").successful
+
+
+def test_what_is_refused_withdraws_what_stood(arm: Calibrated) -> None:
+    """Nobody knows what is in the hand now."""
+    client = arm.client
+    withdrawn = client.withdrawn
+    assert client.call("/driver/stop").success
+    answer = client.call("/identifier/calibrate_payload")
+    assert not answer.success and "the driver is stopped" in answer.message
+    assert client.wait_for(lambda: client.withdrawn == withdrawn + 1 and client.estimates[-1]["verdict"] == "failed")
+    assert client.estimates[-1]["payload_mass"] == "not determined"
+    assert client.wait_for(lambda: math.isnan(client.payloads[-1].inertia.m))
+    assert client.wait_for(lambda: [marker.action for marker in client.markers[-1].markers] == [Marker.DELETEALL])
+    assert client.torque(True).success
