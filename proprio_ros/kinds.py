@@ -63,6 +63,8 @@ KINDS: dict[str, Kind] = {
     "v0": Kind("rad/s", "start velocity", "run"),
     "onset": Kind("s", "delay that differs from run to run", "run"),
     "disturbance": Kind("N m", "torque that differs from run to run", "run"),
+    "moment_change": Kind("1", "weight over inertia that differs from swing to swing", "run"),
+    "swing_zero": Kind("rad", "joint's zero in a swing", "run"),
     "friction_change": Kind("1", "friction that differs from swing to swing", "run"),
     # a rigid load in the hand, which references are, too
     "payload_mass": Kind("kg", "payload mass"),

@@ -7,6 +7,7 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       runs: [{name: .., duration_s: 50.0, load_kg: 0.0}, ..]     # load_kg: of a weighed reference
       torque_scale: {value: 1.0, std: 0.01}                      # true torque over that of the robot file's torque constants
       arm_over_urdf: 1.04                                        # what the torques say the arm weighs, over its URDF's masses
+      between_recordings: {common_scale: {std: 0.015, recordings: 4.0}, ..}    # what differs from recording to recording
       joints: [{name: joint1, torque_constant_N_m_per_A: 1.78, residual_N_m: 0.02, correlated_windows: 3.5}, ..]
       unknowns:
         coulomb[joint1]: {value: 0.05, std: 0.004, unit: N m, run_to_run: 0.01}
@@ -19,7 +20,7 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,14 @@ _SCALE: dict[str, Form] = {
 }
 
 
+BETWEEN = frozenset({"common_scale", "own_scale", "friction", "offset", "zero"})
+"""What differs between recordings: torque scales and friction relative, offsets in parts of Coulomb friction, zeros [rad]."""
+_BETWEEN: dict[str, Form] = {
+    "std": Number(unit="", lowest=0.0, highest=10.0, open=True),
+    "recordings": Number("of what its word is worth", "", 0.0, 1e6, open=True),
+}
+
+
 def term_keys(joints: tuple[str, ...]) -> tuple[Key, ...]:
     """All terms of an arm in the order of a calibration's arrays: bodies joint by joint, then every other kind joint by joint."""
     bodies = [(kind, joint) for joint in joints for kind in BODY_TERMS]
@@ -107,6 +116,9 @@ class MotionCalibration:
         arm_over_urdf: By how much the torques of the arm's own bodies are those that its URDF says.
         fingerprint: Of the URDF.
         runs: One mapping per run: name, duration_s, load_kg.
+        between: What differs between recordings: of each of `BETWEEN` its standard deviation, and on the word of how many
+            recordings that rests; empty in files that do not say.
+        tells: How much each joint would tell of a mass in these motions, shape (n,), sum 1; None: not kept in files.
     """
 
     joints: tuple[str, ...]
@@ -122,6 +134,8 @@ class MotionCalibration:
     arm_over_urdf: float
     fingerprint: str
     runs: tuple[Mapping[str, Any], ...]
+    between: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    tells: FloatArray | None = None
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -162,6 +176,10 @@ class MotionCalibration:
                 dict(zip(_JOINT, (joint, short(constant, 15), short(rms), short(windows)), strict=True))
                 for joint, (constant, rms, windows) in zip(self.joints, numbers, strict=True)
             ],
+            "between_recordings": {
+                kind: {"std": short(std), "recordings": short(recordings)}
+                for kind, (std, recordings) in self.between.items()
+            },
             "unknowns": unknowns,
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": lines_of(self.deviations / std, 9),
@@ -206,7 +224,20 @@ class MotionCalibration:
         fitted = (values, correlation * scale[:, None] * scale, np.array(rows)[:, place] * scale, spread)
         constants, residual, correlated = numbers.T
         scales = (torque_scale, torque_scale_std, over_urdf)
-        return cls(joints, constants, *fitted, residual, correlated, *scales, "", runs)
+        between = _read_between(section.get("between_recordings", {}))
+        return cls(joints, constants, *fitted, residual, correlated, *scales, "", runs, between)
+
+
+def _read_between(given: Any) -> dict[str, tuple[float, float]]:
+    """What differs between recordings; nothing where the file says nothing."""
+    if not isinstance(given, Mapping) or set(given) not in (set(), BETWEEN):
+        raise FormError(f"between_recordings must have {', '.join(sorted(BETWEEN))}, got {shortly(given)}")
+    read = {}
+    for kind, entry in given.items():
+        with under("between_recordings", kind):
+            std, recordings = exactly(entry, _BETWEEN)
+            read[kind] = (std, recordings)
+    return read
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from proprio_ros.identification.estimate import Scan, Value, Verdict
 from proprio_ros.identification.fit import (
@@ -271,6 +272,26 @@ def positive(
     """
     if withheld:
         return Value(name, unit, None, reason=withheld)
+    low, high = not_negative(value, std, quantile)
+    return Value(name, unit, max(value, 0.0), std, [low, min(high, highest)])
+
+
+def not_negative(value: float, std: float, quantile: float = Z95) -> tuple[float, float]:
+    """The 95 % interval of a quantity that cannot be below nothing: the shortest that holds 95 % of its posterior cut off there.
+
+    An estimate below nothing says what one at nothing does, and no more: cut off, its posterior would be the narrower the less
+    likely it is.
+
+    Args:
+        value: Estimated, of either sign.
+        std: Of it.
+        quantile: Half width of a 95 % interval in standard deviations where nothing is cut off.
+    """
     half = quantile * std
-    interval = [max(value - half, 0.0), min(max(value + half, 0.0), highest)]
-    return Value(name, unit, max(value, 0.0), std, interval)
+    if value >= half:
+        return value - half, value + half
+    scale = quantile / Z95 * std
+    middle = max(value, 0.0) / scale if scale > 0.0 else 0.0
+    # what is cut off below has to be made up for above
+    high = middle + float(ndtri(0.95 + 0.05 * ndtr(-middle)))
+    return 0.0, scale * high

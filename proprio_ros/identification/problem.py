@@ -21,6 +21,7 @@ from proprio_ros.identification.robot_unknowns import (
     DRIVE_TERMS,
     KEPT_IN_A_SWING,
     NOT_IN_A_SWING,
+    OF_A_SWING,
     PAYLOAD_TERMS,
     RIPPLE_TERMS,
     RISE,
@@ -83,7 +84,7 @@ class Problem:
             self.measured[row, : run.used] = run.position
             self.weight[row, : run.used] = 1.0 / run.sigma
         # which parameters depend on the unknowns non-linearly: then the tangents must follow the guess
-        bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, "friction_change"}
+        bent = {*PAYLOAD_TERMS[1:], "zero", "arm_scale", *RIPPLE_TERMS, *OF_A_SWING}
         kinds = {u.kind for u in free}
         self._affine = kinds.isdisjoint(bent) and not kinds.issuperset({"torque_constant", "disturbance"})
         self._ripple = [
@@ -178,7 +179,7 @@ class Problem:
         payload = self._payload(values) if "payload_mass" in at else None
         for row, run in enumerate(self.runs):
             joint = run.run.joint
-            p[:, row, _GRAVITY_ROWS], dp[:, row, _GRAVITY_ROWS] = self._moving_part(run, values, payload)
+            p[:, row, _GRAVITY_ROWS], dp[:, row, _GRAVITY_ROWS] = self._moving_part(row, values, payload)
             direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
             direct |= {("armature", joint): "inertia", "delay": "delay", ("onset", row): "delay"}
             direct |= {("q0", row): "q0", ("v0", row): "v0"}
@@ -202,9 +203,10 @@ class Problem:
         return p, dp
 
     def _moving_part(
-        self, run: PreparedRun, values: np.ndarray, payload: tuple[np.ndarray, dict[int, np.ndarray]] | None
+        self, row: int, values: np.ndarray, payload: tuple[np.ndarray, dict[int, np.ndarray]] | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Inertia and gravity load of arm and payload, shape (S, 4), and their derivative by every unknown, shape (S, 4, N)."""
+        run = self.runs[row]
         c, at, guesses = run.coefficients, self.index, len(values)
         arm_scale = values[:, at["arm_scale"]]
         arm, lever = np.tile(c.arm, (guesses, 1)), np.tile(c.payload, (guesses, 1, 1))
@@ -233,16 +235,25 @@ class Problem:
                 d[:, :, column] += factor * change
         zero = at.get(("zero", run.run.joint))
         if zero is not None:
-            z = np.full(guesses, self.base[zero]) if run.run.free else values[:, zero]
+            own = zero
+            z = values[:, zero]
+            if run.run.free:
+                own = at["swing_zero", row]
+                z = self.base[zero] + values[:, own]
             cos, sin = np.cos(z), np.sin(z)
             ga, gb = g[:, 1].copy(), g[:, 2].copy()
             da, db = d[:, 1].copy(), d[:, 2].copy()
             g[:, 1], g[:, 2] = ga * cos + gb * sin, gb * cos - ga * sin
             d[:, 1] = da * cos[:, None] + db * sin[:, None]
             d[:, 2] = db * cos[:, None] - da * sin[:, None]
-            if not run.run.free:
-                d[:, 1, zero] += g[:, 2]
-                d[:, 2, zero] -= g[:, 1]
+            d[:, 1, own] += g[:, 2]
+            d[:, 2, own] -= g[:, 1]
+        if run.run.free:
+            repeats = at["moment_change", row]
+            times = 1.0 + values[:, repeats]
+            d[:, 1:] *= times[:, None, None]
+            d[:, 1:, repeats] = g[:, 1:]
+            g[:, 1:] *= times[:, None]
         return g, d
 
     def _disturb(self, row: int, p: np.ndarray, dp: np.ndarray, values: np.ndarray) -> None:

@@ -29,6 +29,13 @@ KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, *RISE)
 """Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
 learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows. What another rise would
 have made of the rest is in a calibration's covariance; the next swing of the joint, whose rise is the same, is fitted given it."""
+OF_A_SWING = ("friction_change", "moment_change", "swing_zero")
+"""What each swing of a joint has of its own: all its friction is by a factor another, its weight, and where the joint's zero is."""
+MOMENT_REPEATS = 0.015
+"""Standard deviation of gravity's moment over inertia between swings of one joint with one load, relative: masses of servos that
+were let go repeat to 1.9 to 4.5 %, which is 1 to 2 % of it where the rotor is half of the inertia."""
+ZERO_REPEATS = 0.3
+"""Of a zero as well as the file knows it, what differs from swing to swing."""
 COMMON_SHARE = 0.5
 """Of the variance of torque constants, what motors of one kind have in common before anything is learnt: a maker's number is off
 for all of them, and each differs from it. If each erred on its own alone, several joints together would tell the arm's weight from
@@ -80,7 +87,11 @@ def robot_unknowns(robot: Robot, runs: Sequence[PreparedRun], drive_role: Role) 
         free = run.run.free
         start_velocity = (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
         unknowns += [Unknown("q0", run.rest.value, run.rest.std, scope=row), Unknown("v0", *start_velocity, scope=row)]
-        of_run = [Unknown("friction_change", 0.0, robot.friction_spread, -0.9, scope=row)] if free else []
+        of_run = []
+        if free:
+            zero_std = ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std
+            stds = dict(zip(OF_A_SWING, (robot.friction_spread, MOMENT_REPEATS, zero_std), strict=True))
+            of_run = [Unknown(kind, 0.0, std, -0.9, scope=row) for kind, std in stds.items()]
         of_run.append(Unknown("onset", 0.0, onset_std(robot, run), -0.1, 0.1, scope=row))
         # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
         of_run.append(Unknown("disturbance", 0.0, 0.0 if free else robot.torque_disturbance, scope=row))

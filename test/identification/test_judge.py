@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.fit import FitResult, SearchOptions, fit_both, solve_load, unexplained
@@ -21,6 +22,7 @@ from proprio_ros.identification.judge import (
     guessed,
     judge,
     not_identifiable,
+    not_negative,
     positive,
     rejected,
     too_wide,
@@ -169,8 +171,23 @@ def test_a_quantity_that_is_not_negative() -> None:
     assert inside.ci95 == pytest.approx([0.05 - Z95 * 0.01, 0.05 + Z95 * 0.01])
     assert positive("payload_mass", "kg", 0.05, 0.01, quantile=3.0).ci95 == pytest.approx([0.02, 0.08])
     empty = positive("payload_mass", "kg", -0.001, 0.002)
-    assert empty.value == 0.0 and empty.ci95 == pytest.approx([0.0, -0.001 + Z95 * 0.002])
-    assert positive("payload_mass", "kg", -0.05, 0.01).ci95 == [0.0, 0.0]
+    # what is estimated below nothing is known no better than what is estimated at nothing
+    assert empty.value == 0.0 and empty.ci95 == pytest.approx([0.0, Z95 * 0.002])
+    assert positive("payload_mass", "kg", -0.05, 0.01).ci95 == pytest.approx([0.0, Z95 * 0.01])
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3, 1.0, 1.7, 1.9])
+def test_an_interval_near_nothing_holds_95_percent_of_what_is_left(value: float) -> None:
+    low, high = not_negative(value, 1.0)
+    assert low == 0.0 and high > value + norm.ppf(0.95)
+    assert norm.cdf(high - value) - norm.cdf(-value) == pytest.approx(0.95 * norm.cdf(value))
+
+
+def test_an_interval_far_from_nothing_is_not_cut_off() -> None:
+    assert not_negative(2.0, 1.0) == pytest.approx((2.0 - Z95, 2.0 + Z95))
+
+
+def test_a_quantity_ends_where_it_must_or_is_withheld() -> None:
     assert positive("poissons_ratio", "1", 0.4, 0.1, highest=0.47).ci95[1] == 0.47
     withheld = positive("payload_mass", "kg", 0.05, 0.01, "more than one mass")
     assert (withheld.value, withheld.std, withheld.ci95, withheld.reason) == (None, None, None, "more than one mass")

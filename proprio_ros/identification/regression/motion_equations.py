@@ -31,6 +31,8 @@ SLOW_RAD_S = 0.02
 STRETCH_S = 2.5
 """Neighbouring windows share an error; stretches so long do not: longer than what friction and controllers keep in memory."""
 MIN_STRETCHES = 4
+ZERO_STEP_RAD = 1e-3
+"""Of a difference quotient: a torque is nearly linear over it, and its digits are not lost."""
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
 
 
@@ -96,6 +98,7 @@ class Arm:
         velocity: FloatArray,
         torque: FloatArray,
         counts: NDArray[np.bool_] | bool = True,
+        by_zeros: bool = False,
     ) -> Rows:
         """The rows of windows in which a joint moves.
 
@@ -107,12 +110,22 @@ class Arm:
             velocity: At the same instants [rad/s].
             torque: Of the motors [N m].
             counts: Which rows are wanted, broadcast to shape (W, n).
+            by_zeros: Whether the rows know how they follow the joints' zeros.
         """
         slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
         window, joint = np.nonzero(counts & ~slow)
-        regressor = np.zeros((0, self.count, PARAMETERS))
-        if len(joint):
-            regressor = torque_regressor(self.model, position, velocity, windows, period_s)[window, joint]
+
+        def torques(shift: FloatArray | float) -> FloatArray:
+            if not len(joint):
+                return np.zeros((0, self.count, PARAMETERS))
+            return torque_regressor(self.model, position + shift, velocity, windows, period_s)[window, joint]
+
+        regressor = torques(0.0)
+        shifts = ZERO_STEP_RAD * np.eye(self.count) if by_zeros else np.zeros((0, self.count))
+        shifted = [(torques(shift) - regressor) / ZERO_STEP_RAD for shift in shifts]
+        zero = np.zeros((len(joint), 0, PARAMETERS * (1 + self.count)))
+        if shifted:
+            zero = np.stack([self._payload_and_bodies(each) for each in shifted], axis=1)
         moving = np.tanh(velocity / SLOW_RAD_S)
         direction = windows.mean(moving)[window, joint]
         own = np.eye(self.count)[joint]
@@ -133,7 +146,18 @@ class Arm:
             payload=regressor[:, self.body] @ self.from_payload,
             direction=direction,
             torque=windows.mean(torque)[window, joint],
+            zero=zero,
         )
+
+    def _payload_and_bodies(self, regressor: FloatArray) -> FloatArray:
+        """Torque per unit of the payload's parameters and the bodies' in turn, shape (E, 10 + 10 n)."""
+        bodies = regressor.reshape(len(regressor), self.count * PARAMETERS)
+        return np.hstack([regressor[:, self.body] @ self.from_payload, bodies])
+
+
+def own_terms(count: int) -> int:
+    """What each motion has of its own: friction, offset, scale and zero of each of ``count`` joints, and a scale in common."""
+    return 5 * count + 1
 
 
 def sizes(mass_kg: float, length_m: float) -> list[float]:
@@ -153,6 +177,8 @@ class Rows:
         payload: Per unit of the payload's parameters, in its frame, shape (E, 10).
         direction: Mean of the joint's direction of motion, -1 to 1, shape (E,).
         torque: Mean motor torque [N m], shape (E,).
+        zero: By how much the columns of the payload's parameters and the bodies' change per radian of each joint's zero, shape
+            (E, n, 10 + 10 n); of no joint where nobody asked.
     """
 
     start_s: FloatArray
@@ -161,6 +187,7 @@ class Rows:
     payload: FloatArray
     direction: FloatArray
     torque: FloatArray
+    zero: FloatArray
 
     @classmethod
     def together(cls, parts: Sequence[Rows]) -> Rows:
@@ -195,14 +222,15 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str], centre_m: Flo
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
     torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in names])
-    rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts)
+    rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts, by_zeros=True)
     if not len(rows.joint):
         raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
     if centre_m is None:
         return rows
-    payload = rows.payload.copy()
-    payload[:, 0] = rows.payload @ point_mass(centre_m)
-    return replace(rows, payload=payload)
+    payload, zero, point = rows.payload.copy(), rows.zero.copy(), point_mass(centre_m)
+    payload[:, 0] = rows.payload @ point
+    zero[:, :, 0] = rows.zero[:, :, :PARAMETERS] @ point
+    return replace(rows, payload=payload, zero=zero)
 
 
 def fill_drives(
@@ -233,13 +261,15 @@ def fill_drives(
 
 @dataclass(frozen=True)
 class Problem:
-    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and friction of each motion, 3 n.
+    """Equations of all motions; unknowns are the payload's ten, the arm's 17 n, and each motion's own, 5 n + 1 (see `Between`).
 
     Attributes:
-        matrix: Shape (E, U); columns of gears and torque constants are filled while it is solved.
+        matrix: Shape (E, U); columns of gears, torque constants, scales and zeros are filled while it is solved.
         torque, joint, direction: Of each equation, see `Rows`.
         stretch: Of each, labelled apart from motion to motion, shape (E,).
         motion: Number of its motion, shape (E,).
+        by_mass: Mean torque per kilogram at the payload's place, held or not, shape (E,).
+        zero: See `Rows`, with nothing of the payload where none is held.
         loaded: So many motions, the first ones, hold the payload.
         count: Of joints, n.
     """
@@ -250,6 +280,8 @@ class Problem:
     stretch: NDArray[np.int64]
     direction: FloatArray
     motion: NDArray[np.int64]
+    by_mass: FloatArray
+    zero: FloatArray
     loaded: int
     count: int
 
@@ -257,22 +289,61 @@ class Problem:
     def of(cls, parts: Sequence[Rows], loaded: int) -> Problem:
         """All motions together, ``loaded`` of them with the payload."""
         count = parts[0].design.shape[1] // TERMS
-        shared, own = ARM_TERMS * count, len(FRICTION_TERMS) * count
+        shared, friction, own = ARM_TERMS * count, len(FRICTION_TERMS) * count, own_terms(count)
         matrix = []
         for number, part in enumerate(parts):
-            friction = np.zeros((len(part.joint), own * len(parts)))
-            friction[:, own * number : own * (number + 1)] = part.design[:, shared:]
+            of_motion = np.zeros((len(part.joint), own * len(parts)))
+            of_motion[:, own * number : own * number + friction] = part.design[:, shared:]
             payload = part.payload if number < loaded else np.zeros_like(part.payload)
-            matrix.append(np.hstack([payload, part.design[:, :shared], friction]))
+            matrix.append(np.hstack([payload, part.design[:, :shared], of_motion]))
         rows = Rows.together(parts)
         motion = np.repeat(np.arange(len(parts)), [len(part.joint) for part in parts])
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
-        return cls(np.vstack(matrix), rows.torque, rows.joint, stretch, rows.direction, motion, loaded, count)
+        zero = rows.zero.copy()
+        zero[motion >= loaded, :, :PARAMETERS] = 0.0
+        return cls(
+            np.vstack(matrix),
+            rows.torque,
+            rows.joint,
+            stretch,
+            rows.direction,
+            motion,
+            rows.payload[:, 0],
+            zero,
+            loaded,
+            count,
+        )
 
     def only(self, kept: NDArray[np.bool_]) -> Problem:
         """Some of its equations."""
-        arrays = ("matrix", "torque", "joint", "stretch", "direction", "motion")
+        arrays = ("matrix", "torque", "joint", "stretch", "direction", "motion", "by_mass", "zero")
         return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+
+    @property
+    def motions(self) -> int:
+        """How many there are."""
+        return (self.matrix.shape[1] - PARAMETERS - ARM_TERMS * self.count) // own_terms(self.count)
+
+    def own(self, number: int, of: int = 0) -> slice:
+        """Where the own terms of a motion stand among the unknowns, from the one numbered ``of`` on."""
+        first = PARAMETERS + ARM_TERMS * self.count + number * own_terms(self.count)
+        return slice(first + of, first + own_terms(self.count))
+
+    def fill_own(self, matrix: FloatArray, values: FloatArray) -> None:
+        """Fill the columns of what each motion has of its own beside friction, which go with a solution.
+
+        Args:
+            matrix: As `matrix`; changed in place, shape (E, U).
+            values: The solution, shape (U,).
+        """
+        count = self.count
+        bodies = slice(0, PARAMETERS * (1 + count))
+        by_zero = self.zero @ values[bodies]
+        torque = matrix @ values
+        shares = np.column_stack([-np.eye(count)[self.joint] * torque[:, None], by_zero, -torque])
+        for number in range(self.motions):
+            rows = self.motion == number
+            matrix[rows, self.own(number, len(FRICTION_TERMS) * count)] = shares[rows]
 
     @property
     def carrying(self) -> NDArray[np.bool_]:

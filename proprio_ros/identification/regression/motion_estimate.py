@@ -15,7 +15,7 @@ from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
 from proprio_ros.identification.regression.motion_prior import file_prior
-from proprio_ros.identification.regression.refusals import far_from_prior, unexplained_torque, unlike_urdf
+from proprio_ros.identification.regression.refusals import deciding, far_from_prior, unexplained_torque, unlike_urdf
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
@@ -99,7 +99,8 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
         for motion in motions
     ]
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
-    yield from unexplained_torque(calibration.joints, calibration.residual / driven, "the arm and its friction")
+    share = deciding(calibration.tells, calibration.residual / driven)
+    yield from unexplained_torque(calibration.joints, share, "the arm and its friction")
     yield from unlike_urdf(calibration.arm_over_urdf)
     prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
     std = np.sqrt(np.diag(prior.covariance))
@@ -114,11 +115,15 @@ def _scaled(
 ) -> tuple[MotionCalibration, Refusal]:
     """The calibration with the torque scale that the references show, or why they do not show it."""
     open_scale = replace(calibration, torque_scale=1.0, torque_scale_std=0.0)
-    ratios, stds = [], []
-    for motion, mass_kg in references:
-        fit = fit_payload(robot, [motion], open_scale, centre=centre)
+    ratios: list[float] = []
+    stds: list[float] = []
+    fits = [(fit_payload(robot, [motion], open_scale, centre=centre), motion, kg) for motion, kg in references]
+    # the best one first: one that is too coarse beside others says nothing, and does no harm
+    for fit, motion, mass_kg in sorted(fits, key=lambda fitted: float(fitted[0].std[0]) / fitted[2]):
         read, std = float(fit.values[0]), float(fit.std[0])
         if read <= 0.0 or std > LIGHT_REFERENCE * mass_kg:
+            if ratios:
+                continue
             return calibration, not_identifiable(
                 "says_too_little",
                 "the reference says nothing about the torque constants",

@@ -14,7 +14,7 @@ over stretches says far too much where four are all there is: each then has a le
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -28,32 +28,36 @@ from proprio_ros.calibration_files.motions import (
     MotionCalibration,
 )
 from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.identification.regression.between import WORDS, Between, effective_freedom
 from proprio_ros.identification.regression.motion_equations import MIN_STRETCHES, Arm, Problem, equations
 from proprio_ros.identification.regression.motion_prior import (
     LEAST_TORQUE_STD,
+    LOAD_FRICTION_SPREAD,
     URDF_SHARE,
-    CalibratedPrior,
+    between_of,
+    calibrated_prior,
     payload_stds,
     prior_of_file,
     relative_torque_std,
 )
-from proprio_ros.identification.regression.solve import Prior, Solution, larger, posterior, scores, solve
+from proprio_ros.identification.regression.solve import Solution, larger, solve
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 from proprio_ros.robot.regressor import PARAMETERS
 
-LEAST_SPREAD_SHARE = 0.1
-"""Friction of one run differs from that of the next by at least this share: motors warm up."""
+SPREAD_ITERATIONS = 10
+LEAST_TOLD = 0.2
+"""A recording tells a joint's share of the torque where it makes its variance this much smaller."""
 Centre = tuple[FloatArray, FloatArray]
 """A payload's centre of mass in its frame, and the standard deviation of each coordinate [m], each of shape (3,)."""
-SOURCES = (
+STRETCHES, UNDETERMINED, CALIBRATION, CONSTANTS = (
     "what differs from stretch to stretch",
     "what the motion does not determine",
     "what the calibration leaves open",
     "torque constants",
 )
-"""Of what a mass errs by."""
+"""Of what a mass errs by, beside what recordings differ by (`between.WORDS`)."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,7 @@ class MotionFit:
         arm, arm_prior, arm_std: Their values, and the prior's with its standard deviations, shape (P,).
         torque_ratio, torque_ratio_std: Torques of the motions with the payload over what arm and payload need by the empty
             motions, shape (n,): 1 unless units or torque constants differ.
+        tells: How much of what is known of the mass each joint tells, shape (n,), sum 1.
     """
 
     joints: tuple[str, ...]
@@ -98,6 +103,12 @@ class MotionFit:
     arm_std: FloatArray
     torque_ratio: FloatArray
     torque_ratio_std: FloatArray
+    tells: FloatArray
+
+    @property
+    def misfit(self) -> float:
+        """Mean square of what is left over, over that of the empty motions, each joint as much as it tells: reduced chi-square."""
+        return float(np.nansum(self.tells * np.square(self.residual / self.empty_residual)))
 
     @property
     def std(self) -> FloatArray:
@@ -136,14 +147,14 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
     problem = Problem.of(parts, 0)
     problem.stretches_of(~problem.carrying, motions[0].name, better_s=50.0)
     prior = prior_of_file(robot, arm, runs)
-    solution = solve(problem, prior, payload_stds(arm))
+    none = np.zeros(len(FRICTION_TERMS) * count)
+    solution = solve(problem, prior, Between.published(none, none), payload_stds(arm))
     # the mean of the runs' friction
     mean = np.zeros((TERMS * count, len(solution.values)))
     mean[: ARM_TERMS * count, PARAMETERS:shared] = np.eye(ARM_TERMS * count)
-    own = len(FRICTION_TERMS) * count
     for number in range(runs):
-        at = shared + own * number
-        mean[ARM_TERMS * count :, at : at + own] = np.eye(own) / runs
+        mean[ARM_TERMS * count :, problem.own(number)][:, : len(none)] = np.eye(len(none)) / runs
+    between = _friction_between(problem, solution)
     names = arm.model.joint_names
     bodies = slice(PARAMETERS, PARAMETERS * (1 + count))
     fitted, by_urdf = (problem.matrix[:, bodies] @ each[bodies] for each in (solution.values, prior.values))
@@ -161,7 +172,8 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         values=mean @ solution.values,
         covariance=mean @ solution.covariance @ mean.T,
         deviations=solution.deviations @ mean.T,
-        friction_spread=_friction_spread(problem, solution),
+        friction_spread=between.std[: len(none)],
+        between={kind: (spread, between.recordings[kind]) for kind, spread in between.spreads.items()},
         residual=solution.rms,
         correlation=solution.correlation,
         torque_scale=1.0,
@@ -169,20 +181,21 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         arm_over_urdf=over_urdf,
         fingerprint=robot.model.fingerprint(),
         runs=tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions),
+        tells=_weight_by_joint(problem, solution),
     )
 
 
-def _friction_spread(problem: Problem, solution: Solution) -> FloatArray:
-    """By how much friction and offset differ: from run to run, and what stretches of a run show of it, shape (3 n,)."""
-    own = len(FRICTION_TERMS) * problem.count
-    friction = slice(PARAMETERS + ARM_TERMS * problem.count, None)
-    runs = solution.values[friction].reshape(-1, own)
-    between = runs.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(own)
+def _friction_between(problem: Problem, solution: Solution) -> Between:
+    """With what friction and offset differ by: from run to run, and what stretches of a run show of it."""
+    count, own = problem.count, len(FRICTION_TERMS) * problem.count
+    places = [problem.own(number) for number in range(problem.motions)]
+    runs = np.array([solution.values[place] for place in places])
+    variances = np.array([np.diag(solution.covariance)[place] for place in places])
     # each motion has columns of its own; together they are those of one friction
-    columns = problem.matrix[:, friction].reshape(len(problem.joint), -1, own).sum(axis=1)
+    columns = np.sum([problem.matrix[:, place][:, :own] for place in places], axis=0)
     drift = np.zeros(own)
     for number in range(own):
-        mine = problem.joint == number % problem.count
+        mine = problem.joint == number % count
         column, residual, stretch = columns[mine, number], solution.residual[mine], problem.stretch[mine]
         of_stretch = [
             float(residual[out] @ column[out]) / max(float(column[out] @ column[out]), 1e-12)
@@ -190,9 +203,19 @@ def _friction_spread(problem: Problem, solution: Solution) -> FloatArray:
         ]
         # what a stretch shows may be any of the three
         drift[number] = np.sqrt(np.mean(np.square(of_stretch)) / len(FRICTION_TERMS)) if of_stretch else 0.0
-    least = LEAST_SPREAD_SHARE * np.abs(runs).mean(axis=0)
-    least[2 * problem.count :] = 0.0
-    return np.maximum(np.hypot(between, drift), np.maximum(least, 1e-9))
+    usual = np.abs(runs[:, :own]).mean(axis=0)
+    usual[2 * count :] = usual[count : 2 * count]
+    stated = replace(solution.between, friction=usual, drift=drift)
+    if len(runs) == 1:
+        return stated
+    # about their mean they differ by less than about the arm's own
+    off = (runs - runs.mean(axis=0)) * np.sqrt(len(runs) / (len(runs) - 1))
+    told = (len(runs) - 1) / len(runs)
+    now = stated
+    for _ in range(SPREAD_ITERATIONS):
+        left = 1.0 - told * (1.0 - np.minimum(variances / (variances + now.std**2), 1.0))
+        now = stated.learnt(now, off, left * now.std**2, ("friction", "offset"))
+    return now
 
 
 def fit_payload(
@@ -223,16 +246,22 @@ def fit_payload(
     problem = Problem.of([equations(robot, motion, joints, at) for motion in motions], len(loaded))
     carrying = problem.carrying
     stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0)
-    known = CalibratedPrior.of(arm, calibration, len(motions))
+    known, terms = calibrated_prior(arm, calibration, len(motions))
+    between = between_of(calibration)
     per_kg = payload_stds(arm)
     if centre is not None:
         per_kg[1:4] = np.maximum(centre[1], 1e-3)
-    solution = solve(problem, known.prior, per_kg, calibration)
-    covariances = _covariances(solution, known, calibration)
-    variances = np.array([part[0, 0] for part in covariances])
-    # what few stretches say of their own scatter is uncertain: Satterthwaite 1946, Biometrics Bulletin 2
-    freedom = np.array([stretches - 1, np.inf, calibration.stretches - 1, np.inf])
-    effective = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
+    solution = solve(problem, known, between, per_kg, calibration)
+    tells, residual = _weight_by_joint(problem, solution), problem.rms_by_joint(solution.residual, carrying)
+    covariances = _covariances(problem, solution, terms, calibration)
+    # what explains these motions worse than the empty ones is not only noise: the arm is not where it was calibrated
+    worse = np.square(residual / np.where(calibration.residual > 0.0, calibration.residual, np.nan))
+    covariances[CALIBRATION] *= max(1.0, float(np.nansum(tells * worse)))
+    variances = {name: float(part[0, 0]) for name, part in covariances.items()}
+    # what few stretches or recordings say of their own scatter is uncertain
+    freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
+    freedom += [(variances[WORDS[kind]], number) for kind, number in solution.between.recordings.items()]
+    effective = float(effective_freedom(sum(variances.values()), freedom))
     halves = None
     if stretches >= 2 * MIN_STRETCHES:
         late = np.zeros(len(problem.joint), dtype=bool)
@@ -240,19 +269,20 @@ def fit_payload(
             mine = problem.motion == number
             late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
         first, second = (
-            solve(problem.only(kept), known.prior, per_kg, calibration).mass_and_std()
+            solve(problem.only(kept), known, between, per_kg, calibration).mass_and_std()
             for kept in (~late, late | ~carrying)
         )
         halves = (first, second)
     ratio, ratio_std = _torque_ratio(problem, solution)
+    followed, rows = np.nonzero(terms)
     scale = calibration.torque_scale
     return MotionFit(
         joints=arm.model.joint_names,
         values=scale * solution.values[:PARAMETERS],
-        covariance=scale**2 * np.sum(covariances, axis=0),
-        parts={name: scale * float(np.sqrt(variance)) for name, variance in zip(SOURCES, variances, strict=True)},
+        covariance=scale**2 * np.sum(list(covariances.values()), axis=0),
+        parts={name: scale * float(np.sqrt(variance)) for name, variance in variances.items()},
         stretches=stretches,
-        residual=problem.rms_by_joint(solution.residual, carrying),
+        residual=residual,
         empty_residual=np.where(calibration.residual > 0.0, calibration.residual, np.nan),
         driven=problem.rms_by_joint(problem.torque, carrying),
         quantile=float(student.ppf(0.975, effective)),
@@ -260,12 +290,13 @@ def fit_payload(
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
         payload_prior=solution.payload_prior,
-        keys=tuple(calibration.keys[row] for row in known.rows),
-        arm=solution.values[PARAMETERS:],
-        arm_prior=known.prior.values[PARAMETERS:],
-        arm_std=known.std,
+        keys=tuple(calibration.keys[row] for row in rows),
+        arm=solution.values[PARAMETERS:][followed],
+        arm_prior=known.values[PARAMETERS:][followed],
+        arm_std=np.sqrt(np.diag(solution.prior.covariance))[PARAMETERS:][followed],
         torque_ratio=ratio,
         torque_ratio_std=ratio_std,
+        tells=tells,
     )
 
 
@@ -295,17 +326,18 @@ def check_torque_constant(robot: Robot, joint: str, constant: float, what: str) 
 
 
 def _covariances(
-    solution: Solution, known: CalibratedPrior, calibration: MotionCalibration
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of the payload's parameters by each of `SOURCES`, shape (10, 10)."""
-    # how the payload follows what its prior is made of: the calibration's values, friction that runs differ by, its own size
+    problem: Problem, solution: Solution, terms: FloatArray, calibration: MotionCalibration
+) -> dict[str, FloatArray]:
+    """Of the payload's parameters by what they err by, each of shape (10, 10)."""
+    # how the payload follows what its prior is made of: the calibration's values, what recordings differ by, its own size
     by_prior = solution.by_prior()
-    follows = np.zeros((PARAMETERS, len(calibration.values)))
-    np.add.at(follows.T, known.rows, by_prior[:, PARAMETERS:].T)
-    own_std = np.concatenate([solution.payload_prior, known.own_std[known.rows]])
-    opened = (by_prior * own_std**2) @ by_prior.T
-    # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
+    follows = by_prior[:, PARAMETERS:] @ terms
     count = len(calibration.joints)
+    opened = by_prior[:, :PARAMETERS] * solution.payload_prior
+    geared = by_prior[:, PARAMETERS + 11 * count : PARAMETERS + 12 * count] * LOAD_FRICTION_SPREAD
+    between, own = solution.between, by_prior[:, problem.own(0).start :]
+    of_own, kinds = own * np.tile(between.std, problem.motions), np.tile(between.kinds, problem.motions)
+    # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
     by_share = follows @ calibration.covariance[:, 12 * count : 13 * count] / LEAST_TORQUE_STD
     apart = by_share @ by_share.T
     by_calibration = larger(
@@ -314,18 +346,32 @@ def _covariances(
     )
     # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
     together = calibration.torque_scale_std * solution.values[:PARAMETERS]
-    return solution.noise(), opened, by_calibration, larger(np.outer(together, together), apart)
+    return {
+        STRETCHES: solution.noise(),
+        UNDETERMINED: opened @ opened.T + geared @ geared.T,
+        CALIBRATION: by_calibration,
+        CONSTANTS: larger(np.outer(together, together), apart),
+        **{WORDS[kind]: of_own[:, kinds == kind] @ of_own[:, kinds == kind].T for kind in WORDS},
+    }
 
 
 def _torque_ratio(problem: Problem, solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """See `MotionFit`: one column more for each joint, of what it needs in the loaded motions."""
+    """See `MotionFit`: what the loaded motions' own shares of the torque say, were nothing known of how far recordings differ."""
     count, size = problem.count, len(solution.values)
-    needed = np.eye(count)[problem.joint] * (problem.carrying * (solution.scaled @ solution.values))[:, None]
-    scaled, target = np.hstack([solution.scaled, needed]), solution.weight * problem.torque
-    covariance = np.eye(size + count)
-    covariance[:size, :size] = solution.prior.covariance
-    prior = Prior(np.append(solution.prior.values, np.zeros(count)), covariance)
-    values, after = posterior(scaled.T @ scaled, scaled.T @ target, prior)
-    deviations = scores(scaled, target - scaled @ values, problem.stretch) @ after
-    variance = np.maximum(np.sum(deviations**2, axis=0), np.diag(after))
-    return 1.0 + values[size:], np.sqrt(variance[size:])
+    share = np.zeros((count, size))
+    for number in range(problem.loaded):
+        own = problem.own(number)
+        share[:, own.stop - 1 - 2 * count : own.stop - 1 - count] = np.eye(count) / problem.loaded
+        share[:, own.stop - 1] = 1.0 / problem.loaded
+    before, after = (np.sum(share @ each * share, axis=1) for each in (solution.prior.covariance, solution.covariance))
+    # of a joint that tells nothing nothing is said
+    told = 1.0 - after / before
+    found = np.where(told > LEAST_TOLD, share @ solution.values / np.maximum(told, LEAST_TOLD), 0.0)
+    return 1.0 / (1.0 + found), np.sqrt(after / np.maximum(told, LEAST_TOLD))
+
+
+def _weight_by_joint(problem: Problem, solution: Solution) -> FloatArray:
+    """How much of what the motions tell about a mass each joint tells, shape (n,), sum 1."""
+    told = np.bincount(problem.joint, np.square(solution.weight * problem.by_mass), minlength=problem.count)
+    result: FloatArray = told / max(float(told.sum()), 1e-300)
+    return result

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS, MotionCalibration
-from proprio_ros.identification.regression.motion_equations import Arm, sizes
+from proprio_ros.identification.regression.between import PSEUDO_RECORDINGS, PUBLISHED, Between
+from proprio_ros.identification.regression.motion_equations import Arm, own_terms, sizes
 from proprio_ros.identification.regression.solve import WAVES, Prior
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -78,49 +77,45 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     return Prior(values, covariance)
 
 
-def rows_for(count: int, motions: int) -> list[int]:
-    """Which of an arm's terms each unknown behind the payload is, where friction is each motion's own."""
-    shared = range(ARM_TERMS * count)
-    return [*shared, *(row for _ in range(motions) for row in range(ARM_TERMS * count, TERMS * count))]
-
-
 def prior_of_file(robot: Robot, arm: Arm, motions: int) -> Prior:
-    """Of all unknowns of some motions by the robot file."""
-    stated, rows, shared = file_prior(robot, arm), rows_for(arm.count, motions), ARM_TERMS * arm.count
-    covariance = stated.covariance[np.ix_(rows, rows)]
-    # friction of one motion says nothing about that of another: its covariances are none but its variances
-    covariance[shared:] = covariance[:, shared:] = 0.0
-    covariance[range(shared, len(rows)), range(shared, len(rows))] = np.diag(stated.covariance)[rows[shared:]]
-    return with_payload(arm, Prior(stated.values[rows], covariance))
+    """Of all unknowns of some motions by the robot file; friction of one motion says nothing about that of another."""
+    stated, shared, count = file_prior(robot, arm), ARM_TERMS * arm.count, arm.count
+    friction = np.zeros(own_terms(count))
+    friction[: TERMS * count - shared] = np.diag(stated.covariance)[shared:]
+    values = np.concatenate([stated.values[:shared], np.zeros(motions * len(friction))])
+    covariance = np.diag(np.concatenate([np.zeros(shared), np.tile(friction, motions)]))
+    covariance[:shared, :shared] = stated.covariance[:shared, :shared]
+    return with_payload(arm, Prior(values, covariance))
 
 
-@dataclass(frozen=True)
-class CalibratedPrior:
-    """Of all unknowns of some motions by a calibration.
+def calibrated_prior(arm: Arm, calibration: MotionCalibration, motions: int) -> tuple[Prior, FloatArray]:
+    """Of all unknowns of some motions by a calibration, and which of its terms each unknown behind the payload follows.
 
-    Attributes:
-        prior: With the payload's.
-        rows: See `rows_for`.
-        own_std: What is added to the calibration's own errors: friction that motions differ by, gears; of each of its terms, shape
-            (20 n,).
-        std: Of each unknown behind the payload: what the calibration knows of it, and that.
+    Returns:
+        The prior, without what recordings differ by, and the terms, shape (U - 10, 20 n), with a 1 for each that is one.
     """
+    count, shared, friction = arm.count, ARM_TERMS * arm.count, len(FRICTION_TERMS) * arm.count
+    of_motion = np.zeros((own_terms(count), TERMS * count))
+    of_motion[:friction, shared:] = np.eye(friction)
+    terms = np.vstack([np.eye(TERMS * count)[:shared], *[of_motion] * motions])
+    covariance = terms @ calibration.covariance @ terms.T
+    geared = range(11 * count, 12 * count)
+    covariance[geared, geared] += LOAD_FRICTION_SPREAD**2
+    return with_payload(arm, Prior(terms @ calibration.values, covariance)), terms
 
-    prior: Prior
-    rows: list[int]
-    own_std: FloatArray
-    std: FloatArray
 
-    @classmethod
-    def of(cls, arm: Arm, calibration: MotionCalibration, motions: int) -> CalibratedPrior:
-        rows, count = rows_for(arm.count, motions), arm.count
-        own_std = np.zeros(len(calibration.values))
-        own_std[11 * count : 12 * count] = LOAD_FRICTION_SPREAD
-        own_std[calibration.friction] = calibration.friction_spread
-        known = Prior(calibration.values[rows], calibration.covariance[np.ix_(rows, rows)].copy())
-        known.covariance[range(len(rows)), range(len(rows))] += own_std[rows] ** 2
-        std = np.sqrt(np.square(calibration.std)[rows] + own_std[rows] ** 2)
-        return cls(with_payload(arm, known), rows, own_std, std)
+def between_of(calibration: MotionCalibration) -> Between:
+    """By how much the recordings of a calibrated arm differ."""
+    stated = calibration.between
+    spreads = {kind: stated[kind][0] for kind in PUBLISHED} if stated else PUBLISHED
+    recordings = {kind: stated[kind][1] if stated else PSEUDO_RECORDINGS for kind in PUBLISHED}
+    # the file has friction's spread in full
+    unit = np.concatenate(
+        [np.full(len(calibration.friction_spread) * share // 3, 1.0 / spreads[kind])
+         for kind, share in (("friction", 2), ("offset", 1))]
+    )  # fmt: skip
+    spread = calibration.friction_spread
+    return Between(spreads, recordings, spread * unit, np.zeros_like(spread))
 
 
 def payload_stds(arm: Arm) -> FloatArray:

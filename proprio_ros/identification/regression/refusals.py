@@ -20,6 +20,31 @@ WIDEST_SHARE = 0.5
 """No mass is stated whose half width is more than this share of it."""
 
 
+DECIDES = 0.05
+"""A joint that tells less than this share of what is known of a mass does not decide whether that is believed."""
+
+
+def deciding(tells: FloatArray | None, values: FloatArray) -> FloatArray:
+    """Values of the joints that decide; NaN of the others."""
+    return values if tells is None else np.where(tells < DECIDES, np.nan, values)
+
+
+def passed_over(joints: Sequence[str], tells: FloatArray, share: FloatArray) -> tuple[str, ...]:
+    """A sentence for each joint whose torque is not explained and does not decide.
+
+    Args:
+        joints: Their names.
+        tells: How much of what is known of the mass each tells, sum 1.
+        share: Of the torque, that is left over by joint; NaN where one did not move.
+    """
+    return tuple(
+        f"{100.0 * share[n]:.0f} % of the torque of {joint} is not explained; it tells {100.0 * tells[n]:.1f} % of the mass, and "
+        "counts for as little"
+        for n, joint in enumerate(joints)
+        if share[n] > UNEXPLAINED_SHARE and tells[n] < DECIDES
+    )
+
+
 def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: str = "") -> Iterator[Refusal]:
     """Where the worst joint's torque is not what the model makes of it.
 
@@ -29,7 +54,7 @@ def unexplained_torque(joints: Sequence[str], share: FloatArray, by: str, name: 
         by: What the model consists of.
         name: Of the recording and a colon, before the sentence.
     """
-    worst = int(np.nanargmax(share))
+    worst = int(np.argmax(np.nan_to_num(share)))
     if share[worst] > UNEXPLAINED_SHARE:
         yield rejected(
             "misfit",

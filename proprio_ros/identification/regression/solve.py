@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
+from proprio_ros.identification.regression.between import PUBLISHED, Between
 from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
@@ -66,6 +67,7 @@ class Solution:
         residual: Of each equation [N m], shape (E,).
         rms, correlation: By joint, shape (n,); 0 and 1 where it did not move.
         prior: As it was in the end.
+        between: By what recordings differ, with what these show.
         scaled: The equations times their weights, shape (E, U).
         weight: Shape (E,).
     """
@@ -78,6 +80,7 @@ class Solution:
     rms: FloatArray
     correlation: FloatArray
     prior: Prior
+    between: Between
     scaled: FloatArray
     weight: FloatArray
 
@@ -108,12 +111,15 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
     return one if one[0, 0] > other[0, 0] else other
 
 
-def solve(problem: Problem, prior: Prior, per_kg: FloatArray, known: MotionCalibration | None = None) -> Solution:
-    """Solve it, with weights, load friction and the payload's size from the solution before.
+def solve(
+    problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration | None = None
+) -> Solution:
+    """Solve it, with weights, load friction, the payload's size and the spread of recordings from the solution before.
 
     Args:
         problem: Its equations.
-        prior: Of its unknowns.
+        prior: Of its unknowns, without what recordings differ by.
+        between: By how much they do.
         per_kg: Standard deviations of the payload's parameters, per kg that it weighs, shape (10,).
         known: By which residuals are known; without one, the place's part of Coulomb friction is open by a share of it.
     """
@@ -121,7 +127,16 @@ def solve(problem: Problem, prior: Prior, per_kg: FloatArray, known: MotionCalib
     arm = PARAMETERS + ARM_TERMS * count
     geared = slice(PARAMETERS + 11 * count, PARAMETERS + 12 * count)
     waves = geared.stop + count + np.arange(WAVES * count)
-    prior = Prior(prior.values, prior.covariance.copy())
+    same, own = np.diag(prior.covariance).copy(), slice(arm, None)
+    prior, stated = Prior(prior.values, prior.covariance.copy()), between
+    kinds = [kind for kind in PUBLISHED if between.friction.any() or kind not in ("friction", "offset")]
+
+    def differing() -> None:
+        """Give every motion's own terms their spread."""
+        at = range(arm, len(same))
+        prior.covariance[at, at] = same[own] + np.tile(between.std**2, problem.motions)
+
+    differing()
     moves = np.bincount(joint, minlength=count) > 0
     rms, correlation = np.ones(count), np.ones(count)
 
@@ -143,7 +158,7 @@ def solve(problem: Problem, prior: Prior, per_kg: FloatArray, known: MotionCalib
             # what a longer recording knows of its residuals holds for a short one, too
             rms, correlation = np.maximum(rms, 0.5 * known.residual), np.maximum(correlation, known.correlation)
         else:
-            coulomb = values[arm:].reshape(-1, 3, count)[:, 1].mean(axis=0)
+            coulomb = np.mean([values[problem.own(n, count)][:count] for n in range(problem.motions)], axis=0)
             prior.covariance[waves, waves] = np.tile(np.square(PLACE_SHARE * coulomb) + 1e-12, WAVES)
         # something light has little first moment and inertia, wherever in the hand it sits
         heavy_kg = abs(values[0]) + np.sqrt(covariance[0, 0])
@@ -151,11 +166,16 @@ def solve(problem: Problem, prior: Prior, per_kg: FloatArray, known: MotionCalib
         # but what is seen to be spread further is: else 0.25 kg m^2 of a bar of 2 kg came out 12 % too small, 2.6 half widths off
         stds[4:] *= max(1.0, float(np.max(np.abs(values[4:PARAMETERS]) / stds[4:])) / SPREAD_SIGMAS)
         prior.covariance[range(1, PARAMETERS), range(1, PARAMETERS)] = stds[1:] ** 2
+        off = (values[own] - prior.values[own]).reshape(problem.motions, -1)
+        between = stated.learnt(between, off, np.diag(covariance)[own].reshape(off.shape), kinds)
+        differing()
         fill_drives(matrix, values, problem, geared)
+        problem.fill_own(matrix, values)
     weight, scaled, information, values, covariance = solved()
     deviations = scores(scaled, right * weight - scaled @ values, problem.stretch) @ covariance
+    left_over = right - matrix @ values
     return Solution(
-        values, covariance, information, deviations, right - matrix @ values, rms, correlation, prior, scaled, weight
+        values, covariance, information, deviations, left_over, rms, correlation, prior, between, scaled, weight
     )
 
 

@@ -35,6 +35,7 @@ from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identif
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.robot_unknowns import ZERO_REPEATS
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
@@ -53,6 +54,8 @@ DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
 
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
+ANY_ZERO_RAD = 0.3
+"""How far a horn may be put on elsewhere than it was: standard deviation."""
 SWING_ROUNDS = 4
 """How often the error of a simulated swing is looked at again."""
 
@@ -121,8 +124,40 @@ def _weigh_swings(
     count: int,
 ) -> Estimate:
     """From free swings; those that are followed worse than the calibration's count for less."""
-    known = robot.swing_error
     options = replace(options, starts_kg=_swing_starts(robot, runs[0], facts))
+    searched, opened, misfit = _followed(robot, runs, facts, options)
+    if misfit and robot.is_calibrated(joints_of(runs)):
+        # a swing shows its own zero, and one that was put on anew explains what nothing else does
+        joint = runs[0].run.joint
+        drive = robot.drive_trains[joint]
+        anew = replace(drive, zero=replace(drive.zero, std=ANY_ZERO_RAD / ZERO_REPEATS))
+        elsewhere = replace(robot, drive_trains={**robot.drive_trains, joint: anew})
+        again = _followed(elsewhere, runs, facts, options)
+        if not again[2]:
+            searched, opened, misfit = again
+            off = float(opened.values[opened.problem.index["swing_zero", 0]])
+            found.notes.append(
+                f"{joint} swings as if its zero were {off:+.3f} rad off what the file says: was the horn put on anew? The zero was "
+                "fitted, too"
+            )
+    against: list[Refusal] = []
+    if misfit:
+        against.append(rejected("misfit", "the model does not explain the recording", misfit))
+    if not robot.is_calibrated(joints_of(runs)) and not known_exactly(robot, runs):
+        # all that moves may be lighter or heavier together: a ridge along which no interval around the best fit holds
+        nothing = (
+            "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with swings "
+            "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)"
+        )
+        against.append(not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing))
+    return Weighed(searched, opened, found, count, facts, options, against=against).estimate()
+
+
+def _followed(
+    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+) -> tuple[FitResult, FitResult, str]:
+    """The first fit of swings, that with the error that they show, and why no swing of this robot explains them, or nothing."""
+    known = robot.swing_error
     opened = searched = solve_load(robot, runs, facts, options, Role.FREE)
     for _ in range(SWING_ROUNDS):
         posterior = Posterior(opened.problem, opened.values)
@@ -132,24 +167,14 @@ def _weigh_swings(
         robot = replace(robot, swing_error=error)
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
         opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
-    against: list[Refusal] = []
-    unexplained = "the model does not explain the recording"
     if (share := swings.missed_share(posterior)) > swings.MISSED_SHARE:
-        against.append(rejected("misfit", unexplained, swings.said_missed(share)))
-    elif known and error > swings.MUCH_WORSE * known:
-        worse = (
+        return searched, opened, swings.said_missed(share)
+    if known and error > swings.MUCH_WORSE * known:
+        return searched, opened, (
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
             "torque off all the time, and is the object's place and shape as stated?"
-        )
-        against.append(rejected("misfit", unexplained, worse))
-    if not robot.is_calibrated(joints_of(runs)) and not known_exactly(robot, runs):
-        # all that moves may be lighter or heavier together: a ridge along which no interval around the best fit holds
-        nothing = (
-            "a free swing tells gravity moment over inertia, and nothing says what the rotor's inertia is: calibrate with swings "
-            "of two known loads (calibrate --reference BAG=KG --reference BAG=KG)"
-        )
-        against.append(not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing))
-    return Weighed(searched, opened, found, count, facts, options, against=against).estimate()
+        )  # fmt: skip
+    return searched, opened, ""
 
 
 def _swing_starts(robot: Robot, run: PreparedRun, facts: PayloadFacts) -> tuple[float, ...]:

@@ -20,9 +20,12 @@ from proprio_ros.identification.regression.motion_estimate import calibration_re
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_empty, fit_payload
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
 from proprio_ros.identification.regression.refusals import (
+    DECIDES,
     WIDEST_SHARE,
+    deciding,
     far_from_prior,
     lighter_than_empty,
+    passed_over,
     unexplained_torque,
     unlike_urdf,
 )
@@ -34,9 +37,9 @@ from proprio_ros.sim.payload import PayloadFacts
 
 MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
-RATIO_SHARE, RATIO_STD = 0.05, 0.01
+RATIO_SHARE, RATIO_STD = 0.08, 0.01
 """A joint whose torque is by more than this share larger or smaller than the empty arm's was recorded in another unit or with
-another torque constant, where the recording knows that: magnets that warm by ten kelvin lose 1 %."""
+another torque constant, where the recording knows that: recordings of one machine differ by some 3 %."""
 APART_SIGMAS = 4.0
 """Two halves of a recording that differ by more did not carry the same, and torques were not recorded alike."""
 DRIFT_SIGMAS = 3.0
@@ -45,7 +48,7 @@ LEAST_SIGMAS = 5.0
 """A mass that is not known so many times better than it is large is no divisor."""
 SEEN_SHARE = 0.5
 """Of the spread of any load's parameters: what is known no better is not seen."""
-WIDEST_OF_ARM = 0.02
+WIDEST_OF_ARM = 0.04
 """A mass whose half width is more than `WIDEST_SHARE` of it and this share of the arm's own mass is ``too_wide``."""
 
 
@@ -78,8 +81,9 @@ def motion_answer(
     budget: Sequence[tuple[str, float]],
     detail: MotionDetail | None,
     beside: Sequence[Motion] = (),
+    notes: tuple[str, ...] = (),
 ) -> Estimate:
-    """The answer of any regression; ``beside`` has notes, too."""
+    """The answer of any regression; ``beside`` has notes, too, and there may be others."""
     return Estimate(
         probe="payload",
         robot=robot.name,
@@ -92,7 +96,7 @@ def motion_answer(
         budget=tuple(sorted(budget, key=lambda part: -part[1])),
         detail=detail,
         assumptions=assumptions,
-        notes=tuple(note for motion in (*motions, *beside) for note in motion.notes),
+        notes=(*(note for motion in (*motions, *beside) for note in motion.notes), *notes),
     )
 
 
@@ -145,10 +149,11 @@ def identify_in_motion(
         refusal,
         values,
         _assumptions(robot, motions, calibration, fit),
-        fit=Fit(_rms(fit.residual), _rms(fit.empty_residual), _rms(fit.residual / fit.empty_residual), "N m"),
+        fit=Fit(_rms(fit.residual), _rms(fit.empty_residual), fit.misfit, "N m"),
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
+        notes=passed_over(fit.joints, fit.tells, fit.residual / fit.driven),
     )
 
 
@@ -170,7 +175,8 @@ def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibrat
 def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator[Refusal]:
     name = motions[0].name
     off = np.abs(fit.torque_ratio - 1.0)
-    far = np.where(off > RATIO_SHARE, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
+    decides = off > np.where(fit.tells < DECIDES, np.inf, RATIO_SHARE)
+    far = np.where(decides, off / np.hypot(fit.torque_ratio_std, RATIO_STD), 0.0)
     worst = int(np.argmax(far))
     if far[worst] > APART_SIGMAS:
         yield rejected(
@@ -188,10 +194,10 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
                 f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
-    unexplained = fit.residual / fit.driven
+    unexplained = deciding(fit.tells, fit.residual / fit.driven)
     yield from unexplained_torque(fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: ")
     ratio = fit.residual / fit.empty_residual
-    worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))
+    worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))  # never of one that does not decide
     if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
         yield rejected(
             "misfit",

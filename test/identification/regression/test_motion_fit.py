@@ -122,7 +122,7 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
     parts = [equations(robot, arm.motion(11.0, (0.5, np.zeros(3))), SIX.joints)]
     parts.append(equations(robot, arm.motion(6.0), SIX.joints))
     problem = Problem.of(parts, 1)
-    assert problem.matrix.shape == (sum(len(part.joint) for part in parts), 10 + 17 * 6 + 2 * 3 * 6)
+    assert problem.matrix.shape == (sum(len(part.joint) for part in parts), 10 + 17 * 6 + 2 * (5 * 6 + 1))
     assert not problem.matrix[~problem.carrying, :10].any()
     early = problem.only(problem.carrying & (problem.stretch < 2))
     np.testing.assert_array_equal(early.torque, parts[0].torque[parts[0].stretch < 2])

@@ -1,0 +1,171 @@
+"""What differs between two recordings of one machine: torque, friction, offsets and zeros; by how much is learnt or as published.
+
+Windings and magnets warm up, grease does, a brake lets go a little elsewhere. So each recording has of its own a share of the
+torque (one that all joints have in common, one of each joint), friction, an offset and a zero of each joint, about the machine's.
+How far they scatter is a standard deviation for each kind: what was published of repeated recordings counts as so many recordings,
+and those at hand as what each of them tells (MacKay 1992, Neural Computation 4: the evidence of a variance). A few of them say
+little about their scatter, so intervals take Student's factor for their number.
+
+Where it is from: magnets lose 0.1 % of their torque per kelvin, and motors that work warm by 10 to 20; friction goes with warmth by
+1 % per kelvin (`calibration_files/drift.py`). Recordings of one UR10e differ by 1.5 to 2 % of a mass, those of STS servos that were
+let go by 1.9 to 4.5 %, those of driven servos by 2 to 9 % (docs: validation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import t as student
+
+from proprio_ros.records import FloatArray
+
+PUBLISHED: Mapping[str, float] = {
+    "common_scale": 0.015,
+    "own_scale": 0.01,
+    "friction": 0.15,
+    "offset": 0.1,
+    "zero": 0.003,
+}
+"""Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
+PSEUDO_RECORDINGS = 4.0
+"""So many recordings the published word counts as."""
+WORDS: Mapping[str, str] = {
+    "common_scale": "torque that differs between recordings",
+    "own_scale": "torque of a joint that differs between recordings",
+    "friction": "friction that differs between recordings",
+    "offset": "offsets that differ between recordings",
+    "zero": "zeros that differ between recordings",
+}
+SPREAD_SCALE = 0.05
+"""Of the prior of how far masses differ from recording to recording, relative: those of real XL330 and STS3215 do by 2 to 9 %."""
+SPREADS = np.geomspace(1e-4, 1.0, 200)
+"""At which the posterior of that is taken."""
+
+
+def spread_of_runs(stated: float, found: FloatArray, learnt: FloatArray, pseudo_runs: float) -> float:
+    """Standard deviation of what differs from run to run, a stated one counting as ``pseudo_runs``.
+
+    Args:
+        stated: Standard deviation that is expected.
+        found: What each run has, shape (R,).
+        learnt: How much of it the run determines rather than its prior, 0 to 1, shape (R,).
+        pseudo_runs: Of how many runs the expectation is worth.
+    """
+    total = float(np.sum(np.square(found))) + pseudo_runs * stated**2
+    return float(np.sqrt(total / (max(float(np.sum(learnt)), 0.0) + pseudo_runs)))
+
+
+@dataclass(frozen=True)
+class Between:
+    """What recordings of an arm of n joints have of their own, as standard deviations.
+
+    A recording's own terms are viscous friction, Coulomb friction, offset, share of the torque and zero of each joint, and a share
+    of the torque in common: 5 n + 1.
+
+    Attributes:
+        spreads: By kind, in the units of `PUBLISHED`.
+        recordings: On how many recordings' word each rests.
+        friction: What a spread of 1 is: of viscous friction, Coulomb friction and the offset, shape (3 n,).
+        drift: What these change by within a recording, shape (3 n,).
+    """
+
+    spreads: Mapping[str, float]
+    recordings: Mapping[str, float]
+    friction: FloatArray
+    drift: FloatArray
+
+    @classmethod
+    def published(cls, friction: FloatArray, drift: FloatArray) -> Between:
+        """Nothing is known of this arm but its friction."""
+        return cls(PUBLISHED, dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS), friction, drift)
+
+    @property
+    def kinds(self) -> NDArray[np.str_]:
+        """Of the own terms, shape (5 n + 1,)."""
+        count = len(self.friction) // 3
+        return np.repeat(
+            ["friction", "offset", "own_scale", "zero", "common_scale"], [2 * count, count, count, count, 1]
+        )
+
+    @property
+    def std(self) -> FloatArray:
+        """Of the own terms, shape (5 n + 1,)."""
+        kinds, of_friction = self.kinds, len(self.friction)
+        std = np.array([self.spreads[kind] for kind in kinds])
+        std[:of_friction] = np.hypot(std[:of_friction] * self.friction, self.drift)
+        return np.maximum(std, 1e-9)
+
+    def learnt(self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED) -> Between:
+        """With what recordings show, beside what this says.
+
+        Args:
+            now: The spreads under which they were fitted.
+            off: How each one's own terms differ from the machine's, shape (R, 5 n + 1).
+            variances: Of these, after the fit, shape (R, 5 n + 1).
+            kinds: What is learnt.
+        """
+        std, own, spreads, recordings = now.std, self.kinds, dict(self.spreads), dict(self.recordings)
+        for kind in kinds:
+            mine, stated = own == kind, self.spreads[kind]
+            told = np.clip(1.0 - variances[:, mine] / std[mine] ** 2, 0.0, 1.0)
+            found = off[:, mine] / std[mine] * now.spreads[kind]
+            spreads[kind] = spread_of_runs(stated, found, told, self.recordings[kind])
+            recordings[kind] = self.recordings[kind] + float(told.sum())
+        return replace(self, spreads=spreads, recordings=recordings)
+
+
+def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
+    """How likely it is that values differ by each of `SPREADS` beyond what each knows of its own error, shape (200,), sum 1.
+
+    Args:
+        errors: Of each, relative, shape (n,).
+        variances: That each knows, shape (n,).
+    """
+    apart = np.maximum(variances, 1e-12) + SPREADS[:, None] ** 2
+    fit = -0.5 * np.sum(np.log(apart) + np.square(errors) / apart, axis=1)
+    # a half Cauchy prior (Gelman 2006, Bayesian Analysis 1); the steps grow with the spread
+    log = fit - np.log1p(np.square(SPREADS / SPREAD_SCALE)) + np.log(SPREADS)
+    weights: FloatArray = np.exp(log - log.max())
+    return weights / weights.sum()
+
+
+def spread_of(posterior: FloatArray) -> float:
+    """Its median."""
+    return float(SPREADS[int(np.searchsorted(np.cumsum(posterior), 0.5))])
+
+
+def effective_freedom(total: FloatArray | float, parts: Sequence[tuple[float, float]]) -> FloatArray:
+    """Degrees of freedom of a variance, parts of which few say: Satterthwaite 1946, Biometrics Bulletin 2.
+
+    Args:
+        total: Variance.
+        parts: Of it, each with its degrees of freedom.
+    """
+    shares = sum(variance**2 / degrees for variance, degrees in parts)
+    result: FloatArray = np.maximum(np.square(total) / max(shares, 1e-300), 1.0)
+    return result
+
+
+def half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, float]]) -> float:
+    """Of the 95 % interval [kg].
+
+    Args:
+        posterior: See `spread_posterior`.
+        mass: That the spread is relative to [kg].
+        rest: Variance of everything else [kg^2].
+        freedom: Of its parts that are known from a few only: variance [kg^2] and degrees of freedom.
+    """
+    total = rest + np.square(SPREADS * mass)
+    effective, stds = effective_freedom(total, freedom), np.sqrt(total)
+
+    def beyond(half: float) -> float:
+        return float(posterior @ student.cdf(half / stds, effective)) - 0.975
+
+    highest = float(stds[-1])
+    while beyond(highest) < 0.0:
+        highest *= 2.0
+    return float(brentq(beyond, 0.0, highest))

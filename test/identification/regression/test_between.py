@@ -1,0 +1,78 @@
+"""What differs between recordings: spreads by algebra, and what is then said of machines whose recordings differ or were bent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from between_recordings import MACHINES, Answer, arm_answers, pendulum_answers, real_answers
+from support.machines import REAL
+
+from proprio_ros.identification.regression.between import PSEUDO_RECORDINGS, PUBLISHED, Between, spread_of_runs
+
+FRICTION = np.full(6, 0.2)
+
+
+def test_what_nobody_repeated_differs_as_published() -> None:
+    stated = Between.published(FRICTION, np.zeros(6))
+    # viscous and Coulomb friction, offset, share, zero of two joints, and the share in common
+    assert stated.std == pytest.approx(
+        [*[0.2 * PUBLISHED["friction"]] * 4, *[0.2 * PUBLISHED["offset"]] * 2, *[PUBLISHED["own_scale"]] * 2,
+         *[PUBLISHED["zero"]] * 2, PUBLISHED["common_scale"]]
+    )  # fmt: skip
+    # a recording that tells nothing changes nothing
+    off = np.zeros((1, 11))
+    unchanged = stated.learnt(stated, off, np.square(stated.std)[None])
+    assert unchanged.std == pytest.approx(stated.std)
+    assert unchanged.recordings == pytest.approx(dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS))
+
+
+def test_spreads_follow_recordings_where_there_are_many() -> None:
+    stated = Between.published(FRICTION, np.zeros(6))
+    true = replace(stated, spreads={kind: 3.0 * spread for kind, spread in PUBLISHED.items()})
+    off = np.random.default_rng(1).normal(size=(400, 11)) * true.std
+    learnt = stated
+    for _ in range(5):
+        learnt = stated.learnt(learnt, off, np.full_like(off, 1e-12))
+    for kind, spread in true.spreads.items():
+        assert learnt.spreads[kind] == pytest.approx(spread, rel=0.12)
+
+
+def test_a_published_spread_counts_as_so_many_runs() -> None:
+    assert spread_of_runs(1.0, np.array([3.0]), np.array([1.0]), 4.0) == pytest.approx(np.sqrt(13.0 / 5.0))
+    assert spread_of_runs(1.0, np.array([3.0]), np.array([0.0]), 1e9) == pytest.approx(1.0)
+
+
+def mostly_hold(answers: list[Answer], within: float = 4.0) -> None:
+    given = [answer for answer in answers if answer.given]
+    worst = max(given, key=lambda answer: answer.sigmas)
+    assert worst.sigmas < within, worst
+    assert np.mean([answer.holds for answer in given]) > 0.8
+
+
+@pytest.mark.long
+def test_arms_whose_recordings_differ() -> None:
+    pytest.importorskip("mujoco")
+    answers = [answer for seed in (400, 401, 402, 403) for answer in arm_answers(seed)]
+    mostly_hold(answers)
+    assert np.mean([answer.given for answer in answers]) > 0.7
+
+
+@pytest.mark.long
+def test_pendulums_whose_horn_was_put_on_anew() -> None:
+    pytest.importorskip("mujoco")
+    answers = [answer for seed in range(400, 404) for answer in pendulum_answers(seed)]
+    mostly_hold(answers)
+    anew = [answer for answer in answers if "horn" in answer.row]
+    assert sum(answer.given for answer in anew) >= 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("machine", MACHINES)
+def test_real_machines_known_by_other_recordings_or_bent(machine: str) -> None:
+    if not REAL.is_dir():
+        pytest.skip(f"needs {REAL}")
+    answers = real_answers(machine, REAL)
+    # whose servo it is nothing in a swing tells
+    mostly_hold([answer for answer in answers if "another servo" not in answer.row])
