@@ -141,8 +141,8 @@ def test_on_a_new_computer_it_shows_what_it_waits_for(tmp_path: Path, monkeypatc
     monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "cache"))
     demo = start(tmp_path / "demo")
     try:
-        assert comes(demo, lambda: "the robot weighs itself" in demo.told), demo.told
-        assert "proprio: starting: compiling 14 of 14, once on this computer" in demo.told
+        # to the last one: test_start.py
+        assert comes(demo, lambda: re.search(r"proprio: starting: compiling \d+ of 14, once", demo.told)), demo.told
         assert_interrupted(demo)
     finally:
         end(demo)
