@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from proprio_ros.identification.estimate import Scan, Value, Verdict
 from proprio_ros.identification.fit import (
@@ -277,21 +276,15 @@ def positive(
 
 
 def not_negative(value: float, std: float, quantile: float = Z95) -> tuple[float, float]:
-    """The 95 % interval of a quantity that cannot be below nothing: the shortest that holds 95 % of its posterior cut off there.
+    """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
 
-    An estimate below nothing says what one at nothing does, and no more: cut off, its posterior would be the narrower the less
-    likely it is.
+    An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the narrower the
+    less likely it is.
 
     Args:
         value: Estimated, of either sign.
         std: Of it.
-        quantile: Half width of a 95 % interval in standard deviations where nothing is cut off.
+        quantile: Half width of a 95 % interval in standard deviations.
     """
     half = quantile * std
-    if value >= half:
-        return value - half, value + half
-    scale = quantile / Z95 * std
-    middle = max(value, 0.0) / scale if scale > 0.0 else 0.0
-    # what is cut off below has to be made up for above
-    high = middle + float(ndtri(0.95 + 0.05 * ndtr(-middle)))
-    return 0.0, scale * high
+    return max(value - half, 0.0), max(value, 0.0) + half

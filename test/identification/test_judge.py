@@ -176,11 +176,11 @@ def test_a_quantity_that_is_not_negative() -> None:
     assert positive("payload_mass", "kg", -0.05, 0.01).ci95 == pytest.approx([0.0, Z95 * 0.01])
 
 
-@pytest.mark.parametrize("value", [0.0, 0.3, 1.0, 1.7, 1.9])
+@pytest.mark.parametrize("value", [-3.0, -1.0, 0.0, 0.3, 1.0, 1.9])
 def test_an_interval_near_nothing_holds_95_percent_of_what_is_left(value: float) -> None:
     low, high = not_negative(value, 1.0)
-    assert low == 0.0 and high > value + norm.ppf(0.95)
-    assert norm.cdf(high - value) - norm.cdf(-value) == pytest.approx(0.95 * norm.cdf(value))
+    assert low == 0.0 and high >= Z95
+    assert norm.cdf(high - value) - norm.cdf(-value) >= 0.95 * norm.cdf(value)
 
 
 def test_an_interval_far_from_nothing_is_not_cut_off() -> None:
