@@ -21,7 +21,7 @@ from proprio_ros.cli import main
 from proprio_ros.errors import LONGEST_SENTENCE, ConfigurationError, ProprioError, RecordingError, one_line, printable
 from proprio_ros.inputs.forms import Choice, Number, Numbers, Perhaps, Text, Truth, Whole
 from proprio_ros.inputs.reading import json_of, yaml_of
-from proprio_ros.inputs.resources import resource, share_directory
+from proprio_ros.inputs.resources import WRITTEN_BY, resource, share_directory
 from proprio_ros.inputs.settings import SEARCH, parse_settings
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.recordings.messages import RawMessage
@@ -29,6 +29,7 @@ from proprio_ros.recordings.signals import read_recording
 from proprio_ros.recordings.text import read_point_file, read_text_recording
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import JointRecord
+from proprio_ros.report.html import document
 from proprio_ros.sim.mesh import read_mesh
 
 BAGS = share_directory() / "bags"
@@ -37,6 +38,7 @@ TRUTH_KG = 0.02
 DEEP = "[" * 15_000
 BOMB = "a0: &a0 [1, 1, 1]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12))
 MERGED = "a0: &a0 {k: 1}\n" + "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 10)}]}}\n" for n in range(1, 12))
+NUMBERED = "extends: open_manipulator_x\njoints: {1: {}, joint1: {}}\n"
 
 
 @contextmanager
@@ -262,11 +264,55 @@ def test_names_that_no_file_has(capsys: pytest.CaptureFixture[str], path: str, o
 
 
 @pytest.mark.parametrize(
-    "text", [DEEP, BOMB, MERGED, "extends: [1]", "extends: " + "x" * 10**5, "name: " + "9" * 400, 'urdf: "a\\0b"', "1"]
+    "text",
+    [
+        DEEP,
+        BOMB,
+        MERGED,
+        "extends: [1]",
+        "extends: " + "x" * 10**5,
+        "name: " + "9" * 400,
+        'urdf: "a\\0b"',
+        "1",
+        NUMBERED,
+    ],
 )
 def test_robot_files_that_nobody_means(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str) -> None:
     (tmp_path / "arm.yaml").write_text(text)
     refused(capsys, "replay", str(BAG), "--probe", "payload", "--robot", str(tmp_path / "arm.yaml"))
+
+
+@pytest.mark.parametrize("named", ["empty", "robot file", "page", "old page"])
+@pytest.mark.parametrize("command", ["replay", "calibrate"])
+def test_a_report_replaces_nothing_but_a_page(tmp_path: Path, capfd: Any, named: str, command: str) -> None:
+    """Robot file or calibration under --report: refused before the work, so that it is as it was, unless --force lets it go."""
+    there, page = tmp_path / "there.yaml", document("proprio", ["older"])
+    old_page = page.replace(WRITTEN_BY, "")
+    texts = {"empty": "", "robot file": "name: mine\n", "page": page, "old page": old_page}
+    there.write_text(texts[named])
+    probe = ["--probe", "payload"] if command == "replay" else ["--output", str(tmp_path / "made.yaml")]
+    words = [command, str(BAG), *probe, "--report", str(there)]
+    if named == "robot file":
+        assert "is no page of proprio" in refused(capfd, *words)
+        assert there.read_text() == texts[named]
+        words.append("--force")
+    main(words)
+    assert f"report written to {there}" in capfd.readouterr().err and WRITTEN_BY in there.read_text()[:1000]
+    assert "older" not in there.read_text()
+
+
+def test_a_report_is_not_the_output(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path)
+    words = ["--output", str(tmp_path / "a.yaml"), "--report", str(tmp_path / "link" / "a.yaml"), "--force"]
+    assert "is --output, too" in refused(capsys, "calibrate", str(BAG), *words)
+
+
+@pytest.mark.parametrize("command", ["paper", "batch"])
+def test_a_folder_with_a_page_of_somebody_else(capsys: Any, tmp_path: Path, command: str) -> None:
+    (page := tmp_path / f"{command}.html").write_text("<!doctype html><title>mine</title>")
+    words = [str(BAG)] if command == "batch" else []
+    assert main([command, *words, "--out", str(tmp_path)]) == 2
+    assert "is no page of proprio: name another" in capsys.readouterr().err and "mine" in page.read_text()
 
 
 SETTING: dict[str, Any] = {"moving_joint": "joint3", "torque_N_m": -0.3, "start_pose_rad": {"joint3": 0.5}}
@@ -286,6 +332,10 @@ def text_recording(folder: Path, setting: str, table: str) -> Path:
         {"torque_N_m": 1e300},
         {"torque_N_m": [1]},
         {"gravity_m_s2": 1e300},
+        {"current_A_by_the_paper": [0.1]},
+        {"simulation": [16]},
+        {"simulation": {"substeps": [16]}},
+        {"fit": {"start_mass_kg": [0.1]}},
         {"true_mass_kg": None},
         {"moving_joint": ["joint3"]},
         {"moving_joint": "j\nk"},

@@ -16,6 +16,7 @@ from proprio_ros.batch.page import COLUMNS, MOST_REPORTS, named, odd, path_of, s
 from proprio_ros.batch.rows import GRASP, Job
 from proprio_ros.batch.store import Store
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
+from proprio_ros.inputs.resources import check_page
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options, request_of
@@ -89,6 +90,7 @@ def run_batch(
         options = self_calibrated(empties, plain, "--empty-first", Path(out), tell)
         job = replace(job, options=options, empty_first_s=empty_first_s)
     with closing(Store(Path(out), job)) as store:
+        check_page(store.folder / "batch.html", "--out")
         done = store.done()
         missing = [each for each in episodes if (each.source, each.name) not in done]
         before = len(episodes) - len(missing)

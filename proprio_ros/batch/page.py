@@ -14,11 +14,10 @@ import numpy as np
 from proprio_ros.batch.drift import Period, drift_parts
 from proprio_ros.batch.rows import EPISODE, FAILED, GRASP, PART
 from proprio_ros.batch.store import Store
-from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import shown
 from proprio_ros.records import Span
 from proprio_ros.report.chart import Axis, Panel, Series, chart
-from proprio_ros.report.html import bars, document, framed, provenance, table
+from proprio_ros.report.html import bars, framed, provenance, table, write_document
 
 COLUMNS = (
     "source_name", "source", "episode", "episode_index", "segment", "kind", "recorded_ns", "quantity", "unit", "value", "std",
@@ -47,7 +46,7 @@ def write_batch_page(
         parts += ["<h2>Grasps</h2>", bars(counts)]
     parts += drift_parts(drift)
     parts += provenance(command, sorted({row["source"] for row in whole}), {})
-    write_in_one_step(path, document("Many recordings", parts), "--out")
+    write_document(path, "Many recordings", parts, "--out")
 
 
 def _order(row: Mapping[str, Any]) -> tuple[int, int, str]:

@@ -21,6 +21,7 @@ from proprio_ros.cli import terminal
 from proprio_ros.cli.terminal import EXIT_INTERRUPTED, EXIT_NO_ANSWER, EXIT_OK, say, say_progress
 from proprio_ros.errors import ConfigurationError, one_line, printable
 from proprio_ros.inputs.reading import path_problem
+from proprio_ros.inputs.resources import check_page
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.probes import all_probes, probe_named, probe_that
 from proprio_ros.probes.base import HasTable
@@ -35,13 +36,17 @@ def _command(given: Sequence[str]) -> str:
     return shlex.join(["proprio", *given])
 
 
-def _refuse_unwritable(report: str | None) -> None:
-    """Before the work, and before anything is printed."""
+def _refuse_unwritable(report: str | None, force: bool, output: str = "") -> None:
+    """Before the work, and before anything is printed; ``output`` is what is written beside the report."""
     if problem := path_problem(report or "."):
         raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
     folder = Path(report or ".").resolve().parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):
         raise ConfigurationError(f"--report {report}: name a file in a folder that exists and is writable")
+    if report and output and Path(report).resolve() == Path(output).resolve():
+        raise ConfigurationError(f"--report {report}: is --output, too: name another file")
+    if report:
+        check_page(Path(report), "--report", force)
 
 
 def _settings(pairs: Sequence[str]) -> dict[str, Any]:
@@ -63,21 +68,22 @@ def _asked(options: argparse.Namespace, **read: Any) -> Options:
 
 def replay(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio replay``: an estimate; returns the exit code."""
-    _refuse_unwritable(options.report)
+    _refuse_unwritable(options.report, options.force)
     asked = _asked(options, span=_span(options.span))
     from proprio_ros.pipeline.replay import replay, write_report
 
     estimate = replay(options.bags, asked)
     terminal.show(options.json, estimate.as_json(), terminal.estimate_as_text(estimate))
     if options.report:
-        write_report(estimate, Path(options.report), command=_command(given), sources=options.bags)
+        how = {"command": _command(given), "sources": options.bags, "force": options.force}
+        write_report(estimate, Path(options.report), **how)
         say(f"report written to {printable(options.report)}")
     return EXIT_OK if estimate.verdict.value == "accepted" else EXIT_NO_ANSWER
 
 
 def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio calibrate``: a calibration file; returns the exit code."""
-    _refuse_unwritable(options.report)
+    _refuse_unwritable(options.report, options.force, options.output)
     references = _references(options.reference)
     if options.refresh is not None and references:
         raise ConfigurationError("--refresh takes runs with an empty hand; with a --reference calibrate from the start")
@@ -94,8 +100,8 @@ def calibrate(options: argparse.Namespace, given: Sequence[str]) -> int:
     if options.report:
         from proprio_ros.report import write_calibration_report
 
-        sources = [*options.bags, *map(str, references)]
-        write_calibration_report(estimate, Path(options.report), command=_command(given), sources=sources)
+        about = {"command": _command(given), "sources": [*options.bags, *map(str, references)], "force": options.force}
+        write_calibration_report(estimate, Path(options.report), **about)
         say(f"report written to {printable(options.report)}")
     if accepted:
         say(f"calibration written to {printable(options.output)}")
@@ -187,6 +193,7 @@ def paper(options: argparse.Namespace, given: Sequence[str]) -> int:
     from proprio_ros.paper.store import Store, processors, run, tasks_of
 
     folder = Path(options.out)
+    check_page(folder / "paper.html", "--out")
     tasks_of(options.only, options.seeds)  # a name that is none is refused before anything is made
     recording = None if options.recording is None else published(Path(options.recording))
     found = run(Store(folder), options.only, options.seeds, options.jobs or processors(), say)

@@ -41,9 +41,9 @@ SHARED: dict[str, dict[str, Any]] = {
         "choices": ("N.m", "A", "mA", "raw"),
         "help": "what `effort` of the joint states means; never guessed",
     },
-    "force": {"action": "store_true", "help": "replace an older file of that name"},
+    "force": {"action": "store_true", "help": "replace an older file of that name, whatever it is"},
     "json": {"action": "store_true", "help": "print one JSON object"},
-    "report": {"metavar": "FILE.html", "help": "write a page with plots"},
+    "report": {"metavar": "FILE.html", "help": "write a page with plots; an older page is replaced"},
 }
 """Options that several commands have."""
 TOPICS = ("driver", "state-topic", "command-topic", "effort-unit")
@@ -129,7 +129,7 @@ def _replay(add: Callable[..., _Parser]) -> None:
         metavar="FROM:TO",
         help="only this part of each recording, in seconds since its first joint state was recorded (FROM: to the end)",
     )
-    it.share("json", "report")
+    it.share("json", "report", "force")
 
 
 def _calibrate(add: Callable[..., _Parser]) -> None:

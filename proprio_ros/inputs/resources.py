@@ -30,6 +30,11 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 """Folder of each kind of resource under the share directory, and the suffix of its names."""
 
+WRITTEN_BY = '<meta name="generator" content="proprio_ros">'
+"""In the head of every page, by which it may be replaced later."""
+_OWN_PAGE = (WRITTEN_BY.encode(), b"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-")
+"""The second is in pages of versions that did not say who wrote them."""
+
 _MARKER = "config/robots/open_manipulator_x.yaml"
 
 
@@ -132,6 +137,26 @@ def check_new_yaml(path: Path, force: bool) -> None:
         raise ConfigurationError(f"--output {path}: the folder does not exist or is not writable")
     if path.exists() and not force:
         raise ConfigurationError(f"--output {path}: the file exists; --force replaces it (in Python: force=True)")
+
+
+def check_page(path: Path, option: str, force: bool = False) -> None:
+    """Refuse to replace what is no page of this package: a robot file, a calibration, whatever is somebody's.
+
+    Raises:
+        ConfigurationError: Such a file is there, and ``force`` does not say that it may go.
+    """
+    try:
+        if force or not path.is_file() or path.stat().st_size == 0:
+            return
+        with path.open("rb") as stream:
+            head = stream.read(1000)
+    except PermissionError:
+        head = b""
+    except (OSError, ValueError):  # who writes it says why it cannot be
+        return
+    if not head.startswith(b"<!doctype html>") or not any(mark in head for mark in _OWN_PAGE):
+        or_force = ", or --force replaces it (in Python: force=True)" if option == "--report" else ""
+        raise ConfigurationError(f"{option} {path}: the file exists and is no page of proprio: name another{or_force}")
 
 
 def _umask() -> int:

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.paper import quoted
 from proprio_ros.paper.cases import CUBES, OBJECTS, STARTS_KG, Rows
 from proprio_ros.paper.cells import COLORS, STATES, flat, half, holds, identified, labels, linked, over, rms
 from proprio_ros.paper.searches_page import effects, landscapes, optimisers
 from proprio_ros.report.chart import Axis, Panel, Series, chart
-from proprio_ros.report.html import document, framed, provenance, table
+from proprio_ros.report.html import framed, provenance, table, write_document
 
 IN_GRAMS = ("identified (g)", "rms error (g)", "interval (g)", "holds", "verdict")
 """Columns of `identified` for a mass."""
@@ -41,7 +40,7 @@ def write_paper_page(
         ConfigurationError: The file cannot be written.
     """
     parts = [*paper_parts(found, seeds, recording), *_cost(found), *provenance(command, [], {})]
-    write_in_one_step(path, document("The paper, reproduced", parts), "--out")
+    write_document(path, "The paper, reproduced", parts, "--out")
 
 
 def paper_parts(found: Mapping[str, Sequence[Rows]], seeds: int, recording: Rows | None = None) -> list[str]:

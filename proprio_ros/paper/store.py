@@ -84,12 +84,18 @@ def tasks_of(names: Sequence[str], seeds: int) -> list[Task]:
 
 @one_blas_thread
 def compute(task: Task) -> tuple[Task, Rows]:
-    """One experiment with one seed, and what it cost of a processor [s]; where it cannot be made, why."""
+    """One experiment with one seed, and what it cost of a processor [s]; where it cannot be made, why.
+
+    Raises:
+        ConfigurationError: It needs a package that is not installed.
+    """
     name, seed = task
     began = time.process_time()
     try:
         rows = experiment(name).run(seed)
     except ProprioError as error:
+        if isinstance(error.__cause__, ImportError):  # what is not installed is missed by every seed alike
+            raise
         rows = {"failed": str(error)}
     return task, {**rows, "cost_s": time.process_time() - began}
 

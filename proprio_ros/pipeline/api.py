@@ -140,9 +140,9 @@ class Weighing(_Answered):
             raise ConfigurationError("nothing to plot: no run could be used; `reasons` says why")
         return runs_figure(self.estimate.run_fits)
 
-    def report(self, path: AnyPath) -> Path:
-        """Write the HTML page, or raise ConfigurationError; returns the file."""
-        write_report(self.estimate, Path(path), command=self.call, sources=self.bags)
+    def report(self, path: AnyPath, force: bool = False) -> Path:
+        """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
+        write_report(self.estimate, Path(path), command=self.call, sources=self.bags, force=force)
         return Path(path)
 
     def _repr_html_(self) -> str:
@@ -197,11 +197,11 @@ class CalibrationResult(_Answered, os.PathLike[str]):
         rows = [(u.name, u.value, u.std, u.unit, u.prior, u.prior_std) for u in self.estimate.unknowns]
         return _frame(columns, rows)
 
-    def report(self, path: AnyPath) -> Path:
-        """Write the HTML page, or raise ConfigurationError; returns the file."""
+    def report(self, path: AnyPath, force: bool = False) -> Path:
+        """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
         origin = self.estimate.origin
         sources = [*origin["bags"], *(entry["bag"] for entry in origin["references"])]
-        write_calibration_report(self.estimate, Path(path), command=self.call, sources=sources)
+        write_calibration_report(self.estimate, Path(path), command=self.call, sources=sources, force=force)
         return Path(path)
 
     def _repr_html_(self) -> str:

@@ -192,6 +192,9 @@ def compile_for(options: Options) -> None:
     request.probe.compile(request.robot, request.facts)
 
 
-def write_report(estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = ()) -> None:
+def write_report(
+    estimate: Estimate, path: Path, *, command: str = "", sources: Sequence[str] = (), force: bool = False
+) -> None:
     """Write the page for one result, with what its probe has to show; see `write_page`."""
-    write_page(estimate, path, probe_named(estimate.probe).sections(estimate), command=command, sources=sources)
+    own = probe_named(estimate.probe).sections(estimate)
+    write_page(estimate, path, own, command=command, sources=sources, force=force)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.inputs.forms import FormError, Number, Text, shortly
+from proprio_ros.inputs.forms import FormError, Number, Text, Whole, shortly
 from proprio_ros.inputs.reading import LONGEST_TABLE, finite, json_of, path_problem, text_of
 from proprio_ros.records import IMPLAUSIBLE_POSITION, MIN_SAMPLES, FloatArray, PointTrack
 
@@ -68,8 +68,11 @@ def read_text_recording(path: str | Path) -> TextRecording:
 _SETTING_NUMBERS = {
     "torque_N_m": Number("that drives the joint", "N m", -1e3, 1e3),
     "true_mass_kg": Number("of the object", "kg", 0.0, 1e3),
+    "current_A_by_the_paper": Number("that drives the joint", "A", -1e3, 1e3),
     "armature_kg_m2": Number("of the joint", "kg m^2", 0.0, 100.0),
     "gravity_m_s2": Number("downwards", "m/s^2", -100.0, 100.0),
+    "simulation.substeps": Whole("of the paper's own fit", "", 1, 1024),
+    "fit.start_mass_kg": Number("first guess of the paper's own fit", "kg", 0.0, 20.0, open=True),
 }
 _POSITION = Number("of a joint", "rad", -IMPLAUSIBLE_POSITION, IMPLAUSIBLE_POSITION)
 
@@ -92,6 +95,11 @@ def _setting(file: Path) -> dict[str, Any]:
     numbers = {key: setting[key] for key in _SETTING_NUMBERS if key in setting}
     if not isinstance(pose, dict) or joint not in pose:
         raise RecordingError(f"{file}: start_pose_rad must give a position for each joint, {joint!r} too")
+    for section in ("simulation", "fit"):
+        part = setting.get(section, {})
+        if not isinstance(part, dict):
+            raise RecordingError(f"{file}: {section} must be an object, got {shortly(part)}")
+        numbers |= {f"{section}.{key}": value for key, value in part.items() if f"{section}.{key}" in _SETTING_NUMBERS}
     numbers |= {f"start_pose_rad.{joint}": value for joint, value in pose.items()}
     for key, value in numbers.items():
         if finite(value) is None:

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Verdict
-from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.kinds import KINDS
 from proprio_ros.quantity import shown
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import pictures
-from proprio_ros.report.html import bulleted, document, framed, listed, plotted, provenance, table, titled
+from proprio_ros.report.html import bulleted, framed, listed, plotted, provenance, table, titled, write_document
 
 _WORDS = {
     Verdict.REJECTED: "rejected: the model does not explain the runs",
@@ -22,7 +21,7 @@ _WORDS = {
 
 
 def write_calibration_report(
-    estimate: CalibrationEstimate, path: Path, *, command: str = "", sources: Sequence[str] = ()
+    estimate: CalibrationEstimate, path: Path, *, command: str = "", sources: Sequence[str] = (), force: bool = False
 ) -> None:
     """Write the page for one calibration; all is as for `write_page`."""
     parts = _headline(estimate)
@@ -62,7 +61,7 @@ def write_calibration_report(
     parts += listed("Notes on the runs", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
     title = f"proprio: calibration {estimate.verdict.value.replace('_', ' ')}"
-    write_in_one_step(Path(path), document(title, parts), "--report")
+    write_document(Path(path), title, parts, "--report", force)
 
 
 def _motions(estimate: CalibrationEstimate) -> list[str]:

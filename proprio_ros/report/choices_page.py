@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import Sought, shown_unit
 from proprio_ros.report.chart import Axis, Panel, Series, chart
-from proprio_ros.report.html import document, framed, table
+from proprio_ros.report.html import framed, table, write_document
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
         rows.append([str(number), known, choice.chosen, promised, "; ".join(choice.others), took])
     header = ["", "known before", "chosen", "promises", "not chosen", "decided in"]
     parts += ["<h2>What was chosen, and what was not</h2>", table(header, rows, (0, 1, 3, 5))]
-    write_in_one_step(path, document("Pushes, one by one", parts), "the page of the choices")
+    write_document(path, "Pushes, one by one", parts, "the page of the choices")
 
 
 def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:

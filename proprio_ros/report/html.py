@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from proprio_ros.inputs.resources import WRITTEN_BY, check_page, write_in_one_step
 from proprio_ros.quantity import spec_for
 from proprio_ros.version import __version__
 
@@ -27,10 +28,21 @@ def document(title: str, parts: Sequence[str]) -> str:
     head = (
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">',
+        WRITTEN_BY,
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
     )
     return "\n".join([*head, *parts, f"<script>{SCRIPT}</script></body></html>"])
+
+
+def write_document(path: Path, title: str, parts: Sequence[str], option: str, force: bool = False) -> None:
+    """Write a page; an older page of that name is replaced in one step, another file only with ``force``.
+
+    Raises:
+        ConfigurationError: Another file is there, or it cannot be written; the option is what named it.
+    """
+    check_page(path, option, force)
+    write_in_one_step(path, document(title, parts), option)
 
 
 def provenance(command: str, sources: Sequence[str], timing_s: Mapping[str, float]) -> list[str]:

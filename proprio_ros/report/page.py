@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
-from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.report import pictures
-from proprio_ros.report.html import bulleted, document, framed, listed, number, provenance, table, titled
+from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
@@ -31,7 +30,13 @@ _ROLES = {"free": "fitted", "frozen": "as stated"}
 
 
 def write_page(
-    estimate: Estimate, path: Path, own: Sequence[str] = (), *, command: str = "", sources: Sequence[str] = ()
+    estimate: Estimate,
+    path: Path,
+    own: Sequence[str] = (),
+    *,
+    command: str = "",
+    sources: Sequence[str] = (),
+    force: bool = False,
 ) -> None:
     """Write the page for one result; an older page of that name is replaced in one step.
 
@@ -41,6 +46,7 @@ def write_page(
         own: What only its probe has to show, as HTML.
         command: The command line that gives the same result again.
         sources: The recordings it came from.
+        force: Whether another file of that name may be replaced, too.
 
     Raises:
         ConfigurationError: The file cannot be written.
@@ -59,7 +65,7 @@ def write_page(
     parts += listed("Notes on the recording", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
     title = f"proprio: {estimate.probe} {estimate.verdict.value.replace('_', ' ')}"
-    write_in_one_step(Path(path), document(title, parts), "--report")
+    write_document(Path(path), title, parts, "--report", force)
 
 
 def card(

@@ -14,7 +14,18 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
 from proprio_ros.errors import RobotError, one_line
-from proprio_ros.inputs.forms import REQUIRED, Field, FormError, Part, Text, mapping, refuse_unknown, section, under
+from proprio_ros.inputs.forms import (
+    REQUIRED,
+    Field,
+    FormError,
+    Part,
+    Text,
+    mapping,
+    refuse_unknown,
+    section,
+    shortly,
+    under,
+)
 from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.quantity import Quantity
@@ -259,6 +270,8 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
     """Raises: FormError: Keys are mistyped, which comes first, or missing; it names all at once."""
     refuse_unknown(settings, ROBOT | ELSEWHERE)
     for name, joint in _part(settings, "joints").items():
+        if not isinstance(name, str):
+            raise FormError(f"joints: {shortly(name)} is no text; put a name that looks like a number in quotes")
         for key, fields in (("motor", MOTOR), ("drive_train", DRIVE_TRAIN)):
             with under("joints", name, key):
                 refuse_unknown(_part(joint, key), fields)

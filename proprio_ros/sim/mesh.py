@@ -8,6 +8,8 @@ Where the cells along an axis are even in number, the mesh is its own mirror ima
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -213,10 +215,13 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
         ) from error
     if path_problem(path) or not Path(path).is_file():
         raise ConfigurationError(f"{path}: no such mesh file")
+    printed = io.StringIO()  # stdout is for the result, and what is refused is refused in one line
     try:
-        found = meshio.read(path)
+        with redirect_stdout(printed), redirect_stderr(printed):
+            found = meshio.read(path)
     except (Exception, SystemExit) as error:  # what a reader raises over a broken file is the reader's own choice
-        raise ConfigurationError(f"{path}: meshio cannot read this mesh ({error or type(error).__name__})") from error
+        why = printed.getvalue().strip().split("\n")[0] or error or type(error).__name__
+        raise ConfigurationError(f"{path}: meshio cannot read this mesh ({why})") from error
     tets = [block.data for block in found.cells if block.type == "tetra"]
     if not tets:
         kinds = ", ".join(sorted({block.type for block in found.cells})) or "nothing"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,13 @@ def test_an_experiment_that_cannot_be_made_is_told_and_left_out(
     found = run(Store(tmp_path), [], 1, 1, told.append)
     assert list(found) == ["first"]
     assert any("second, seed 0: robot 0 stood still" in words for words in told)
+
+
+def test_what_is_not_installed_is_said_once(tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert main(["paper", "--out", str(tmp_path), "--seeds", "3", "--jobs", "1"]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("needs MuJoCo") == 1 and printed.out == "" and not (tmp_path / "paper.html").exists()
 
 
 def test_seeds_come_one_after_the_other(toys: list[tuple[str, int]]) -> None:

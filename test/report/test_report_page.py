@@ -96,8 +96,14 @@ def test_a_page_that_cannot_be_written(estimate: Estimate, tmp_path: Path) -> No
 
 def test_an_older_page_survives_until_the_new_one_is_whole(estimate: Estimate, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    page.write_text("old")
+    page.write_text(document("old", []))
     write_report(estimate, page)
+    assert "<title>old" not in page.read_text()
+    page.write_text("somebody's")
+    with pytest.raises(ConfigurationError, match=r"is no page of proprio: .* \(in Python: force=True\)"):
+        write_report(estimate, page)
+    assert page.read_text() == "somebody's"
+    write_report(estimate, page, force=True)
     assert page.read_text().startswith("<!doctype html>")
 
 
