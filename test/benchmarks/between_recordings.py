@@ -114,7 +114,8 @@ def said(row: str, truth: float, ask: Callable[[], Estimate], asked: str = "") -
     try:
         estimate = ask()
     except ProprioError as error:
-        return Answer(row, truth, None, np.nan, np.nan, "error", type(error).__name__, f"{asked}: {error}")
+        code = "calibration refused" if type(error) is ProprioError else type(error).__name__
+        return Answer(row, truth, None, np.nan, np.nan, "error", code, f"{asked}: {error}")
     mass = estimate.values[0]
     code = getattr(estimate.reasons[0], "code", "other") if estimate.reasons else ""
     low, high = mass.ci95 if isinstance(mass.value, float) else (np.nan, np.nan)
@@ -357,7 +358,10 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
 def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
     """As it comes, and with the last joint struck from the file."""
     names = [f"lwr_{n}_joint" for n in range(7)]
-    for row, joints in (("real KUKA LWR4+, nothing", names), ("the same without its last joint", names[:-1])):
+    for row, joints in (
+        ("real KUKA LWR4+, nothing", names),
+        ("real KUKA LWR4+, nothing, without its last joint", names[:-1]),
+    ):
         lines = ["name: kuka", f"urdf: {real / 'models' / 'kuka_lwr4.urdf'}", "payload_frame: lwr_7_link", "joints:"]
         for joint in joints:
             motor = "nominal_torque_constant_N_m_per_A: 1.0, encoder_resolution_rad: 1.0e-5, encoder_noise_rad: 1.0e-5"
