@@ -144,12 +144,13 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     output = Path(options.output)
     check_new_yaml(output, options.force)
-    new = new_robot_file(options.urdf, output, description_of)
+    new = new_robot_file(options.urdf, output, description_of, options.effort_unit == "N.m")
     write_in_one_step(output, new.text, "--output")
     about = {"robot": new.name, "output": str(output), "joints": list(new.joints), "payload_frame": new.payload_frame}
     stated = ", ".join(dict.fromkeys(key.rpartition(".")[2] for key in new.to_state))
+    state = f"state: {stated} (marked in the file)" if stated else "use it with --effort-unit N.m"
     text = (
-        f"{output}: {new.name}, joints {', '.join(new.joints)}\n  state: {stated} (marked in the file)\n"
+        f"{output}: {new.name}, joints {', '.join(new.joints)}\n  {state}\n"
         f"  check: payload_frame, {new.payload_frame} is a guess"
     )
     terminal.show(options.json, {**schema.header("robot"), **about, "to_state": list(new.to_state)}, text)

@@ -205,7 +205,7 @@ def _robot(add: Callable[..., _Parser]) -> None:
     sources = "URDF file, a bag that holds /robot_description, or robot_descriptions:NAME of the package of that name"
     new.add_argument("urdf", metavar="URDF", help=sources)
     new.add_argument("--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`")
-    new.share("force", "json")
+    new.share("effort-unit", "force", "json")
 
 
 def _table(add: Callable[..., _Parser]) -> None:

@@ -13,10 +13,14 @@ from pathlib import Path
 from proprio_ros.errors import RobotError, one_line, some
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.robot.tree import RobotModel
+from proprio_ros.robot.urdf import Joint
 
 PACKAGE = "robot_descriptions:"
 """What a source begins with that names a robot of the package robot_descriptions."""
 _BAGS = (".mcap", ".db3")
+_TOOLS = ("tcp", r"(^|_)(eef?|end_?effector|grasp)", "tool", "hand", "flange", "gripper")
+"""What fixed frames of tools are called, those nearest to the object first."""
+_FINGER = re.compile("finger|jaw|knuckle|claw|thumb", re.I)
 
 
 def is_description(text: str) -> bool:
@@ -82,18 +86,39 @@ def _packaged(name: str) -> Path:
 
 
 def hand_link(model: RobotModel) -> str:
-    """A guess at the link in which objects are held: the last one behind the most joints that turn, and no finger's."""
-    turning: dict[str, int] = {model.root: 0}
-    depth: dict[str, int] = {model.root: 0}
-    slid: set[str] = set()
+    """A guess at the link in which objects are held: a tool frame fixed to the arm's last body, else the last link of that body.
+
+    The last body is the one before the tree branches into fingers, or before a joint that is a finger by its name; never a finger.
+    """
+    depth, body = {model.root: 0}, {model.root: model.root}
+    moving: dict[str, list[Joint]] = {model.root: []}  # by body, which its first link names
     for joint in model.joints:
-        turns = joint.kind in ("revolute", "continuous") and joint.independent
-        turning[joint.child] = turning[joint.parent] + turns
         depth[joint.child] = depth[joint.parent] + 1
-        if joint.kind == "prismatic" or joint.mimic is not None or joint.parent in slid:
-            slid.add(joint.child)
-    hands = [name for name in turning if name not in slid]
-    return max(hands, key=lambda name: (turning[name], depth[name]))
+        body[joint.child] = body[joint.parent] if joint.kind == "fixed" else joint.child
+        if joint.kind != "fixed":
+            moving[body[joint.parent]].append(joint)
+            moving[joint.child] = []
+    beyond: dict[str, int] = {}  # the most joints that move by themselves, one behind the other
+    for name in reversed(moving):
+        beyond[name] = max((each.independent + beyond[each.child] for each in moving[name]), default=0)
+
+    def tools(of: str) -> list[tuple[int, int, str]]:
+        names = [link for link in body if body[link] == of]
+        ranks = {link: next((n for n, form in enumerate(_TOOLS) if re.search(form, link, re.I)), -1) for link in names}
+        return [(-rank, depth[link], link) for link, rank in ranks.items() if rank >= 0 and link != of]
+
+    hand, before = model.root, 0
+    while moving[hand]:
+        joint = max(moving[hand], key=lambda each: each.independent + beyond[each.child])
+        branches = len(moving[hand]) > 1 and before >= beyond[hand]
+        finger = _FINGER.search(joint.child) or _FINGER.search(joint.name) or re.search("gripper", joint.name, re.I)
+        last = not beyond[joint.child] and joint.kind == "prismatic" and not tools(joint.child)
+        if branches or finger or last or not joint.independent:
+            break
+        hand, before = joint.child, before + 1
+    if found := tools(hand):
+        return max(found)[2]
+    return max((link for link in body if body[link] == hand), key=lambda link: depth[link])
 
 
 def check_masses(model: RobotModel, source: str) -> None:

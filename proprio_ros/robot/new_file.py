@@ -16,7 +16,7 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
-from proprio_ros.robot.wide import Wide, largest_torque
+from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 
 STATE = "STATE THIS"
 CHECK = "CHECK THIS"
@@ -41,10 +41,13 @@ class NewFile:
     to_state: tuple[str, ...]
 
 
-def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | None = None) -> NewFile:
+def new_robot_file(
+    source: str, output: Path, of_bag: Callable[[Path], str] | None = None, torque_recorded: bool = False
+) -> NewFile:
     """Write down what a URDF (see `read_model`) says of a robot, and what must be stated beside it.
 
-    The file names its URDF by the way from ``output``, where it will be.
+    The file names its URDF by the way from ``output``, where it will be. Where efforts are torque, no torque constant is needed,
+    and fingers, which only squeezes drive, are left out.
 
     Raises:
         RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.
@@ -53,7 +56,7 @@ def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | No
     check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)
     frame = hand_link(model)
     values = {"name": model.name, "payload_frame": frame}
-    lines = _head(model.name)
+    lines = _head(model.name, torque_recorded)
     for key, entry in ROBOT.items():
         if key in _WRITTEN_BY_CALIBRATE:
             continue
@@ -64,25 +67,32 @@ def new_robot_file(source: str, output: Path, of_bag: Callable[[Path], str] | No
             lines.append(_line(0, "urdf", _way(source, output), words))
     lines += ["", "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held", "joints:"]
     to_state = []
-    for number, name in enumerate(model.independent_joints):
-        lines += _joint(model, name, explained=number == 0)
+    turning = [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
+    joints = tuple(turning) if torque_recorded and turning else model.independent_joints
+    for number, name in enumerate(joints):
+        lines += _joint(model, name, explained=number == 0, torque_recorded=torque_recorded)
+        if torque_recorded:
+            continue
         to_state.append(f"joints.{name}.motor.{NOMINAL}")
         if model.joint(name).kind == "prismatic":
             to_state.append(f"joints.{name}.transmission_m_per_rad")
-    return NewFile(model.name, "\n".join(lines) + "\n", model.independent_joints, frame, tuple(to_state))
+    return NewFile(model.name, "\n".join(lines) + "\n", joints, frame, tuple(to_state))
 
 
-def _head(name: str) -> list[str]:
+def _head(name: str, torque_recorded: bool) -> list[str]:
+    state = f"What says {STATE} must be stated before it can be used"
+    if torque_recorded:
+        state = "Efforts are torque, N m: use it with --effort-unit N.m"
     words = (
-        f"Robot file of {name}, written by `proprio robot new`. What says {STATE} must be stated before it can be used; what says "
-        f"{CHECK} is a guess. Everything else has a default, wide enough to hold on most arms: state what you know, and `proprio "
-        "calibrate` learns the rest. An uncertain number is {value: .., std: ..}; a plain number is known exactly; null is left "
-        "out, and what is left out has its default. Everything under `joints` counts at the motor's output shaft, gear included."
+        f"Robot file of {name}, written by `proprio robot new`. {state}; what says {CHECK} is a guess. Everything else has a "
+        "default, wide enough to hold on most arms: state what you know, and `proprio calibrate` learns the rest. An uncertain "
+        "number is {value: .., std: ..}; a plain number is known exactly; null is left out, and what is left out has its default. "
+        "Everything under `joints` counts at the motor's output shaft, gear included."
     )
     return [*(f"# {line}" for line in textwrap.wrap(words, 118)), ""]
 
 
-def _joint(model: RobotModel, name: str, explained: bool) -> list[str]:
+def _joint(model: RobotModel, name: str, explained: bool, torque_recorded: bool) -> list[str]:
     """All keys of one joint; what they are for stands at the first joint only."""
     joint = model.joint(name)
     slides = joint.kind == "prismatic"
@@ -94,13 +104,18 @@ def _joint(model: RobotModel, name: str, explained: bool) -> list[str]:
     limits = f", at most {joint.effort_limit:g} {'N' if slides else 'N m'} by its URDF"
     lines = [f"  {_yaml(name)}:  # {joint.kind}{limits if math.isfinite(joint.effort_limit) else ''}", "    motor:"]
     for key, entry in MOTOR.items():
-        if key == NOMINAL:
+        if key == NOMINAL and torque_recorded:
+            lines.append(line(6, key, entry, 1, "torque is recorded, not current: " if explained else ""))
+        elif key == NOMINAL:
             words = f"; 1 where torque is recorded, not current; {_words(entry)}" if explained else ""
             lines.append(_line(6, key, None, STATE + words))
         else:
             lines.append(line(6, key, entry))
     lines.append("    drive_train:")
     for key, entry in DRIVE_TRAIN.items():
+        if torque_recorded and isinstance(entry.default, Wide) and entry.default.of == "nominal":
+            lines.append(line(6, key, entry, RECORDED_TORQUE))
+            continue
         # what is a part of something not yet stated is left to the reader of the file
         later = isinstance(entry.default, Wide) and (slides or entry.default.of == "nominal")
         mark = f"null: {entry.default.described()}; " if later else ""
@@ -120,8 +135,8 @@ def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
         names = [joint] if joint else turning or model.independent_joints
         spread = default.at(0.0, min(largest_torque(model, name) for name in names)).std
         if not joint:
-            return float(f"{spread:.2g}")
-        default = Quantity(0.0, float(f"{spread:.2g}"))
+            return float(f"{spread:.4g}")
+        default = Quantity(0.0, float(f"{spread:.4g}"))
     if isinstance(default, Quantity):
         return {"value": default.value, "std": default.std}
     if default is STANDARD_GRAVITY:

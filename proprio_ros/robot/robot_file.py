@@ -47,7 +47,7 @@ from proprio_ros.robot.fields import (
 )
 from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.tree import RobotModel
-from proprio_ros.robot.wide import Wide, largest_torque
+from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +163,7 @@ class Robot:
 
 
 _PATH = Text(longest=LONGEST_PATH)
+_CONSTANT = "torque_constant_N_m_per_A"
 
 
 def _read_settings(path: Path, below: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -278,7 +279,7 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
     missing = [key for key, entry in ROBOT.items() if entry.default is REQUIRED and key not in settings]
     without: dict[str, list[str]] = defaultdict(list)
     for name, joint in _part(settings, "joints").items():
-        if NOMINAL not in _part(joint, "motor") and "torque_constant_N_m_per_A" not in _part(joint, "drive_train"):
+        if NOMINAL not in _part(joint, "motor") and _CONSTANT not in _part(joint, "drive_train"):
             without[f"motor.{NOMINAL}"].append(name)
         slides = name in model.independent_joints and model.joint(name).kind == "prismatic"
         if slides and isinstance(joint, Mapping) and "transmission_m_per_rad" not in joint:
@@ -290,7 +291,12 @@ def _check_stated(settings: Mapping[str, Any], source: Path, model: RobotModel) 
             "with `proprio robot new`, or --effort-unit N.m where torque was recorded"
         )
     if missing:
-        raise FormError(f"missing: {'; '.join(missing)}; state each")
+        torque = (
+            "; where torque was recorded, `proprio robot new --effort-unit N.m` writes a file that needs none of it"
+        )
+        raise FormError(
+            f"missing: {'; '.join(missing)}; state each{torque if any(key.startswith('transmission') for key in without) else ''}"
+        )
 
 
 def _few(names: Sequence[str], longest: int = 60) -> str:
@@ -409,7 +415,7 @@ def _drive_train(settings: Any, model: RobotModel, name: str) -> tuple[DriveTrai
         "drive_train": Field(Part(by=lambda value: section(value, DRIVE_TRAIN)), {}),
     }
     settings = mapping(settings)
-    stated = _part(settings, "drive_train").get("torque_constant_N_m_per_A")
+    stated = _part(settings, "drive_train").get(_CONSTANT)
     if stated is not None and NOMINAL not in _part(settings, "motor"):
         # who states the torque constant alone publishes no efforts that another one was made with
         value = stated.get("value") if isinstance(stated, Mapping) else stated
@@ -480,17 +486,22 @@ def load_robot(
 
 
 def with_recorded_torque(name_or_path: str | Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides for a description alone whose motors' torque was recorded, so that no torque constant is needed.
+    """Overrides for a robot whose motors' torque was recorded, so that no torque constant is needed.
 
-    Torque then counts as current of 1 N m/A, known to a tenth: boards that estimate their motors' torque were seen to err by that.
-    What the user states beside that stays.
+    Torque then counts as current of 1 N m/A, known to a tenth, at joints whose torque constant nobody states, or only as that 1.
+    What the user states beside that stays, and what a calibration learnt.
     """
-    path = _located(str(name_or_path), Path())
-    if not is_description(str(path)):
+    settings = _read_settings(_located(str(name_or_path), Path()))
+    if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(
+        settings.get("joints"), Mapping
+    ):
         return dict(overrides)
     unit: dict[str, Any] = {}
-    for name in bare_settings(str(path))["joints"]:
-        nominal, constant = f"joints.{name}.motor.{NOMINAL}", f"joints.{name}.drive_train.torque_constant_N_m_per_A"
-        if nominal not in overrides and constant not in overrides:
-            unit |= {nominal: 1.0, constant: {"value": 1.0, "std": 0.1}}
+    for name, stated in settings["joints"].items():
+        nominal, constant = f"joints.{name}.motor.{NOMINAL}", f"joints.{name}.drive_train.{_CONSTANT}"
+        open_yet = (
+            _part(stated, "motor").get(NOMINAL) in (None, 1) and _part(stated, "drive_train").get(_CONSTANT) is None
+        )
+        if open_yet and nominal not in overrides and constant not in overrides:
+            unit |= {nominal: 1.0, constant: dict(RECORDED_TORQUE)}
     return unit | dict(overrides)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,10 @@ from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.inputs.forms import Text
 from proprio_ros.inputs.reading import yaml_of
+from proprio_ros.quantity import Quantity
 from proprio_ros.recordings.description import description_of, robot_named
 from proprio_ros.recordings.messages import message_types
-from proprio_ros.robot import load_robot
+from proprio_ros.robot import load_robot, with_recorded_torque
 from proprio_ros.robot.description import hand_link, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, ROBOT
 
@@ -134,6 +136,89 @@ def test_the_guessed_hand_is_no_finger(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(text)
     assert hand_link(read_model(str(tmp_path / "arm.urdf"))) == "hand"
     assert hand_link(load_robot("open_manipulator_x").model) == "end_effector_link"
+
+
+def fixed(name: str, parent: str, child: str) -> str:
+    return joint(name, parent, child, kind="fixed")
+
+
+def finger(name: str, parent: str, child: str, mimic: str = "", kind: str = "revolute") -> str:
+    return joint(name, parent, child, kind=kind, mimic=mimic)
+
+
+MIMIC = '<mimic joint="left"/>'
+ARM = (joint("j1"), joint("j2", "one", "two"), joint("j3", "two", "three"))
+
+
+@pytest.mark.parametrize(
+    ("joints", "hand"),
+    [
+        ((fixed("f", "three", "flange"), fixed("h", "flange", "arm_hand"), fixed("t", "arm_hand", "arm_hand_tcp"),
+          finger("left", "arm_hand", "l", kind="prismatic"), finger("r", "arm_hand", "r", MIMIC, "prismatic")), "arm_hand_tcp"),
+        ((fixed("s", "three", "gripperStator"), finger("jointGripper", "gripperStator", "gripperMover")), "gripperStator"),
+        ((finger("j4", "three", "moving_jaw"),), "three"),
+        ((finger("left", "three", "l"), finger("right", "three", "r", MIMIC)), "three"),
+        ((fixed("t", "three", "tool0"), fixed("camera", "tool0", "camera"), finger("j4", "camera", "jaw")), "tool0"),
+        ((fixed("e", "three", "ee_link"), fixed("t", "three", "tool0")), "ee_link"),
+        ((joint("slide", "three", "four", kind="prismatic"), fixed("t", "four", "tool0")), "tool0"),
+        ((joint("a", "base", "l1"), joint("b", "l1", "l2")), "three"),
+    ],
+)  # fmt: skip
+def test_the_guessed_hand_is_a_tool_frame_or_the_last_link_before_fingers(
+    tmp_path: Path, joints: tuple[str, ...], hand: str
+) -> None:
+    text = chain(*ARM, *joints, links="".join(map(link, _links(*ARM, *joints))))
+    (tmp_path / "arm.urdf").write_text(text)
+    assert hand_link(read_model(str(tmp_path / "arm.urdf"))) == hand
+
+
+def _links(*joints: str) -> list[str]:
+    return ["base", *(text.split('<child link="')[1].split('"')[0] for text in joints)]
+
+
+def test_the_guessed_hand_of_arms_whose_last_joint_is_a_jaw() -> None:
+    for name, hand in (("so101", "grasp_link"), ("omx_f", "end_effector_link")):
+        assert hand_link(load_robot(name).model) == hand
+
+
+def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_urdf_does(tmp_path: Path) -> None:
+    """Its torque constants were 15 % uncertain where those of the URDF alone are 10 %, and so were its masses."""
+    gripper = chain(
+        joint("a", limit='<limit lower="-1" upper="1" effort="1.23456" velocity="1"/>'),
+        finger("f", "one", "two", kind="prismatic"),
+    )
+    for number, urdf in enumerate((THREE, gripper)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        source = str(folder / "arm.urdf")
+        Path(source).write_text(urdf)
+        bare = load_robot(source, with_recorded_torque(source, {}))
+        for flags in (["--effort-unit", "N.m"], []):
+            output = folder / f"new{len(flags)}.yaml"
+            assert main(["robot", "new", source, "--output", str(output), *flags]) == 0
+            if not flags and urdf == gripper:
+                with pytest.raises(RobotError, match="where torque was recorded, `proprio robot new --eff"):
+                    load_robot(output)
+                continue
+            assert ("# STATE THIS" in output.read_text()) is not bool(flags)
+            file = load_robot(output, with_recorded_torque(output, {}))
+            assert list(file.drive_trains) == list(bare.drive_trains)
+            for name, drive in bare.drive_trains.items():
+                for entry in fields(drive):
+                    known, was = getattr(file.drive_trains[name], entry.name), getattr(drive, entry.name)
+                    if isinstance(was, Quantity):
+                        known, was = (known.value, known.std), (was.value, was.std)
+                    exact = was is None or isinstance(was, bool)
+                    assert known == (was if exact else pytest.approx(was, rel=1e-3)), entry.name
+            assert file.torque_disturbance == pytest.approx(bare.torque_disturbance, rel=1e-3)
+
+
+def test_a_nominal_constant_of_one_is_recorded_torque_too(tmp_path: Path) -> None:
+    text = written(tmp_path).replace(MARKED, "nominal_torque_constant_N_m_per_A: 1")
+    (tmp_path / "new.yaml").write_text(text)
+    path = tmp_path / "new.yaml"
+    assert load_robot(path).drive_trains["a"].torque_constant == Quantity(1.0, 0.15)
+    assert load_robot(path, with_recorded_torque(path, {})).drive_trains["a"].torque_constant == Quantity(1.0, 0.1)
 
 
 @pytest.mark.skipif(not UR10E.exists(), reason="needs the real recordings")
