@@ -88,6 +88,7 @@ def calibrate(
     if left_out:
         reasons.append(_said_contradiction(left_out, len(usable)))
     rows = shared_rows(problem, values, fitted.covariance)
+    reasons += _not_as_stated(empty_hand(problem, values, posterior, references=True))
     reasons += [*not_empty(hand, MAYBE_NOT_EMPTY, NOT_EMPTY), *_far_from_file(rows)]
     if apart := int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0))):
         found.notes.append(f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken")
@@ -204,15 +205,18 @@ def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool
     return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}
 
 
-def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior) -> EmptyHand | None:
+def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior, references: bool = False) -> EmptyHand | None:
     """The mass with which the hand of all empty runs would fit best: one step from the fit, everything else moving with it.
 
     A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
+    With ``references`` the same of them: by how much they are heavier than stated.
     """
 
     def hiding(run: PreparedRun) -> PreparedRun:
-        is_empty = run.load is None or run.load.mass == 0.0
-        return replace(run, load=KnownLoad(HIDDEN_STEP_KG)) if is_empty and run.coefficients.payload.any() else run
+        load = run.load or KnownLoad()
+        if (load.mass > 0.0) is not references or not run.coefficients.payload.any():
+            return run
+        return replace(run, load=replace(load, mass=load.mass + HIDDEN_STEP_KG))
 
     runs = [hiding(run) for run in problem.runs]
     if all(run is was for run, was in zip(runs, problem.runs, strict=True)):
@@ -232,6 +236,18 @@ def empty_hand(problem: Problem, at: np.ndarray, posterior: Posterior) -> EmptyH
 def not_empty(hand: EmptyHand | None, beyond: float, up_to: float = np.inf) -> list[str]:
     """That the hand was not empty, where the runs say so by more than ``beyond`` standard deviations, and by at most ``up_to``."""
     return [Reason("hand_not_empty", hand.contradiction())] if hand and beyond < abs(hand.pull) <= up_to else []
+
+
+def _not_as_stated(off: EmptyHand | None) -> list[str]:
+    """That the references are not what was stated, where the runs say so."""
+    if off is None or abs(off.pull) <= MAYBE_NOT_EMPTY:
+        return []
+    by = f"{shown('kg', abs(off.mass_kg), spec='.1f')} +- {shown('kg', off.std_kg, spec='.1f')}"
+    less = "less" if off.mass_kg < 0.0 else "more"
+    said = (
+        f"by these runs your reference weighs {by} {less} than you stated: weigh it again, since every mass follows it"
+    )
+    return [Reason("far_from_prior", said)]
 
 
 def _fit_what_agrees(

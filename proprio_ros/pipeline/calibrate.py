@@ -24,11 +24,13 @@ from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.planning import plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.prepared_runs import KnownLoad
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.recorded import recorded_run
 from proprio_ros.identification.refresh import refresh
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
+from proprio_ros.identification.regression.motion_prior import relative_torque_std
 from proprio_ros.identification.regression.one_joint_estimate import best_delay, calibrate_joint, torque_left_over
-from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
+from proprio_ros.identification.robot_calibration import UNLEARNT, LoadedRun, calibrate
 from proprio_ros.inputs.reading import text_of, yaml_of
 from proprio_ros.inputs.resources import check_new_yaml, paths_of, resource, resource_names, write_in_one_step
 from proprio_ros.inputs.settings import Settings
@@ -49,6 +51,10 @@ from proprio_ros.threads import one_blas_thread
 from proprio_ros.version import __version__
 
 HEAVIEST_REFERENCE_KG = 5.0
+BEYOND_PRIOR = 2.0
+"""Standard deviations of torque constants and URDF together from which what a reference implies is said to be beyond them."""
+LEAST_ARM_STD = 0.02
+"""No URDF is taken to know an arm's weight better, relative."""
 
 
 @one_blas_thread
@@ -106,6 +112,8 @@ def calibrate_from_bags(
     if estimate.calibration is not None:
         made = moment_of([each.run for each in runs], [path for path, _ in loads], request.options.state_topic)
         estimate = replace(estimate, calibration=replace(estimate.calibration, motors=motors, made=made))
+    if references:
+        estimate = _with_implied_scale(estimate, request.robot)
     used = {fit.name for fit in estimate.run_fits}
     unused = tuple(recorded_run(request.robot, each.run) for each in runs if each.run.name not in used)
     known = [{"bag": str(path), "mass_kg": mass} for path, mass in references.items()]
@@ -181,6 +189,41 @@ def _reference(settings: Settings) -> PayloadFacts:
     """What is stated of a weighed reference."""
     probe: Carries = probe_that(Carries)
     return probe.reference(settings)
+
+
+def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot) -> CalibrationEstimate:
+    """With what the references say of all motors at once: a reason where that, or what the arm then weighs, is beyond its prior.
+
+    A reference whose mass is mistyped scales the motors' torque and the arm's weight alike, and every mass that is weighed later.
+    """
+    implied = _implied_scale(estimate, robot)
+    if implied is None or estimate.verdict.value != "accepted":
+        return estimate
+    scale, arm = implied
+    more = f"{100.0 * abs(scale.value - 1.0):.0f} % {'stronger' if scale.value >= 1.0 else 'weaker'} than stated"
+    said = f"your reference says that all motors are {more}, which is known to {100.0 * scale.std:.0f} %"
+    weight = f"the arm then weighs {arm.value:.2f} times what its URDF says, which is known to {100.0 * arm.std:.0f} %"
+    if np.hypot((scale.value - 1.0) / scale.std, (arm.value - 1.0) / arm.std) <= BEYOND_PRIOR:
+        return replace(estimate, notes=(f"{said}; {weight}", *estimate.notes))
+    cure = "every mass follows it: weigh the reference again, and check the torque constants"
+    return replace(estimate, reasons=(*estimate.reasons, Reason("far_from_prior", f"{said}, and {weight}; {cure}")))
+
+
+def _implied_scale(estimate: CalibrationEstimate, robot: Robot) -> tuple[Quantity, Quantity] | None:
+    """True torque over the robot file's, and the arm's weight over its URDF's, by references: value, and the prior's deviation."""
+    if (motion := estimate.motion) is not None:
+        std = max(relative_torque_std(robot, joint) for joint in motion.joints)
+        value, arm = motion.torque_scale, motion.torque_scale * motion.arm_over_urdf
+    else:
+        rows = [
+            row for row in estimate.unknowns if row.kind == "torque_constant" and row.std < UNLEARNT * row.prior_std
+        ]
+        if not rows:
+            return None
+        value = float(np.mean([row.value / row.prior for row in rows]))
+        std = float(np.mean([row.prior_std / row.prior for row in rows]))
+        arm = next((row.value for row in estimate.unknowns if row.kind == "arm_scale"), robot.arm_scale.value)
+    return Quantity(value, std), Quantity(arm / robot.arm_scale.value, max(robot.arm_scale.std, LEAST_ARM_STD))
 
 
 def _motors_of(paths: Sequence[Path], request: Request) -> dict[str, MotorIdentity]:

@@ -305,6 +305,26 @@ def test_from_bags_to_a_mass_by_the_command_line(
         assert not any("not been calibrated" in reason for reason in result["reasons"])
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("stated_kg", [0.1, 0.12])
+def test_a_reference_that_was_stated_wrong_is_told(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], stated_kg: float
+) -> None:
+    """All are 100 g."""
+    empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
+    weights = [f"{folder / 'bag_mcap'}={stated_kg}" for folder in sorted(bags.glob("realistic_s00_fixed_reference_*"))]
+    place = ["--set", "payload.shape=sphere", "--set", "payload.size=0.0272"]
+    words = ["calibrate", *empty, "--reference", *weights, *place, "--output", str(tmp_path / "arm.yaml"), "--json"]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert any("your reference says that all motors are" in note for note in told["notes"])
+    about = [reason for reason in told["reasons"] if "your reference weighs" in reason]
+    assert len(about) == (stated_kg != 0.1)
+    if about:
+        less_g = float(about[0].split("weighs ")[1].split(" g")[0])
+        assert abs(less_g - 20.0) < 10.0 and "less than you stated: weigh it again" in about[0]
+
+
 def test_the_same_numbers_from_the_same_bags(bags: Path) -> None:
     empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
     one, other = (calibrate_from_bags(empty, {}).calibration for _ in range(2))

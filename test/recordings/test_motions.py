@@ -295,6 +295,26 @@ def test_several_empty_motions_and_a_reference_calibrate(
     assert json.loads(capsys.readouterr().out)["reason_codes"] == ["misfit"]
 
 
+@pytest.mark.long
+def test_what_a_reference_implies_is_told_and_put_against_its_prior(
+    capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path
+) -> None:
+    """2.805 kg stated as 3.4 was accepted without a word where torque constants are known to 10 %."""
+    told = {}
+    key = 'robot.joints.{}.drive_train.torque_constant_N_m_per_A={{"value": {}, "std": {}}}'
+    ten = [word for name, k in UR10E_N_M_PER_A.items() for word in ("--set", key.format(name, k, 0.1 * k))]
+    for stated in (2.805, 3.4):
+        more = ("--reference", f"{REAL / 'ur10e_loaded_14'}={stated}", *ten)
+        capsys.readouterr()
+        assert calibrated(ur10e, tmp_path / f"{stated}.yaml", "ur10e_empty_14", more=more) == 0
+        told[stated] = json.loads(capsys.readouterr().out)
+    assert not any("your reference" in reason for reason in told[2.805]["reasons"])
+    assert any(note.startswith("your reference says that all motors are") for note in told[2.805]["notes"])
+    (reason,) = [reason for reason in told[3.4]["reasons"] if "your reference" in reason]
+    assert "% stronger than stated, which is known to 10 %" in reason and "weigh the reference again" in reason
+    assert "far_from_prior" in told[3.4]["reason_codes"]
+
+
 def test_a_reference_without_an_empty_motion_is_refused(
     capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path
 ) -> None:
