@@ -17,13 +17,15 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.estimate import Estimate, Value
-from proprio_ros.inputs.resources import paths_of
+from proprio_ros.inputs.forms import Form, FormError, Number, Part, Perhaps, Truth, Whole, mapping, shortly, under
+from proprio_ros.inputs.settings import read
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_excitations
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.looked_into import BagCheck
 from proprio_ros.pipeline.looked_into import as_json as checks_as_json
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
+from proprio_ros.probes import all_probes
 from proprio_ros.quantity import spec_for
 from proprio_ros.report import card, runs_figure, write_calibration_report
 from proprio_ros.robot import Robot
@@ -327,8 +329,8 @@ def weigh(
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
-    given = dict(locals())
-    return Weighing(replay(_texts(bags), _options(given)), _texts(bags), _call("weigh", bags, given))
+    given = _read(locals())
+    return Weighing(replay(given["bags"], _options(given)), given["bags"], _call("weigh", given))
 
 
 def calibrate(
@@ -352,13 +354,12 @@ def calibrate(
     becomes the file ``output`` (.yaml), in the place of an older one only with ``force``. ``progress`` hears in sentences what is
     going on. All else is as for `weigh`, errors included.
     """
-    given = dict(locals())
+    given = _read(locals())
     folder = tempfile.TemporaryDirectory(prefix="proprio-") if output is None else None
-    path = Path(output) if folder is None else Path(folder.name) / "calibration.yaml"  # type: ignore[arg-type]
-    known: dict[str | Path, float] = {os.fspath(bag): mass for bag, mass in (references or {}).items()}
-    estimate = calibrate_from_bags(_texts(bags), known, _options(given), path, progress, force)
+    path = Path(given["output"] if folder is None else f"{folder.name}/calibration.yaml")
+    estimate = calibrate_from_bags(given["bags"], given["references"] or {}, _options(given), path, progress, force)
     accepted = estimate.verdict.value == "accepted"
-    return CalibrationResult(estimate, path if accepted else None, _call("calibrate", bags, given), folder)
+    return CalibrationResult(estimate, path if accepted else None, _call("calibrate", given), folder)
 
 
 def plan(
@@ -376,9 +377,9 @@ def plan(
     A run must suit all ``masses`` [kg] that the hand may hold; there are at most ``count`` plans. ``progress`` hears in sentences
     what is going on. All else is as for `weigh`, errors included.
     """
-    options = _options(locals())
-    asked = [float(masses)] if isinstance(masses, (int, float)) else [float(mass) for mass in masses]
-    return Plans(*plan_excitations(asked, options, count, progress), asked)
+    given = _read(locals())
+    asked = given["masses"]
+    return Plans(*plan_excitations(asked, _options(given), given["count"], progress), asked)
 
 
 def check(
@@ -395,43 +396,120 @@ def check(
 
     All is as for `weigh`, errors included; what is stated about an object is not looked at.
     """
-    return Checks(*check_bags(_texts(bags), _options(locals())))
+    given = _read(locals())
+    return Checks(*check_bags(given["bags"], _options(given)))
+
+
+def _path(value: Any) -> str:
+    text = os.fspath(value) if isinstance(value, os.PathLike) else value
+    if not isinstance(text, str):
+        raise FormError(f"expected a path, got {shortly(value)}")
+    return text
+
+
+def _word(value: Any) -> str:
+    if not isinstance(value, str):
+        raise FormError(f"expected a text, got {shortly(value)}")
+    return value
+
+
+def _several(value: Any, what: str) -> list[Any]:
+    """The entries of what is a list of some kind."""
+    if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable):
+        raise FormError(f"expected {what}, or a list of them, got {shortly(value)}")
+    return list(value)
+
+
+def _paths(value: Any) -> tuple[str, ...]:
+    alone = isinstance(value, (str, os.PathLike))
+    return tuple(_path(entry) for entry in ([value] if alone else _several(value, "a path")))
+
+
+def _masses(value: Any) -> list[float]:
+    alone, each = isinstance(value, (int, float)), Number(unit="kg", lowest=0.0, open=True)
+    masses = [each.read(_plain(mass)) for mass in ([value] if alone else _several(value, "a mass in kg"))]
+    if not masses:
+        raise FormError("expected at least one mass in kg, got none")
+    return masses
+
+
+def _known(value: Any) -> dict[str | Path, float]:
+    known: dict[str | Path, float] = {}
+    for bag, mass in mapping(value).items():
+        with under(path := _path(bag)):
+            known[path] = Number(unit="kg").read(_plain(mass))
+    return known
+
+
+def _stated(value: Any) -> dict[str, Any]:
+    given = mapping(value)
+    with under("a key"):
+        keys = [_word(key) for key in given]
+    return {key: _plain(given[key]) for key in keys}
+
+
+def _called(value: Any) -> Any:
+    if not callable(value):
+        raise FormError(f"expected a function of a sentence, got {shortly(value)}")
+    return value
+
+
+_PERHAPS_PATH, _PERHAPS_WORD = Perhaps(form=Part(by=_path)), Perhaps(form=Part(by=_word))
+_FACTS = Part(by=_stated)
+_ARGUMENTS: dict[str, Form] = {
+    **dict.fromkeys(("bags", "baseline"), Part(by=_paths)),
+    **dict.fromkeys(("calibration", "robot", "driver", "output"), _PERHAPS_PATH),
+    **dict.fromkeys(("probe", "solver", "profile"), Part(by=_word)),
+    **dict.fromkeys(("state_topic", "command_topic", "effort_unit"), _PERHAPS_WORD),
+    "settings": Perhaps(form=_FACTS),
+    "references": Perhaps(form=Part(by=_known)),
+    "masses": Part(by=_masses),
+    "count": Whole(lowest=1),
+    "force": Truth(),
+    "progress": Part(by=_called),
+}
+"""What the arguments of all calls may be; facts come by section, each as `_FACTS`."""
+
+
+def _read(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of a call as its code takes them; raises ConfigurationError: One is of the wrong type."""
+    known = {"held", "solver"} | {key.partition(".")[0] for probe in all_probes() for key in probe.keys}
+    facts = given.get("facts", {})
+    for section, values in facts.items():
+        if section not in known and not isinstance(values, Mapping):
+            by_section = "facts come by section, such as payload={'size': 0.03}"
+            raise TypeError(f"{section}={values!r} is no argument; {by_section}")
+    stated = {name: read(name, _plain(value), _ARGUMENTS[name]) for name, value in given.items() if name != "facts"}
+    return {**stated, "facts": {section: read(section, values, _FACTS) for section, values in facts.items()}}
 
 
 def _options(given: Mapping[str, Any]) -> Options:
-    """What a call states, by the names of its arguments: facts get dotted keys, paths become text, arrays lists."""
-    stated = {entry.name: _plain(given[entry.name]) for entry in fields(Options) if entry.name in given}
-    stated["baseline"] = _texts(stated.get("baseline", ()))
+    """What a call states, by the names of its arguments; facts get dotted keys."""
+    stated = {entry.name: given[entry.name] for entry in fields(Options) if entry.name in given}
     dotted = dict(given["settings"] or {})
-    for section, values in given.get("facts", {}).items():
-        if not isinstance(values, Mapping):
-            by_section = "facts come by section, such as payload={'size': 0.03}"
-            raise TypeError(f"{section}={values!r} is no argument; {by_section}")
+    for section, values in given["facts"].items():
         dotted |= {f"{section}.{key}": value for key, value in values.items()}
-    return Options(**{**stated, "settings": {key: _plain(value) for key, value in dotted.items()}})
-
-
-def _texts(paths: Paths) -> tuple[str, ...]:
-    return tuple(os.fspath(path) for path in paths_of(paths))  # type: ignore[arg-type]
+    return Options(**{**stated, "settings": dotted})
 
 
 def _plain(value: Any) -> Any:
+    """Paths become text, arrays lists."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, (list, tuple)):
         return [_plain(entry) for entry in value]
-    return value.tolist() if hasattr(value, "tolist") else value
+    return value.tolist() if hasattr(value, "tolist") and not isinstance(value, type) else value
 
 
-def _call(name: str, bags: Paths, given: Mapping[str, Any]) -> str:
+def _call(name: str, given: Mapping[str, Any]) -> str:
     """The call as it was made, for the report."""
     usual = {"probe": "payload", "solver": "lm", "profile": "default"}
-    words = [repr(list(_texts(bags)))]
+    words = [repr(list(given["bags"]))]
     for key, value in given.items():
         if key == "facts":
             words += [f"{section}={values!r}" for section, values in value.items()]
         elif key not in ("bags", "progress") and value and value != usual.get(key):
-            words.append(f"{key}={os.fspath(value) if isinstance(value, os.PathLike) else value!r}")
+            words.append(f"{key}={list(value) if isinstance(value, tuple) else value!r}")
     return f"{name}({', '.join(words)})"
 
 

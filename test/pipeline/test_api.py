@@ -7,7 +7,9 @@ import pickle
 import subprocess
 import sys
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import proprio_ros
 from proprio_ros import calibrate, check, plan, weigh
 from proprio_ros.cli import main
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import LONGEST_SENTENCE, ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict, no_answer
 from proprio_ros.identification.reasons import Reason, of_run
 from proprio_ros.pipeline.api import CalibrationResult, Weighing
@@ -115,6 +117,51 @@ def test_facts_by_section_or_by_dotted_key(result: Weighing) -> None:
         weigh(BAG, calibratoin="arm.yaml")
     with pytest.raises(ConfigurationError, match="unknown; valid keys"):
         weigh(BAG, payload={"colour": "red"})
+
+
+RIGHT = {weigh: (BAG,), calibrate: (EMPTY[0],), plan: (0.05,), check: (BAG,)}
+WRONG = [b"x", 1j, object(), [None], [[]], [{}], {5: 6}, {None: None}, np.zeros((2, 2)), [b"x"], ["a", 5], {BAG: "x"}]
+WORDS = [5, 10**400, float("nan"), True, [], ["a"], {}, {"payload.size": 1}, int, iter(["a"])]
+NO_NUMBERS = ["no such", "", None, float("nan"), [], -1, 0, [0.1, True]]
+TEXTS = ("calibration", "robot", "driver", "output", "state_topic", "command_topic", "effort_unit")
+ALSO_WRONG: dict[str, list[Any]] = {
+    **{name: [None, *WORDS] for name in ("probe", "solver", "profile")},
+    **dict.fromkeys(TEXTS, WORDS),
+    **{name: [None, 5, True, int, {}, {BAG: 0.1}] for name in ("bags", "baseline")},
+    **{name: ["", 5, True, [], ["a"], int] for name in ("settings", "references")},
+    **dict.fromkeys(("masses", "count"), NO_NUMBERS),
+    "force": [None, 0, 1, "no", [], {}],
+    "progress": [None, 5, "print", []],
+    "payload": [None, 5, "x", []],
+}
+
+
+def _arguments() -> list[tuple[Any, str]]:
+    named = [
+        (call, name)
+        for call in RIGHT
+        for name, each in signature(call).parameters.items()
+        if each.kind != each.VAR_KEYWORD
+    ]
+    return named + [(call, "payload") for call in (weigh, calibrate, plan)]
+
+
+@pytest.mark.parametrize(("call", "name"), _arguments(), ids=lambda each: getattr(each, "__name__", each))
+def test_arguments_of_wrong_types_are_refused_in_a_line(call: Any, name: str) -> None:
+    """Of all calls, each argument; nothing is read before."""
+    for value in [*WRONG, *ALSO_WRONG[name]]:
+        given = {next(iter(signature(call).parameters)): RIGHT[call][0], name: value}
+        with pytest.raises(ConfigurationError) as refusal:
+            call(**given)
+        said = str(refusal.value)
+        assert said.startswith(f"{name}: ") and said.isprintable() and len(said) <= LONGEST_SENTENCE, value
+
+
+def test_what_is_like_the_right_type_is_taken(tmp_path: Path, result: Weighing) -> None:
+    again = weigh(iter([BAG]), payload={"shape": "sphere", "size": np.float32(0.043)}, baseline=())
+    assert again.bags == (str(BAG),) and again.mass == pytest.approx(result.mass, rel=1e-5)
+    assert len(plan(np.array([0.05, 0.1], dtype=np.float32), count=np.int64(1))) == 1
+    assert len(check((path for path in EMPTY[:2]), settings=None)) == 2
 
 
 def test_no_number_for_what_cannot_be_determined() -> None:
