@@ -179,7 +179,11 @@ def _written(
     learnt, written = estimate.calibration or estimate.motion or estimate.joint, None
     if output is not None and learnt is not None and estimate.verdict.value == "accepted":
         said = "" if estimate.weighable is None else estimate.weighable.sentence()
-        write_calibration(Path(output), request.robot, learnt, request.overrides, said, like)
+        # a calibration carries what was stated of the arm, so that nobody has to say it again
+        stated: dict[str, Any] = {"held": {**request.robot.held, **request.locked}} if request.locked else {}
+        if "payload.frame" in request.options.settings:
+            stated["payload_frame"] = request.robot.payload_frame
+        write_calibration(Path(output), request.robot, learnt, {**request.overrides, **stated}, said, like)
         written = calibration_used(Path(output))
     timing = {"read": read_s, **estimate.timing_s}
     return replace(estimate, timing_s=timing, origin={**origin, "calibration": written})
@@ -298,11 +302,12 @@ def write_calibration(
         ConfigurationError: The file cannot be written.
     """
     section = CommentedMap({key: _laid_out(key, value) for key, value in calibration.as_settings().items()})
+    settings = nested_settings(robot.model.independent_joints, overrides or {})
     if like is None:
-        content = CommentedMap(nested_settings(robot.model.independent_joints, overrides or {}))
+        content = CommentedMap(settings)
         content.insert(0, "extends", _reference_to(robot.source, path))
     else:
-        content = CommentedMap(yaml_of(text_of(like, RobotError)))
+        content = CommentedMap({**yaml_of(text_of(like, RobotError)), **settings})
         below = like.resolve().parent / str(content.get("extends", ""))
         if below.is_file():
             content["extends"] = _reference_to(below, path)

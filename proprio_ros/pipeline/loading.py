@@ -113,7 +113,7 @@ def runs_or_motion(recording: Recording, request: Request) -> tuple[Run, ...] | 
 
 def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
     """Raises: RecordingError: It holds no runs, or what was commanded is not what flowed."""
-    runs = cut_runs(recording, held=request.locked, joints=list(request.robot.drive_trains))
+    runs = cut_runs(recording, held=_locked(recording, request), joints=list(request.robot.drive_trains))
     usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
     refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
     return runs
@@ -121,7 +121,7 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
 
 def _motion(recording: Recording, request: Request) -> Motion:
     """The recording as a motion; fingers that were not recorded stand where their range allows nearest to zero, which is noted."""
-    robot, locked = request.robot, request.locked
+    robot, locked = request.robot, _locked(recording, request)
     known = {*recording.joints.names, *locked}
     slides = [robot.model.joint(name) for name in robot.model.independent_joints if name not in known]
     taken = {each.name: float(np.clip(0.0, each.lower, each.upper)) for each in slides if each.kind == "prismatic"}
@@ -131,6 +131,12 @@ def _motion(recording: Recording, request: Request) -> Motion:
         for name, value in taken.items()
     )
     return replace(motion, notes=motion.notes + notes)
+
+
+def _locked(recording: Recording, request: Request) -> dict[str, float]:
+    """Where joints stand [rad or m]: as is stated now, else as the robot's file says of those that were not recorded."""
+    kept = {name: at for name, at in request.robot.held.items() if name not in recording.joints.names}
+    return kept | dict(request.locked)
 
 
 def _under_a_controller(recording: Recording, robot: Robot) -> bool:

@@ -70,6 +70,10 @@ def _drift(value: Any) -> Drift:
     return Drift(**section(value, drift.FORMS))
 
 
+def _held(value: Any) -> dict[str, float]:
+    return section(value, dict.fromkeys(mapping(value), Field(Number(unit="rad or m", lowest=-100.0, highest=100.0))))
+
+
 @dataclass(frozen=True)
 class Uncertain(Form):
     """A number that is known exactly, or its value and standard deviation."""
@@ -156,6 +160,7 @@ ROBOT: dict[str, Field] = {
     "friction_velocity_rad_s": Field(
         Number("Coulomb friction is smoothed over this speed", "rad/s", 0.0, 0.01, open=True), 0.001
     ),
+    "held": Field(Part("where joints stand that recordings lack, by name, in rad or m", by=_held), {}),
     "drift": Field(Part("how fast a calibration ages: four relative standard deviations", by=_drift), Drift()),
     "calibrated": Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": Field(Text("of the URDF that a calibration was made with"), None),

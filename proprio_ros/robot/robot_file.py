@@ -75,6 +75,7 @@ class Robot:
         joint_calibration: What motions with known loads say about the only joint of this very robot.
         friction_velocity: Coulomb's law is smoothed over this speed [rad/s].
         payload_frame: Link in which objects are held.
+        held: Where joints stand that a recording lacks [rad or m].
         gravity: In the base frame [m/s^2], shape (3,).
         source, settings: The YAML file, and its content with everything it extends merged in; `with_overrides` builds on it.
     """
@@ -104,6 +105,7 @@ class Robot:
     motion_calibration: MotionCalibration | None = None
     joint_calibration: JointCalibration | None = None
     drift: Drift = field(default_factory=Drift)
+    held: Mapping[str, float] = field(default_factory=dict)
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -347,6 +349,8 @@ def _check_model(given: Mapping[str, Any], model: RobotModel, urdf: Any) -> None
             f"was made with another URDF than {urdf} (model_fingerprint {expected[:12]}.., "
             f"now {model.fingerprint()[:12]}..): calibrate again, or restore the URDF"
         )
+    for name in given["held"]:
+        model.joint(name)
     links = [link.name for link in model.links]
     if (frame := given["payload_frame"]) not in links:
         raise FormError(f"payload_frame: {model.name} has no link {frame!r}; links: {', '.join(links)}")

@@ -18,9 +18,11 @@ from proprio_ros.inputs.resources import resource
 from proprio_ros.kinds import key_of
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.pipeline.api import calibrate
-from proprio_ros.pipeline.calibrate import calibrate_from_bags, write_calibration
+from proprio_ros.pipeline.calibrate import calibrate_from_bags, refresh_from_bags, write_calibration
+from proprio_ros.pipeline.loading import bag_recording, runs_or_motion
 from proprio_ros.pipeline.replay import replay
-from proprio_ros.pipeline.request import Options, robot_of
+from proprio_ros.pipeline.request import Options, request_of, robot_of
+from proprio_ros.records import JointRecord
 from proprio_ros.robot import load_robot
 
 NAMES = (
@@ -323,6 +325,34 @@ def test_a_reference_that_was_stated_wrong_is_told(
     if about:
         less_g = float(about[0].split("weighs ")[1].split(" g")[0])
         assert abs(less_g - 20.0) < 10.0 and "less than you stated: weigh it again" in about[0]
+
+
+def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(bags: Path, tmp_path: Path) -> None:
+    """A gripper that is not recorded, and the link in which objects are held; what a recording has is not replaced by it."""
+    empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))]
+    finger, stated = "gripper_left_joint", {"held.gripper_left_joint": 0.01, "payload.frame": "link5"}
+    path = tmp_path / "arm.yaml"
+    calibrate_from_bags(empty[:4], {}, Options(settings=stated), path)
+    request = request_of(Options(calibration=path))
+    assert request.robot.payload_frame == "link5" and request.robot.held == {finger: 0.01}
+    assert request_of(Options(calibration=path, settings={"payload.frame": "link4"})).robot.payload_frame == "link4"
+    recording = bag_recording(empty[0], request)
+    record = recording.joints
+    (recorded,) = runs_or_motion(recording, request)
+    assert recorded.held[finger] == pytest.approx(record.position[:, record.column(finger)].mean(), abs=1e-3)
+    others = [column for column, name in enumerate(record.names) if name != finger]
+    names = tuple(record.names[column] for column in others)
+    without = replace(recording, joints=JointRecord(record.times_ns, names, record.position[:, others]))
+    assert runs_or_motion(without, request)[0].held[finger] == 0.01
+    now = replace(request, locked={finger: 0.005})
+    assert runs_or_motion(without, now)[0].held[finger] == 0.005
+    # what is brought up to date keeps it, and takes what is stated then
+    newer = tmp_path / "newer.yaml"
+    refresh_from_bags(empty[4:], Options(calibration=path, settings={"held.joint1": 0.2}), newer)
+    assert robot_of(Options(calibration=newer)).held == {finger: 0.01, "joint1": 0.2}
+    path.write_text(path.read_text().replace(f"{finger}: 0.01", "thumb: 0.01"))
+    with pytest.raises(RobotError, match="thumb"):
+        robot_of(Options(calibration=path))
 
 
 def test_the_same_numbers_from_the_same_bags(bags: Path) -> None:
