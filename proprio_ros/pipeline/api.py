@@ -426,11 +426,8 @@ def _paths(value: Any) -> tuple[str, ...]:
 
 
 def _masses(value: Any) -> list[float]:
-    alone, each = isinstance(value, (int, float)), Number(unit="kg", lowest=0.0, open=True)
-    masses = [each.read(_plain(mass)) for mass in ([value] if alone else _several(value, "a mass in kg"))]
-    if not masses:
-        raise FormError("expected at least one mass in kg, got none")
-    return masses
+    alone = isinstance(value, (int, float))
+    return [Number(unit="kg").read(_plain(mass)) for mass in ([value] if alone else _several(value, "a mass in kg"))]
 
 
 def _known(value: Any) -> dict[str | Path, float]:
