@@ -307,6 +307,14 @@ def test_a_report_is_not_the_output(capsys: pytest.CaptureFixture[str], tmp_path
     assert "is --output, too" in refused(capsys, "calibrate", str(BAG), *words)
 
 
+def test_a_calibration_never_takes_the_place_of_its_robot_file(capsys: Any, tmp_path: Path) -> None:
+    """It extends that file, and would extend itself."""
+    (robot := tmp_path / "arm.yaml").write_text("extends: open_manipulator_x\n")
+    words = ["--robot", str(robot), "--output", f"{tmp_path}/./arm.yaml", "--force"]
+    assert "is the robot file" in refused(capsys, "calibrate", str(BAG), *words)
+    assert robot.read_text() == "extends: open_manipulator_x\n"
+
+
 @pytest.mark.parametrize("command", ["paper", "batch"])
 def test_a_folder_with_a_page_of_somebody_else(capsys: Any, tmp_path: Path, command: str) -> None:
     (page := tmp_path / f"{command}.html").write_text("<!doctype html><title>mine</title>")

@@ -85,6 +85,8 @@ def calibrate_from_bags(
         if not 0.0 < mass <= HEAVIEST_REFERENCE_KG:
             raise ConfigurationError(f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1")
     request = read_request(replace(options or Options(), calibration=None), _reference)
+    if output is not None and Path(output).resolve() == request.robot.source.resolve():
+        raise ConfigurationError(f"--output {output}: is the robot file, and the calibration extends it: name another")
     loads = [(Path(path), KnownLoad()) for path in paths]
     loads += [(Path(path), KnownLoad(mass, request.facts)) for path, mass in references.items()]
     once = Recordings([path for path, _ in loads])
