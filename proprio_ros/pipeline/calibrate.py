@@ -52,7 +52,7 @@ from proprio_ros.version import __version__
 
 HEAVIEST_REFERENCE_KG = 5.0
 BEYOND_PRIOR = 2.0
-"""Standard deviations of torque constants and URDF together from which what a reference implies is said to be beyond them."""
+"""Standard deviations from nothing of an error that the reference's mass would have, from which it is told."""
 LEAST_ARM_STD = 0.02
 """No URDF is taken to know an arm's weight better, relative."""
 
@@ -209,7 +209,10 @@ def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot) -> Calibrat
     more = f"{100.0 * abs(scale.value - 1.0):.0f} % {'stronger' if scale.value >= 1.0 else 'weaker'} than stated"
     said = f"your reference says that all motors are {more}, which is known to {100.0 * scale.std:.0f} %"
     weight = f"the arm then weighs {arm.value:.2f} times what its URDF says, which is known to {100.0 * arm.std:.0f} %"
-    if np.hypot((scale.value - 1.0) / scale.std, (arm.value - 1.0) / arm.std) <= BEYOND_PRIOR:
+    # a score test: a mistyped mass moves both alike, torque constants that are off only the first
+    weights = 1.0 / np.square([scale.std, arm.std])
+    mistyped = float(weights @ [scale.value - 1.0, arm.value - 1.0]) / np.sqrt(weights.sum())
+    if abs(mistyped) <= BEYOND_PRIOR:
         return replace(estimate, notes=(f"{said}; {weight}", *estimate.notes))
     cure = "every mass follows it: weigh the reference again, and check the torque constants"
     return replace(estimate, reasons=(*estimate.reasons, Reason("far_from_prior", f"{said}, and {weight}; {cure}")))
