@@ -174,8 +174,8 @@ def test_files_and_functions_are_short() -> None:
     assert not long, "\n".join(long)
 
 
-MOST_LINES = 51_400
-"""More than it should have: 47,000 is the goal. Whoever makes it smaller lowers this number, and nobody raises it."""
+MOST_LINES = 47_000
+"""Whoever makes it smaller lowers this number, and nobody raises it: what comes in makes something else shorter."""
 
 
 def test_the_package_stays_small() -> None:
