@@ -138,7 +138,7 @@ def test_a_real_arm_weighs_what_it_carries(capsys: pytest.CaptureFixture[str], u
     assert abs(mass["value"] - 2.805) < 0.04 * 2.805
     # recordings of one arm differ, and one empty one does not show by how much
     assert mass["ci95"][1] - mass["ci95"][0] < 0.15 * 2.805
-    np.testing.assert_allclose(centre["value"], [0.03, 0.165, -0.17], atol=0.01)
+    np.testing.assert_allclose(centre["value"], [0.03, 0.165, -0.17], atol=0.012)
     # smooth motions of an arm this size say nothing about how a dumbbell is spread
     assert inertia["name"] == "payload_inertia" and inertia["value"] == [None] * 6
 
@@ -355,7 +355,7 @@ def test_ten_slow_seconds_weigh_what_ten_others_held(slow: Motion, late: bool) -
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     mass = answer.values[0]
     assert isinstance(mass.value, float) and mass.value < 0.005
-    assert mass.ci95[0] == 0.0 and mass.ci95[1] < 0.016
+    assert mass.ci95[0] == 0.0 and mass.ci95[1] < 0.017
     # the arm fits its URDF only with torque constants that are off by a seventh
     known_to = re.search(r"torque constants .* to ([0-9.]+) %", " ".join(answer.assumptions))
     assert known_to is not None and float(known_to[1]) > 14.0

@@ -181,7 +181,7 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         arm_over_urdf=over_urdf,
         fingerprint=robot.model.fingerprint(),
         runs=tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions),
-        tells=_weight_by_joint(problem, solution),
+        tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
 
 
@@ -252,11 +252,12 @@ def fit_payload(
     if centre is not None:
         per_kg[1:4] = np.maximum(centre[1], 1e-3)
     solution = solve(problem, known, between, per_kg, calibration)
-    tells, residual = _weight_by_joint(problem, solution), problem.rms_by_joint(solution.residual, carrying)
+    tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
+    residual = problem.rms_by_joint(solution.residual, carrying)
     covariances = _covariances(problem, solution, terms, calibration)
-    # what explains these motions worse than the empty ones is not only noise: the arm is not where it was calibrated
-    worse = np.square(residual / np.where(calibration.residual > 0.0, calibration.residual, np.nan))
-    covariances[CALIBRATION] *= max(1.0, float(np.nansum(tells * worse)))
+    # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
+    empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
+    covariances[CALIBRATION] *= max(1.0, float(np.nansum(tells * np.square(residual / empty_residual))))
     variances = {name: float(part[0, 0]) for name, part in covariances.items()}
     # what few stretches or recordings say of their own scatter is uncertain
     freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
@@ -275,15 +276,14 @@ def fit_payload(
         halves = (first, second)
     ratio, ratio_std = _torque_ratio(problem, solution)
     followed, rows = np.nonzero(terms)
-    scale = calibration.torque_scale
     return MotionFit(
         joints=arm.model.joint_names,
-        values=scale * solution.values[:PARAMETERS],
+        values=(scale := calibration.torque_scale) * solution.values[:PARAMETERS],
         covariance=scale**2 * np.sum(list(covariances.values()), axis=0),
         parts={name: scale * float(np.sqrt(variance)) for name, variance in variances.items()},
         stretches=stretches,
         residual=residual,
-        empty_residual=np.where(calibration.residual > 0.0, calibration.residual, np.nan),
+        empty_residual=empty_residual,
         driven=problem.rms_by_joint(problem.torque, carrying),
         quantile=float(student.ppf(0.975, effective)),
         halves=halves,
@@ -370,8 +370,10 @@ def _torque_ratio(problem: Problem, solution: Solution) -> tuple[FloatArray, Flo
     return 1.0 / (1.0 + found), np.sqrt(after / np.maximum(told, LEAST_TOLD))
 
 
-def _weight_by_joint(problem: Problem, solution: Solution) -> FloatArray:
-    """How much of what the motions tell about a mass each joint tells, shape (n,), sum 1."""
-    told = np.bincount(problem.joint, np.square(solution.weight * problem.by_mass), minlength=problem.count)
+def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatArray) -> FloatArray:
+    """How much of what the motions tell about a mass each joint tells that leaves so much over, shape (n,), sum 1."""
+    counts = residual > 0.0
+    weight = np.where(counts, 1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)), 0.0)
+    told = np.bincount(problem.joint, np.square(weight[problem.joint] * problem.by_mass), minlength=problem.count)
     result: FloatArray = told / max(float(told.sum()), 1e-300)
     return result
