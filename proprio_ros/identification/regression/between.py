@@ -33,12 +33,14 @@ PUBLISHED: Mapping[str, float] = {
 """Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
 PSEUDO_RECORDINGS = 4.0
 """So many recordings the published word counts as."""
+CONSIDERED = ("common_scale", "own_scale", "zero")
+"""Kinds that an estimate does not follow, since whatever the model lacks looks like them; they count in what it errs by
+(consider parameters: Schmidt 1966, Advances in Control Systems 3)."""
+DIFFERS = "torque and zeros that differ between recordings"
 WORDS: Mapping[str, str] = {
-    "common_scale": "torque that differs between recordings",
-    "own_scale": "torque of a joint that differs between recordings",
     "friction": "friction that differs between recordings",
     "offset": "offsets that differ between recordings",
-    "zero": "zeros that differ between recordings",
+    **dict.fromkeys(CONSIDERED, DIFFERS),
 }
 SPREAD_SCALE = 0.05
 """Of the prior of how far masses differ from recording to recording, relative: those of real XL330 and STS3215 do by 2 to 9 %."""
@@ -98,6 +100,13 @@ class Between:
         std = np.array([self.spreads[kind] for kind in kinds])
         std[:of_friction] = np.hypot(std[:of_friction] * self.friction, self.drift)
         return np.maximum(std, 1e-9)
+
+    def with_kinds(self, other: Between, kinds: Iterable[str]) -> Between:
+        """With some kinds' spreads as another one has them."""
+        mine = dict.fromkeys(kinds)
+        spreads, recordings = ({**one, **{k: two[k] for k in mine}} for one, two in (
+            (self.spreads, other.spreads), (self.recordings, other.recordings)))  # fmt: skip
+        return replace(self, spreads=spreads, recordings=recordings)
 
     def learnt(self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED) -> Between:
         """With what recordings show, beside what this says.

@@ -6,13 +6,14 @@ itself is filled in from step to step: gears lose a share of what they transmit,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import ARM_TERMS, MotionCalibration
-from proprio_ros.identification.regression.between import PUBLISHED, Between
+from proprio_ros.identification.regression.between import CONSIDERED, PUBLISHED, Between
 from proprio_ros.identification.regression.motion_equations import Problem, fill_drives
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
@@ -24,6 +25,8 @@ WAVES = 4
 PLACE_SHARE = 0.15
 """Standard deviation of each of them in Coulomb friction, relative to it."""
 
+FIXED = 1e-6
+"""Of its spread is what a term that is not followed may move by."""
 SPREAD_SIGMAS = 3.0
 """Inertia that ends so many standard deviations of its prior from nothing is as open as that."""
 
@@ -111,8 +114,22 @@ def larger(one: FloatArray, other: FloatArray) -> FloatArray:
     return one if one[0, 0] > other[0, 0] else other
 
 
-def solve(
+def solve_both(
     problem: Problem, prior: Prior, between: Between, per_kg: FloatArray, known: MotionCalibration | None = None
+) -> tuple[Solution, Solution]:
+    """The estimate, by the spreads that recordings show; and the solution that shows them, in which all that differs is open."""
+    opened = solve(problem, prior, between, per_kg, known, considered=())
+    solution = solve(problem, prior, between, per_kg, known)
+    return replace(solution, between=solution.between.with_kinds(opened.between, CONSIDERED)), opened
+
+
+def solve(
+    problem: Problem,
+    prior: Prior,
+    between: Between,
+    per_kg: FloatArray,
+    known: MotionCalibration | None = None,
+    considered: Sequence[str] = CONSIDERED,
 ) -> Solution:
     """Solve it, with weights, load friction, the payload's size and the spread of recordings from the solution before.
 
@@ -122,6 +139,7 @@ def solve(
         between: By how much they do.
         per_kg: Standard deviations of the payload's parameters, per kg that it weighs, shape (10,).
         known: By which residuals are known; without one, the place's part of Coulomb friction is open by a share of it.
+        considered: Kinds of what recordings differ by that the solution does not follow.
     """
     matrix, right, joint, count = problem.matrix.copy(), problem.torque, problem.joint, problem.count
     arm = PARAMETERS + ARM_TERMS * count
@@ -130,11 +148,13 @@ def solve(
     same, own = np.diag(prior.covariance).copy(), slice(arm, None)
     prior, stated = Prior(prior.values, prior.covariance.copy()), between
     kinds = [kind for kind in PUBLISHED if between.friction.any() or kind not in ("friction", "offset")]
+    kinds = [kind for kind in kinds if kind not in considered]
+    follows = np.where(np.isin(between.kinds, considered), FIXED, 1.0)
 
     def differing() -> None:
         """Give every motion's own terms their spread."""
         at = range(arm, len(same))
-        prior.covariance[at, at] = same[own] + np.tile(between.std**2, problem.motions)
+        prior.covariance[at, at] = same[own] + np.tile(np.square(between.std * follows), problem.motions)
 
     differing()
     moves = np.bincount(joint, minlength=count) > 0
