@@ -6,9 +6,8 @@ How far they scatter is a standard deviation for each kind: what was published o
 and those at hand as what each of them tells (MacKay 1992, Neural Computation 4: the evidence of a variance). A few of them say
 little about their scatter, so intervals take Student's factor for their number.
 
-Where it is from: magnets lose 0.1 % of their torque per kelvin; friction goes with warmth by 1 % per kelvin
-(`calibration_files/drift.py`). Recordings of one UR10e differ by 1.5 to 2 % of 2.8 kg, which is 0.6 to 0.8 % of a torque that
-carries arm and load, those of STS servos that were
+Where it is from: magnets lose 0.1 % of their torque per kelvin, and motors that work warm by 10 to 20; friction goes with warmth by
+1 % per kelvin (`calibration_files/drift.py`). Recordings of one UR10e differ by 1.5 to 2 % of a mass, those of STS servos that were
 let go by 1.9 to 4.5 %, those of driven servos by 2 to 9 % (docs: validation).
 """
 
@@ -25,11 +24,11 @@ from scipy.stats import t as student
 from proprio_ros.records import FloatArray
 
 PUBLISHED: Mapping[str, float] = {
-    "common_scale": 0.006,
-    "own_scale": 0.005,
+    "common_scale": 0.015,
+    "own_scale": 0.01,
     "friction": 0.15,
     "offset": 0.1,
-    "zero": 0.002,
+    "zero": 0.003,
 }
 """Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad]."""
 PSEUDO_RECORDINGS = 4.0
