@@ -100,10 +100,10 @@ def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     half_kg = fit.quantile * float(fit.std[0])
     # an interval of 95 % may miss: how often is for the benchmark
     assert abs(fit.values[0] - mass) < min(1.5 * half_kg, within_kg)
-    assert half_kg < 2.5 * within_kg
+    assert half_kg < 4.5 * within_kg  # one empty recording does not show by how much recordings differ
     nothing = fit_payload(robot, [arm.record("empty again", 15.0)], known)
     half_kg = nothing.quantile * float(nothing.std[0])
-    assert abs(nothing.values[0]) < 1.5 * half_kg and half_kg < within_kg
+    assert abs(nothing.values[0]) < 1.5 * half_kg and half_kg < 1.5 * within_kg
 
 
 @pytest.mark.long
@@ -122,7 +122,7 @@ def test_torque_constants_apart_show_where_two_joints_carry_the_same(robots: dic
     for fit in (alone, with_baseline):
         half_kg = fit.quantile * float(fit.std[0])
         assert abs(fit.values[0] - mass) < min(half_kg, 0.004)
-        assert half_kg < 0.006
+        assert half_kg < 0.03
     nothing = fit_payload(robot, [baseline], known)
     assert abs(nothing.values[0]) < 0.003
 
@@ -151,7 +151,7 @@ def test_a_reference_tells_torque_constants_that_are_off(robots: dict[int, Robot
     assert rough.values[0] > 1.08 * 0.15
     for fit in (rough, fine):
         assert abs(fit.values[0] - 0.15) < fit.quantile * float(fit.std[0])
-    assert abs(fine.values[0] - 0.15) < 0.006 and fine.std[0] < 0.5 * rough.std[0]
+    assert abs(fine.values[0] - 0.15) < 0.006 and fine.std[0] < 0.7 * rough.std[0]
     assert without.weighable is not None and "--reference" in without.weighable.sentence()
     assert with_it.weighable is not None and with_it.weighable.std_kg < 0.6 * without.weighable.std_kg
     # what is stated to weigh half of what it does is no reference

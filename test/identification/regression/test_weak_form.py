@@ -92,7 +92,7 @@ def test_a_payload_and_its_place(twin: Recorded) -> None:
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     mass, centre = estimate.value("payload_mass"), estimate.value("payload_com")
     assert mass.ci95[0] < 0.8 < mass.ci95[1]
-    assert abs(mass.value - 0.8) < 0.05 and mass.ci95[1] - mass.ci95[0] < 0.05
+    assert abs(mass.value - 0.8) < 0.05 and mass.ci95[1] - mass.ci95[0] < 0.12
     assert all(low < truth < high for (low, high), truth in zip(centre.ci95, (0.05, 0.03, -0.02), strict=True))
 
 
