@@ -94,6 +94,11 @@ class Between:
         )
 
     @property
+    def by_word(self) -> dict[str, float]:
+        """On how many recordings' word each of `WORDS` rests."""
+        return {WORDS[kind]: number for kind, number in self.recordings.items()}
+
+    @property
     def std(self) -> FloatArray:
         """Of the own terms, shape (5 n + 1,)."""
         kinds, of_friction = self.kinds, len(self.friction)

@@ -261,8 +261,7 @@ def fit_payload(
     variances = {name: float(part[0, 0]) for name, part in covariances.items()}
     # what few stretches or recordings say of their own scatter is uncertain
     freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
-    recordings = {WORDS[kind]: number for kind, number in solution.between.recordings.items()}
-    freedom += [(variances[word], number) for word, number in recordings.items()]
+    freedom += [(variances[word], number) for word, number in solution.between.by_word.items()]
     effective = float(effective_freedom(sum(variances.values()), freedom))
     halves = None
     if stretches >= 2 * MIN_STRETCHES:
