@@ -18,11 +18,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq, lsq_linear, minimize_scalar
+from scipy.optimize import lsq_linear, minimize_scalar
 from scipy.stats import t as student
 
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.regression.between import half_width, spread_of, spread_posterior
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE
 from proprio_ros.identification.regression.one_joint_fit import (
     WINDOWS_S,
@@ -44,10 +45,6 @@ CREEP_RAD_S = 0.1
 """A joint that is slower for most of a window creeps, and its friction is not that of one that moves."""
 LOAD_FRICTION_STD = 0.5
 """Of the shares of load friction, for the heaviest load: gears that lose more do not turn back."""
-SPREAD_SCALE = 0.05
-"""Of the prior of how far masses differ from recording to recording, relative: those of real XL330 and STS3215 do by 2 to 9 %."""
-SPREADS = np.geomspace(1e-4, 1.0, 200)
-"""At which the posterior of that is taken."""
 OUTSIDE_SHARE = 0.1
 """What a mass errs, relative, for each factor of e that it lies outside of the loads that were known."""
 HEAVIEST = 4.0
@@ -183,50 +180,6 @@ def _by_stretches(
     return mass, scatter + float(np.var(masses, ddof=1)), count
 
 
-def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:
-    """How likely it is that values differ by each of `SPREADS` beyond what each knows of its own error, shape (200,), sum 1.
-
-    Args:
-        errors: Of each, relative, shape (n,).
-        variances: That each knows, shape (n,).
-    """
-    apart = np.maximum(variances, 1e-12) + SPREADS[:, None] ** 2
-    fit = -0.5 * np.sum(np.log(apart) + np.square(errors) / apart, axis=1)
-    # a half Cauchy prior; the steps grow with the spread
-    log = fit - np.log1p(np.square(SPREADS / SPREAD_SCALE)) + np.log(SPREADS)
-    weights: FloatArray = np.exp(log - log.max())
-    return weights / weights.sum()
-
-
-def spread_of(posterior: FloatArray) -> float:
-    """Its median."""
-    return float(SPREADS[int(np.searchsorted(np.cumsum(posterior), 0.5))])
-
-
-def _half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequence[tuple[float, int]]) -> float:
-    """Of the 95 % interval [kg].
-
-    Args:
-        posterior: See `spread_posterior`.
-        mass: That the spread is relative to [kg].
-        rest: Variance of everything else [kg^2].
-        freedom: Of its parts that are known from a few only: variance [kg^2] and degrees of freedom.
-    """
-    total = rest + np.square(SPREADS * mass)
-    # what a few say of their own scatter is uncertain: Satterthwaite 1946, Biometrics Bulletin 2
-    shares = sum(variance**2 / degrees for variance, degrees in freedom)
-    effective = np.maximum(np.square(total) / max(shares, 1e-300), 1.0)
-    stds = np.sqrt(total)
-
-    def beyond(half: float) -> float:
-        return float(posterior @ student.cdf(half / stds, effective)) - 0.975
-
-    highest = float(stds[-1])
-    while beyond(highest) < 0.0:
-        highest *= 2.0
-    return float(brentq(beyond, 0.0, highest))
-
-
 def reach_of(loads_kg: FloatArray) -> tuple[float, float]:
     """Between which masses is looked [kg]."""
     heaviest = float(loads_kg.max())
@@ -334,7 +287,7 @@ def identify_by_joint(
         (_spread_by(calibration), abs(mass)),
         (_spread_by(calibration, float(held.mean())), float(held.mean())),
     ):
-        half = max(half, _half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
+        half = max(half, half_width(posterior, times, rest, freedom)) if np.isfinite(rest) else np.inf
         spread_kg = max(spread_kg, spread_of(posterior) * times)
     variances[RUNS] = spread_kg**2
     std = float(np.sqrt(rest + variances[RUNS]))
