@@ -191,7 +191,7 @@ def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
     value = estimate.values[0]
     assert estimate.verdict is Verdict.ACCEPTED and isinstance(value.value, float) and isinstance(value.std, float)
     assert value.value == pytest.approx(MASSES_KG[2], rel=0.02)
-    assert abs(value.value - MASSES_KG[2]) < 1.96 * value.std < 0.05 * MASSES_KG[2]
+    assert abs(value.value - MASSES_KG[2]) < 1.96 * value.std < 0.12 * MASSES_KG[2]
 
 
 @pytest.mark.long
@@ -283,7 +283,7 @@ def test_a_real_servo_that_lets_go_weighs(shared: Path, tmp_path: Path, calibrat
         asked = Options(calibration=output, settings=dict(REAL))
         value = replay(bags[number], asked).values[0]
         assert isinstance(value.value, float) and isinstance(value.std, float)
-        assert value.value == pytest.approx(REAL_KG[number], rel=0.035)
+        assert value.value == pytest.approx(REAL_KG[number], rel=0.05)
         assert abs(value.value - REAL_KG[number]) < 1.96 * value.std < 0.08 * REAL_KG[number]
 
 
