@@ -106,11 +106,10 @@ class Between:
         std[:of_friction] = np.hypot(std[:of_friction] * self.friction, self.drift)
         return np.maximum(std, 1e-9)
 
-    def with_kinds(self, other: Between, kinds: Iterable[str]) -> Between:
-        """With some kinds' spreads as another one has them."""
-        mine = dict.fromkeys(kinds)
-        spreads, recordings = ({**one, **{k: two[k] for k in mine}} for one, two in (
-            (self.spreads, other.spreads), (self.recordings, other.recordings)))  # fmt: skip
+    def with_considered(self, other: Between) -> Between:
+        """With the spreads of what an estimate does not follow as another one has them."""
+        spreads = {**self.spreads, **{kind: other.spreads[kind] for kind in CONSIDERED}}
+        recordings = {**self.recordings, **{kind: other.recordings[kind] for kind in CONSIDERED}}
         return replace(self, spreads=spreads, recordings=recordings)
 
     def learnt(self, now: Between, off: FloatArray, variances: FloatArray, kinds: Iterable[str] = PUBLISHED) -> Between:

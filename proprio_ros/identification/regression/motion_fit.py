@@ -108,7 +108,7 @@ class MotionFit:
     @property
     def misfit(self) -> float:
         """Mean square of what is left over, over that of the empty motions, each joint as much as it tells: reduced chi-square."""
-        return float(np.nansum(self.tells * np.square(self.residual / self.empty_residual)))
+        return _misfit(self.tells, self.residual, self.empty_residual)
 
     @property
     def std(self) -> FloatArray:
@@ -257,7 +257,7 @@ def fit_payload(
     covariances = _covariances(problem, solution, opened, terms, calibration)
     # what is explained worse than the empty motions is not only noise: the arm is not where it was calibrated
     empty_residual = np.where(calibration.residual > 0.0, calibration.residual, np.nan)
-    covariances[CALIBRATION] *= max(1.0, float(np.nansum(tells * np.square(residual / empty_residual))))
+    covariances[CALIBRATION] *= max(1.0, _misfit(tells, residual, empty_residual))
     variances = {name: float(part[0, 0]) for name, part in covariances.items()}
     # what few stretches or recordings say of their own scatter is uncertain
     freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
@@ -298,6 +298,11 @@ def fit_payload(
         torque_ratio_std=ratio_std,
         tells=tells,
     )
+
+
+def _misfit(tells: FloatArray, residual: FloatArray, empty_residual: FloatArray) -> float:
+    """See `MotionFit.misfit`."""
+    return float(np.nansum(tells * np.square(residual / empty_residual)))
 
 
 def _check_arm(robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration) -> None:

@@ -120,7 +120,7 @@ def solve_both(
     """The estimate, by the spreads that recordings show; and the solution that shows them, in which all that differs is open."""
     opened = solve(problem, prior, between, per_kg, known, considered=())
     solution = solve(problem, prior, between, per_kg, known)
-    return replace(solution, between=solution.between.with_kinds(opened.between, CONSIDERED)), opened
+    return replace(solution, between=solution.between.with_considered(opened.between)), opened
 
 
 def solve(
