@@ -14,6 +14,7 @@ pytest.importorskip("mujoco")
 
 from support.domains import free_domain
 from support.live import running, wait_for
+from support.pushes import AWAY, one_push
 
 pytestmark = pytest.mark.long
 
@@ -89,16 +90,6 @@ int sem_timedwait(sem_t *semaphore, const struct timespec *deadline) {
 }
 """
 
-PUSH = """
-excitation:
-  hand: any
-  settle_s: 0.3
-  brake_s: 0.2
-  approach_velocity: 1.5
-  runs:
-    - {joint: joint3, current_A: -0.28, duration_s: 2.0, max_travel: 1.5, start: {joint2: -0.2, joint3: 0.8, joint4: 0.0}}
-"""
-
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 def test_the_clock_is_set_in_mid_probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +98,7 @@ def test_the_clock_is_set_in_mid_probe(tmp_path: Path, monkeypatch: pytest.Monke
     offset.write_bytes((0).to_bytes(8, "little", signed=True))
     source, library, probe = tmp_path / "shim.c", tmp_path / "shim.so", tmp_path / "push.yaml"
     source.write_text(SHIM)
-    probe.write_text(PUSH)
+    probe.write_text(one_push(-0.28, 2.0, AWAY))
     subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True, timeout=60)
     environment = {"LD_PRELOAD": str(library), "TEST_CLOCK_OFFSET": str(offset)}
     # a computer's clock is that of all nodes

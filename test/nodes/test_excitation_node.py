@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from support.pushes import one_push
 from support.simulated_port import simulated
 from support.simulated_time import SimulatedClock
 
@@ -30,15 +31,7 @@ from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 
 ELBOW, PUSH_S = "joint3", 0.4
-PROBE = f"""
-excitation:
-  hand: any
-  settle_s: 0.3
-  brake_s: 0.2
-  approach_velocity: 1.5
-  runs:
-    - {{joint: {ELBOW}, current_A: -0.3, duration_s: {PUSH_S}, max_travel: 1.5}}
-"""
+PROBE = one_push(-0.3, PUSH_S, joint=ELBOW)
 STOPPED = messages.status(
     "warning", "driver: servo bus", "the current is zero; /driver/torque true holds the arm again", {"state": "stopped"}
 )

@@ -16,6 +16,7 @@ pytest.importorskip("mujoco")
 
 from support.domains import free_domain
 from support.live import Client, comes_up, wait_for
+from support.pushes import AWAY, one_push
 
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import values_of
@@ -23,17 +24,6 @@ from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import load_robot
 
 pytestmark = pytest.mark.long
-
-
-PUSH = """
-excitation:
-  hand: any
-  settle_s: 0.3
-  brake_s: 0.2
-  approach_velocity: 1.5
-  runs:
-    - {joint: joint3, current_A: -0.28, duration_s: 0.6, max_travel: 1.5, start: {joint2: -0.2, joint3: 0.8, joint4: 0.0}}
-"""
 
 
 @contextmanager
@@ -52,7 +42,7 @@ def bridge(*more: str) -> Iterator[None]:
 def test_an_arm_with_another_driver_is_probed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     push = tmp_path / "push.yaml"
-    push.write_text(PUSH)
+    push.write_text(one_push(-0.28, 0.6, AWAY))
     parameters: dict[str, Any] = {"data_directory": tmp_path / "data", "payload_sequence": str(push)}
     with Graph(tmp_path / "logs") as graph:
         graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.05})

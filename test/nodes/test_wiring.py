@@ -21,6 +21,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from support.domains import free_domain
 from support.live import SOON_S, UP_S, Client, running, wait_for
+from support.pushes import AWAY, one_push
 
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.messages import labelled, values_of
@@ -36,21 +37,11 @@ PATIENT: dict[str, dict[str, Any]] = {
     "driver": {"reply_timeout": 0.1, "command_timeout": 0.5}, "excitation": {"stale_after": 4.0},
 }  # fmt: skip
 """Nobody here may take a late message for silence."""
-PUSH = """
-excitation:
-  hand: any
-  settle_s: 0.3
-  brake_s: 0.2
-  approach_velocity: 1.5
-  runs:
-    - {{joint: joint3, current_A: -0.28, duration_s: {duration_s}, max_travel: 1.5,
-       start: {{joint2: -0.2, joint3: 0.8, joint4: 0.0}}}}
-"""
 
 
 def push_file(folder: Path, duration_s: float) -> Path:
     path = folder / f"push_{duration_s:g}.yaml"
-    path.write_text(PUSH.format(duration_s=duration_s))
+    path.write_text(one_push(PUSH_A, duration_s, AWAY))
     return path
 
 

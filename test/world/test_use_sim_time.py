@@ -16,6 +16,7 @@ pytest.importorskip("mujoco")
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from support.pushes import one_push
 from support.simulated_live import Client, running
 
 from proprio_ros.excitation.commands import JointStates
@@ -24,15 +25,7 @@ from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import PARKED
 
 ELBOW, PUSH_S, STEP_S = "joint3", 0.4, 0.01
-PROBE = f"""
-excitation:
-  hand: any
-  settle_s: 0.3
-  brake_s: 0.2
-  approach_velocity: 1.5
-  runs:
-    - {{joint: {ELBOW}, current_A: -0.3, duration_s: {PUSH_S}, max_travel: 1.5}}
-"""
+PROBE = one_push(-0.3, PUSH_S, joint=ELBOW)
 
 
 @dataclass
