@@ -3,7 +3,8 @@ parameter, a topic or a file of ``results``).
 
 ``pages/command_line.md`` comes from the parser of ``proprio_ros/cli``; ``pages/ros_interface.md`` from the parameter tables
 of the nodes and from the calls in ``configure`` that make publishers, subscriptions and services. ``pages/settings.md`` comes
-from the forms of settings, robot files and calibrations, and from the limits of what is read. None needs ROS: where
+from the forms of settings, robot files and calibrations, and from the limits of what is read, ``pages/refusals.md`` from the
+codes of reasons. None needs ROS: where
 rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
 Tables of figures in README and ``pages/validation.md`` come from ``results/*.json`` (`figures`).
 """
@@ -527,6 +528,30 @@ def _default(value: Any, required: Any) -> str:
     return f"`{_yaml(getattr(value, 'value', list(value) if isinstance(value, tuple) else value))}`"
 
 
+# --- refusals -----------------------------------------------------------------------------------------------------------
+
+
+def refusals() -> str:
+    """The page with every code of a reason."""
+    from proprio_ros.identification.reasons import CODES, REMEDIES
+
+    parts = [
+        NOTE,
+        "# Refusals",
+        "Why an answer was refused, or is wider or less certain than it could be: what each reason means, and what to do. The "
+        "command line and a report give the reason as a sentence about your recording, with the joint, the number and the cure; "
+        "`--json` gives its code in `reason_codes`, as here. A code keeps its meaning; the words of a sentence may change.",
+        "What the reason makes of the answer is the [verdict](results.md#verdicts). Beside `accepted` a reason is a warning that "
+        "the interval already counts. Exit code 2 is no refusal: something was mistyped, or cannot be read, and one line says what "
+        "and what to do.",
+        "A joint that stuck is refused most often (`stuck`, `short_travel`); on a new arm a wrong unit (`arm_unlike_urdf`, "
+        "`misfit`), which `proprio check` shows before any fit.",
+    ]
+    for code, meaning in CODES.items():
+        parts += [f"## {code}", f"{meaning[0].upper()}{meaning[1:]}.", f"**What to do**: {REMEDIES[code]}."]
+    return "\n\n".join(parts) + "\n"
+
+
 # --- both ---------------------------------------------------------------------------------------------------------------
 
 
@@ -544,6 +569,7 @@ def pages() -> dict[Path, str]:
         PAGES / "command_line.md": command_line(),
         PAGES / "ros_interface.md": ros_interface(),
         PAGES / "settings.md": settings(),
+        PAGES / "refusals.md": refusals(),
         **measured(),
     }
 

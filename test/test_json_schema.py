@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from proprio_ros.cli import main
-from proprio_ros.identification.reasons import CODES
+from proprio_ros.identification.reasons import CODES, REMEDIES
 from proprio_ros.inputs.resources import resource
 from proprio_ros.version import __version__
 
@@ -170,4 +170,6 @@ def test_every_code_is_in_the_table_and_every_entry_is_used() -> None:
     used = {"other"}
     for path in (ROOT / "proprio_ros").rglob("*.py"):
         used.update(re.findall(r'\b(?:(?:Reason|rejected|not_identifiable)\(\s*|yield )"(\w+)"', path.read_text()))
-    assert used == set(CODES)
+    assert used == set(CODES) and list(REMEDIES) == list(CODES), "say in REMEDIES what to do about it"
+    page = (ROOT / "docs" / "pages" / "refusals.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (\w+)$", page, re.MULTILINE) == list(CODES), "run python docs/generate.py"
