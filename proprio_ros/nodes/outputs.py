@@ -19,7 +19,7 @@ from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.controllers import EffortController, GoalController, StampClock
 from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
-from proprio_ros.nodes import last_words, messages
+from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.runtime import ManagedNode
 from proprio_ros.robot import Robot
@@ -159,7 +159,7 @@ class ControllerOutput(Output):
         if self._node.count_subscribers(self._topic) == 0:
             raise ExcitationError(f"nobody listens to {self._topic}: load and activate the controller")
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if sum(not info.node_name.startswith(last_words.NODE) for info in publishers) > 1:
+        if sum(not self._last_words.is_publisher(info) for info in publishers) > 1:  # beside this node's own
             raise ExcitationError(
                 f"somebody else publishes on {self._topic}, too: end it first, for the last command counts"
             )

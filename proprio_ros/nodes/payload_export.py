@@ -84,8 +84,6 @@ class HandingOn:
         link = self._link({each.name for each in standing.robot.model.links})
         load = together(load_at(standing.robot, standing.carried, link), self._tool)
         service = self._client.srv_name
-        if not self._client.service_is_ready():
-            raise ConfigurationError(f"{service} is not there; start the arm's driver")
         request = self._kind.Request()
         self._controller.fill(request, load)
         tool = f", with the tool {load.mass_kg:.4g} kg" if self._tool[0] else ""
@@ -102,4 +100,10 @@ class HandingOn:
                 self._node.say("info", f"handed on to {service}: {said}")
                 answer(True, f"handed on to {service}: {said}")
 
-        self._node.call(self._client, request, ANSWER_S, answered)
+        def found(there: bool) -> None:
+            if there:
+                self._node.call(self._client, request, ANSWER_S, answered)
+            else:
+                answer(False, f"nothing was handed on: {service} is not there; start the arm's driver")
+
+        self._node.when_there(self._client, found)

@@ -41,6 +41,8 @@ IDLE_PAUSE_S = 0.008
 250 Hz had its idle listeners take a quarter of a core each. A service call still waits for three or four of them only."""
 LONGEST_TURN_S = 0.02
 """For so long messages are handed on at one wake-up: where they come faster than they are taken, timers must have their turn."""
+HEARD_OF_S, LOOK_S = 1.5, 0.02
+"""For so long, and so often, a service is looked for before it is said not to be there: who asks waits for five seconds."""
 
 
 def waiting(subscription: Any, data: Any) -> Iterator[Any]:
@@ -176,6 +178,22 @@ class ManagedNode(LifecycleNode):
 
         timer = self.create_timer(patience_s, too_late, clock=Clock(clock_type=ClockType.STEADY_TIME))
         future.add_done_callback(responded)
+
+    def when_there(self, client: Any, then: Callable[[bool], None]) -> None:
+        """Call ``then`` with whether a service is there: at once where it is; on a busy computer it is heard of late."""
+        if client.service_is_ready():
+            return then(True)
+        end_s = clock.now() + HEARD_OF_S
+
+        def look() -> None:
+            there = client.service_is_ready()
+            if (there or clock.now() > end_s) and not timer.is_canceled():
+                timer.cancel()
+                self.destroy_timer(timer)
+                then(there)
+
+        timer = self.create_timer(LOOK_S, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return None
 
     # --- the lifecycle ------------------------------------------------------------------------------------------------
 

@@ -79,10 +79,15 @@ class Switching:
 
     def ask(self, engage: bool, then: Callable[[str], None]) -> None:
         """Take over, or hand back; ``then`` is called later with why it was not switched, or an empty string."""
-        if not self._client.service_is_ready():
-            return then(f"{self.controllers.service} is not there: is controller_manager running?")
-        # from now on ours may be active, whatever the answer
-        self.pending, self.engaged = True, True
+        self.pending = True
+
+        def found(there: bool) -> None:
+            if not there:
+                self.pending = False
+                return then(f"{self.controllers.service} is not there: is controller_manager running?")
+            self.engaged = True  # from now on ours may be active, whatever the answer
+            request = self.controllers.request(self._kind, engage)
+            return self._node.call(self._client, request, ANSWER_S, answered, self.controllers.service)
 
         def answered(response: Any, why: str) -> None:
             self.pending = False
@@ -92,8 +97,7 @@ class Switching:
                 self.engaged = engage != bool(why)
             then(why)
 
-        request = self.controllers.request(self._kind, engage)
-        return self._node.call(self._client, request, ANSWER_S, answered, self.controllers.service)
+        self._node.when_there(self._client, found)
 
 
 def switching_of(node: ManagedNode, topic: str) -> Switching | None:

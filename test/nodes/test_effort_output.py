@@ -51,6 +51,9 @@ class Speaker:
     told: list[list[float]] = field(default_factory=list)
     alive = due = True
 
+    def is_publisher(self, info: Any) -> bool:
+        return False
+
     def tell(self, efforts: list[float]) -> None:
         self.told.append(efforts)
 
@@ -306,6 +309,11 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(monkeypatch: pytest
     speaker = LastWords(topic)
     try:
         assert wait_for(lambda: node.count_publishers(topic) == 1)
+        (publisher,) = node.get_publishers_info_by_topic(topic)
+        publisher.node_name = "_NODE_NAME_UNKNOWN_"  # as it is until the name comes
+        assert speaker.is_publisher(publisher)
+        publisher.endpoint_gid = [0] * len(publisher.endpoint_gid)
+        assert not speaker.is_publisher(publisher)
         speaker.tell([1.0, 2.0])
         assert wait_for(lambda: says([[1.0, 2.0]]) or len(heard) > 1), "it is silent"
         speaker.dismiss()

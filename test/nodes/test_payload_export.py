@@ -19,6 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 from support.domains import free_domain
 from support.message_packages import build
+from support.waiting import SOON_S
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import Verdict
@@ -89,17 +90,15 @@ class Stage:
 
     node: Any
     client: Any
-    spin: Any
+    executor: Any
     heard: list[Any] = field(default_factory=list)
     success: bool = True
 
     def apply(self) -> tuple[bool, str]:
         future = self.client.call_async(Trigger.Request())
-        for _ in range(3000):
-            self.spin(0.01)
-            if future.done():
-                return bool(future.result().success), str(future.result().message)
-        raise AssertionError("no answer")
+        self.executor.spin_until_future_complete(future, SOON_S)
+        assert future.done(), "no answer"
+        return bool(future.result().success), str(future.result().message)
 
 
 @pytest.fixture
@@ -121,17 +120,14 @@ def stage(kinds: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     executor.add_node(other)
-    staged = Stage(node, other.create_client(Trigger, "/identifier/apply"), lambda s: executor.spin_once(timeout_sec=s))
+    staged = Stage(node, other.create_client(Trigger, "/identifier/apply"), executor)
 
     def set_payload(request: Any, response: Any) -> Any:
         staged.heard.append(request)
         response.success = staged.success
         return response
 
-    for _ in range(3000):
-        if staged.client.service_is_ready():
-            break
-        staged.spin(0.01)
+    assert staged.client.wait_for_service(SOON_S)
     staged.serve = lambda: other.create_service(  # type: ignore[attr-defined]
         kinds["ur_msgs"], "/io_and_status_controller/set_payload", set_payload
     )
@@ -158,11 +154,7 @@ def test_an_accepted_load_is_handed_on_when_asked_and_nothing_else_ever(stage: S
     success, said = stage.apply()
     assert not success and "/io_and_status_controller/set_payload is not there" in said
     stage.serve()  # type: ignore[attr-defined]
-    for _ in range(3000):
-        stage.spin(0.01)
-        success, said = stage.apply()
-        if "is not there" not in said:
-            break
+    success, said = stage.apply()
     assert success, said
     mass = estimate.values[0].value
     (request,) = stage.heard

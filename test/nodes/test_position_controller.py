@@ -50,7 +50,9 @@ def test_servos_are_pushed_by_steps_of_goals_and_held_when_the_node_is_killed(
         client.node.create_subscription(JointState, "/joint_command", goals.append, 1000)
         client.node.create_subscription(Float64MultiArray, TOPIC, lambda each: sent.append(list(each.data)), 1000)
         assert wait_for(lambda: client.node.count_publishers(TOPIC) >= 2)
-        assert wait_for(lambda: client.call("/excitation/run").success), graph.log("excitation")
+        assert wait_for(lambda: client.excitation.get("joint_states") == "true"), graph.log("excitation")
+        answer = client.call("/excitation/run")
+        assert answer.success, answer.message
         assert wait_for(lambda: client.excitation["phase"] == "probe" and client.excitation["run"] == "2")
         assert float(client.excitation["good_runs"]) == 1.0
         # whoever records hears every goal once it was taken, by name and on the clock of the joint states

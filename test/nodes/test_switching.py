@@ -107,17 +107,15 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         graph,
         client,
     ):
-        # whoever speaks for the node is a stranger until its name is heard
-        assert wait_for(lambda: "controller_manager running?" in client.call("/excitation/run").message)
+
+        def sees_the_arm() -> bool:
+            return client.excitation.get("joint_states") == "true"
+
+        assert wait_for(sees_the_arm)
+        assert "controller_manager running?" in client.call("/excitation/run").message
         manager = Manager(client, built.kind)
-
-        def runs() -> bool:
-            answer = client.call("/excitation/run")
-            soon = ("is not there", "no joint states", "somebody else publishes")
-            assert answer.success or any(words in answer.message for words in soon), answer
-            return bool(answer.success)
-
-        assert wait_for(runs)
+        answer = client.call("/excitation/run")
+        assert answer.success, answer.message
         assert manager.active == OURS and client.excitation["busy"] == "true"
         client.wait_for_phase("done")
         assert wait_for(lambda: manager.active == THEIRS), "done"
@@ -141,7 +139,9 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         assert wait_for(lambda: manager.active == THEIRS), "released"
 
         for number in (signal.SIGKILL, signal.SIGINT):
-            assert wait_for(runs)
+            assert wait_for(sees_the_arm)
+            answer = client.call("/excitation/run")
+            assert answer.success, answer.message
             client.wait_for_phase("probe")
             assert manager.active == OURS
             graph.processes["excitation"].send_signal(number)

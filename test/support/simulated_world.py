@@ -124,6 +124,9 @@ class Speaker:
     def __init__(self, *_: Any) -> None:
         pass
 
+    def is_publisher(self, info: Any) -> bool:
+        return False
+
     def tell(self, efforts: Any) -> None:
         pass
 
