@@ -54,27 +54,52 @@ def link_stds(robot: Robot) -> dict[str, float]:
 
 def arm_coefficients(robot: Robot, run: Run, locked: Sequence[str]) -> Coefficients:
     """Of a revolute joint, with what the zeros of these locked joints change."""
-    arm, payload = _at_shift(robot, run, {})
-    arm_by_pose, payload_by_pose = np.zeros((len(locked), 4)), np.zeros((len(locked), 4, 10))
-    for row, name in enumerate(locked):
-        up, down = (_at_shift(robot, run, {name: sign * POSE_STEP}) for sign in (1.0, -1.0))
-        arm_by_pose[row] = (up[0] - down[0]) / (2.0 * POSE_STEP)
-        payload_by_pose[row] = (up[1] - down[1]) / (2.0 * POSE_STEP)
-    matters = np.abs(arm_by_pose).max(axis=1) > 1e-6
+    links = _by_links(robot, run)
+    count = len(locked)
+    rows = np.tile([run.held.get(name, 0.0) for name in locked], (1 + 2 * count, 1))
+    rows[1:] += POSE_STEP * np.concatenate([np.eye(count), -np.eye(count)])
+    poses = {name: np.array([position]) for name, position in run.held.items()} | dict(zip(locked, rows.T, strict=True))
+    arm, payload = at_poses(robot, run.joint, poses)
+    by_pose = [(of[1 : 1 + count] - of[1 + count :]) / (2.0 * POSE_STEP) for of in (arm, payload)]
+    matters = np.abs(by_pose[0]).max(axis=1, initial=0.0) > 1e-6
     pose = tuple(name for name, does in zip(locked, matters, strict=True) if does)
-    return Coefficients(arm, payload, pose, arm_by_pose[matters], payload_by_pose[matters], *_by_links(robot, run))
+    return Coefficients(arm[0], payload[0], pose, by_pose[0][matters], by_pose[1][matters], *links)
 
 
-def _at_shift(robot: Robot, run: Run, shift: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Of the arm, shape (4,), and per payload parameter, shape (4, 10)."""
-    model = reduced_model(robot, run, shift)
-    body, body_from_payload = model.frames[robot.payload_frame]
-    axis, gravity = axis_and_gravity(model)
-    arm = joint_coefficients(model.pseudo_inertia[0], model.kinds[0], axis, gravity)
-    if body != 0:  # the joint does not carry the hand
-        return arm, np.zeros((4, 10))
-    moved = body_from_payload @ pseudo_inertia_basis() @ body_from_payload.T
-    return arm, joint_coefficients(moved, model.kinds[0], axis, gravity).T
+def at_poses(robot: Robot, driven: str, poses: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """What one joint moves in N poses at once.
+
+    Args:
+        robot: As `ReducedModel` has it with every joint locked but the driven one.
+        driven: A joint that no other one follows.
+        poses: Positions of all other independent joints [rad or m], each of shape (N,), or (1,) where it is the same in all.
+
+    Returns:
+        Inertia and gravity load of the arm, shape (N, 4), and per payload parameter, shape (N, 4, 10).
+    """
+    model = robot.model
+    count, pseudo, at = max(map(len, poses.values()), default=1), np.zeros((1, 4, 4)), np.eye(4)[None]
+    inertias = {link.name: link.pseudo_inertia for link in model.links}
+    frames, moves, joint = {model.root: at}, {model.root: False}, model.joint(driven)
+    for each in model.joints:
+        at, moves[each.child] = frames[each.parent], moves[each.parent] or each is joint
+        if each is joint:
+            gravity, at = robot.gravity @ (at @ each.origin)[:, :3, :3], np.eye(4)[None]
+        elif each.kind == "fixed":
+            at = at @ each.origin
+        else:
+            name, multiplier, offset = model.driving(each)
+            at = at @ each.transform(multiplier * poses[name] + offset)
+        frames[each.child] = at
+        if moves[each.child]:
+            pseudo = pseudo + at @ inertias[each.child] @ at.transpose(0, 2, 1)
+    arm = np.broadcast_to(joint_coefficients(pseudo, joint.kind, joint.axis, gravity), (count, 4))
+    if not moves[robot.payload_frame]:
+        return arm, np.zeros((count, 4, 10))
+    at = frames[robot.payload_frame][:, None]
+    moved = at @ pseudo_inertia_basis() @ at.transpose(0, 1, 3, 2)
+    payload = joint_coefficients(moved, joint.kind, joint.axis, gravity[:, None]).transpose(0, 2, 1)
+    return arm, np.broadcast_to(payload, (count, 4, 10))
 
 
 def _by_links(robot: Robot, run: Run) -> tuple[tuple[tuple[str, str], ...], np.ndarray]:
@@ -82,29 +107,28 @@ def _by_links(robot: Robot, run: Run) -> tuple[tuple[tuple[str, str], ...], np.n
     model = reduced_model(robot, run, {})
     axis, gravity = axis_and_gravity(model)
     stds = link_stds(robot)
-    keys: list[tuple[str, str]] = []
-    rows: list[np.ndarray] = []
-    for link in robot.model.links:
-        body, body_from_link = model.frames[link.name]
-        mass = float(link.pseudo_inertia[3, 3])
-        if body != 0 or mass == 0.0:
-            continue
-        com = link.pseudo_inertia[:3, 3] / mass
-        central = np.zeros((4, 4))
-        central[:3, :3] = link.pseudo_inertia[:3, :3] - mass * np.outer(com, com)
-        changes = [link.pseudo_inertia]
-        for direction in np.eye(3):
-            shifted = np.zeros((4, 4))
-            shifted[:3, :3] = mass * (np.outer(com, direction) + np.outer(direction, com))
-            shifted[:3, 3] = shifted[3, :3] = mass * direction
-            changes.append(shifted)
-        moved = body_from_link @ np.array([*changes, central]) @ body_from_link.T
-        of_terms = joint_coefficients(moved, model.kinds[0], axis, gravity)
-        for (term, std), row in zip(stds.items(), of_terms, strict=True):
-            if np.abs(row).max() * std > NEGLIGIBLE:
-                keys.append((term, link.name))
-                rows.append(row)
-    return tuple(keys), np.array(rows).reshape(-1, 4)
+    links = [link for link in robot.model.links if model.frames[link.name][0] == 0 and link.pseudo_inertia[3, 3] != 0.0]
+    pseudo = np.array([link.pseudo_inertia for link in links])
+    at = np.array([model.frames[link.name][1] for link in links])[:, None]
+    mass, com = pseudo[:, 3:, 3:], pseudo[:, :3, 3:] / pseudo[:, 3:, 3:]
+    changes = np.zeros((len(links), len(stds), 4, 4))
+    changes[:, 0] = pseudo
+    for term, direction in enumerate(np.eye(3)[:, :, None], start=1):
+        across = com @ direction.T
+        changes[:, term, :3, :3] = mass * (across + across.transpose(0, 2, 1))
+        changes[:, term, :3, 3:] = mass * direction
+        changes[:, term, 3:, :3] = mass * direction.T
+    changes[:, -1, :3, :3] = pseudo[:, :3, :3] - mass * (com @ com.transpose(0, 2, 1))
+    moved = at @ changes @ at.transpose(0, 1, 3, 2)
+    rows = joint_coefficients(moved, model.kinds[0], axis, gravity)
+    seen = np.abs(rows).max(axis=2) * np.array([*stds.values()]) > NEGLIGIBLE
+    keys = [
+        (term, link.name)
+        for link, of_link in zip(links, seen, strict=True)
+        for term, is_seen in zip(stds, of_link, strict=True)
+        if is_seen
+    ]
+    return tuple(keys), rows[seen]
 
 
 def slide_coefficients(robot: Robot, run: Run) -> Coefficients:

@@ -33,25 +33,33 @@ def rotation_from_rpy(rpy: ArrayLike) -> FloatArray:
     return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
 
 
-def rotation_about(axis: ArrayLike, angle: float) -> FloatArray:
-    """Rotation matrix from a unit axis and an angle [rad] (Rodrigues' formula), shape (3, 3)."""
+def rotation_about(axis: ArrayLike, angle: float | FloatArray) -> FloatArray:
+    """Rotation matrix from a unit axis and an angle [rad] (Rodrigues' formula), shape (3, 3); of many angles (N, 3, 3)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if isinstance(angle, np.ndarray):
+        angle = angle[:, None, None]
+        return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
-    """Homogeneous transform from a rotation matrix (3, 3) and a translation [m] (3,), shape (4, 4)."""
-    result = np.eye(4)
-    result[:3, :3] = rotation
-    result[:3, 3] = translation
+    """Homogeneous transform from a rotation matrix (3, 3) and a translation [m] (3,), shape (4, 4); of many of either (N, 4, 4)."""
+    rotation, translation = np.asarray(rotation), np.asarray(translation)
+    result = np.zeros((*(rotation.shape[:-2] or translation.shape[:-1]), 4, 4))
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = translation
+    result[..., 3, 3] = 1.0
     return result
 
 
-def motion(kind: str, axis: ArrayLike, position: float) -> FloatArray:
-    """What a joint of a kind of `JOINT_KINDS` adds to its origin at a position [rad or m], shape (4, 4); axis in its own frame."""
+def motion(kind: str, axis: ArrayLike, position: float | FloatArray) -> FloatArray:
+    """What a joint of a kind of `JOINT_KINDS` adds to its origin at a position [rad or m], shape (4, 4), or at N, (N, 4, 4).
+
+    The axis is in the joint's own frame.
+    """
     if kind == "prismatic":
-        return transform(np.eye(3), np.asarray(axis, dtype=np.float64) * position)
+        return transform(np.eye(3), np.multiply.outer(position, np.asarray(axis, dtype=np.float64)))
     if kind == "fixed":
         return np.eye(4)
     return transform(rotation_about(axis, position), np.zeros(3))

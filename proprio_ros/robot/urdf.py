@@ -61,8 +61,8 @@ class Joint:
         """Whether the joint has a position of its own."""
         return self.kind != "fixed" and self.mimic is None
 
-    def transform(self, position: float) -> FloatArray:
-        """parent_T_child at a position [rad or m], shape (4, 4)."""
+    def transform(self, position: float | FloatArray) -> FloatArray:
+        """parent_T_child at a position [rad or m], shape (4, 4), or at N of them, shape (N, 4, 4)."""
         return self.origin @ motion(self.kind, self.axis, position)
 
 

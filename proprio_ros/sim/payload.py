@@ -184,21 +184,24 @@ def joint_coefficients(pseudo_inertia: np.ndarray, kind: str, axis: np.ndarray, 
         pseudo_inertia: In the joint's frame, shape (..., 4, 4).
         kind: ``"revolute"`` or ``"prismatic"``.
         axis: Unit vector in the joint's frame, shape (3,).
-        gravity: Gravity in the joint's frame at q = 0 [m/s^2], shape (3,).
+        gravity: Gravity in the joint's frame at q = 0 [m/s^2], shape (3,), or (..., 3) where it differs.
 
     Returns:
         shape (..., 4): inertia about (mass along) the axis, and the cosine, sine and constant part of the gravity load.
     """
-    out = np.zeros((*pseudo_inertia.shape[:-2], 4))
+    out = np.zeros((*np.broadcast_shapes(pseudo_inertia.shape[:-2], gravity.shape[:-1]), 4))
     mass = pseudo_inertia[..., 3, 3]
     if kind == "prismatic":
         out[..., 0] = mass
-        out[..., 3] = -mass * float(axis @ gravity)
+        out[..., 3] = -mass * (gravity @ axis)
         return out
     second = pseudo_inertia[..., :3, :3]
     first = pseudo_inertia[..., :3, 3]
     out[..., 0] = np.trace(second, axis1=-2, axis2=-1) - np.einsum("i,...ij,j->...", axis, second, axis)
-    across = first - (first @ axis)[..., None] * axis
-    out[..., 1] = -np.cross(across, gravity) @ axis
-    out[..., 2] = -np.cross(np.cross(axis, across), gravity) @ axis
+    x, y, z = axis
+    # a x v is v @ turned; what the part along the axis adds to the triple products is nothing
+    turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    level = gravity @ turned
+    out[..., 1] = (first * level).sum(axis=-1)
+    out[..., 2] = -(first * (level @ turned)).sum(axis=-1)
     return out
