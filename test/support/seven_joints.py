@@ -9,8 +9,8 @@ from pathlib import Path
 
 from support.small_urdf import link
 
-# a [m], d [m] and alpha after Craig; lowest and highest position [rad], largest torque [N m] and speed [rad/s]; mass of the moved link
-# [kg] and where that mass sits in its frame [m]
+# a [m], d [m] and alpha after Craig; lowest and highest position [rad], largest torque [N m] and speed [rad/s]; mass of its
+# link [kg] and where that mass sits in its frame [m]
 JOINTS = (
     (0.0, 0.333, 0.0, -2.8973, 2.8973, 87, 2.175, 3.1, (0.0, -0.03, -0.12)),
     (0.0, 0.0, -pi / 2, -1.7628, 1.7628, 87, 2.175, 3.2, (0.0, -0.07, 0.03)),
