@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,67 @@ def test_a_ur_is_where_its_table_says(name: str, table: tuple[tuple[float, float
     assert masses == [row[3] for row in table]
 
 
+# Kinova, Gen3 user guide: alpha [rad], a [m], d [m], offset [rad] of each joint, after a frame turned over at the base
+GEN3_DH = (
+    (np.pi / 2, 0.0, -0.2848, 0.0),
+    (np.pi / 2, 0.0, -0.0118, np.pi),
+    (np.pi / 2, 0.0, -0.4208, np.pi),
+    (np.pi / 2, 0.0, -0.0128, np.pi),
+    (np.pi / 2, 0.0, -0.3143, np.pi),
+    (np.pi / 2, 0.0, 0.0, np.pi),
+    (np.pi, 0.0, -0.1674, np.pi),
+)
+# Franka Robotics, Denavit-Hartenberg parameters of Panda and FR3, in Craig's convention: a [m], d [m], alpha [rad]
+FRANKA_DH = (
+    (0.0, 0.333, 0.0),
+    (0.0, 0.0, -np.pi / 2),
+    (0.0, 0.316, np.pi / 2),
+    (0.0825, 0.0, np.pi / 2),
+    (-0.0825, 0.384, -np.pi / 2),
+    (0.0, 0.0, np.pi / 2),
+    (0.088, 0.0, np.pi / 2),
+)
+
+
+def _about_z(angle: float, along_m: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, along_m], [0, 0, 0, 1]])
+
+
+def _about_x(angle: float, along_m: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0, along_m], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("name", ["fr3", "panda"])
+def test_a_franka_is_where_its_table_says(name: str) -> None:
+    robot, random = load_robot(name), np.random.default_rng(5)
+    for _ in range(5):
+        angles = random.uniform(-2.0, 2.0, 7)
+        expected = np.eye(4)
+        for (a, d, alpha), theta in zip(FRANKA_DH, angles, strict=True):
+            expected = expected @ _about_x(alpha, a) @ _about_z(theta, d)
+        expected = expected @ _about_z(
+            -np.pi / 4, 0.107 + 0.1034
+        )  # the hand's manual: turned, its tip 103.4 mm before the flange
+        pose = dict(zip(robot.model.independent_joints, angles, strict=True))
+        np.testing.assert_allclose(robot.model.frame_transform(robot.payload_frame, pose), expected, atol=1e-5)
+
+
+def test_a_gen3_is_where_its_table_says() -> None:
+    robot, random = load_robot("gen3"), np.random.default_rng(6)
+    for _ in range(5):
+        angles = random.uniform(-2.0, 2.0, 7)
+        expected = _about_x(np.pi, 0.0)
+        for (alpha, a, d, offset), theta in zip(GEN3_DH, angles, strict=True):
+            expected = expected @ _about_z(theta + offset, d) @ _about_x(alpha, a)
+        pose = dict(zip(robot.model.independent_joints, angles, strict=True))
+        # the table rounds to 0.1 mm, and leaves out 0.35 mm between the wrist's axes
+        found = robot.model.frame_transform(robot.payload_frame, pose)
+        np.testing.assert_allclose(found[:3, 3], expected[:3, 3], atol=1e-3)
+        np.testing.assert_allclose(found[:3, :3], expected[:3, :3], atol=1e-3)
+
+
 def test_the_torque_constants_of_urs_are_those_of_their_joints() -> None:
     """By the maker's table of largest torques an elbow of a UR10e is a shoulder of a UR5e; the wrists of a UR5e are in no table."""
     large, small = load_robot("ur10e").drive_trains, load_robot("ur5e").drive_trains
@@ -99,6 +161,15 @@ def test_the_so101_is_where_its_makers_drew_it(angles: list[float], grasp_m: lis
         ("omx_f", [0.0] * 6, [0.3129, -0.0016, 0.2107], 0.560),
         # joint4 bends down by a right angle
         ("omx_f", [0.0, 0.0, 0.0, np.pi / 2, 0.0, 0.0], [0.1923, -0.0016, 0.0900], 0.560),
+        # KUKA's drawing: 360, 420, 400 and 126 mm; 29.9 kg
+        ("iiwa14", [0.0] * 7, [0.0, 0.0, 1.306], 29.9),
+        ("iiwa14", [0.0, 0.0, 0.0, -np.pi / 2, 0.0, 0.0, 0.0], [0.526, 0.0, 0.78], 29.9),
+        # Trossen's home pose of the tip between the fingers; shoulder bent forward by a right angle; the sum of its links
+        ("vx300s", [0.0] * 6, [0.536494, 0.0, 0.42705], 3.739),
+        ("vx300s", [0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0], [0.3, 0.0, 0.12705 - 0.536494], 3.739),
+        # the makers' data sheets: 17.8 kg of arm and 0.7 kg of hand; 8.2 kg
+        ("fr3", [0.0, 0.0, 0.0, -np.pi / 2, 0.0, np.pi / 2, 0.0], [0.5545, 0.0, 0.6245 - 0.1034], 18.6),
+        ("gen3", [0.0] * 7, [0.0, -0.0249, 1.1873], 8.2),
     ],
 )
 def test_arms_are_where_their_makers_drew_them(
@@ -125,7 +196,12 @@ def test_an_omx_f_is_driven_by_the_duty_cycle_of_two_kinds_of_servo() -> None:
         assert abs(stalled - newton_metres) < 2.0 * drive.torque_constant.std * amperes
 
 
-@pytest.mark.parametrize(("name", "driver", "unit"), [("openarm", "openarm", "N.m"), ("ur5e", "ur_current", "A")])
+@pytest.mark.parametrize(("name", "driver", "unit"),
+    [
+        ("openarm", "openarm", "N.m"), ("ur5e", "ur_current", "A"), ("fr3", "franka", "N.m"), ("panda", "franka", "N.m"),
+        ("iiwa14", "lbr", "N.m"), ("gen3", "kortex", "N.m"),
+    ],
+)  # fmt: skip
 def test_a_ready_robot_reads_a_recording_of_its_driver(name: str, driver: str, unit: str, tmp_path: Path) -> None:
     """Names of joints, topic and unit agree: MuJoCo's torque is what the robot's links need, in the driver's unit."""
     robot = load_robot(name)
@@ -146,3 +222,35 @@ def test_a_ready_robot_reads_a_recording_of_its_driver(name: str, driver: str, u
     assert not found.problem and set(found.moves) == set(constants)
     ratios = {each.unit: each.ratio for each in found.effort_units}[unit]
     assert ratios and all(0.8 < ratio < 1.25 for ratio in ratios.values()), ratios
+
+
+@pytest.mark.parametrize(
+    ("name", "driver", "middle", "load_kg"),
+    [
+        ("fr3", "franka", [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.0], 1.0),
+        ("gen3", "kortex", [0.0, 0.5, 0.0, 1.2, 0.0, 1.0, 0.0], 0.6),
+        ("vx300s", "interbotix", [0.0, -0.3, 0.4, 0.2, 0.3, 0.0], 0.3),
+    ],
+)
+def test_a_ready_robot_weighs(
+    name: str, driver: str, middle: list[float], load_kg: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Against an empty recording, on an arm in MuJoCo whose links, friction, rotors and torque are not those of the file."""
+    robot, random = load_robot(name), np.random.default_rng(8)
+    per_unit = 1e-3 if driver == "interbotix" else 1.0  # mA
+    constants = {
+        joint: per_unit * drive.torque_constant.value * (1.0 + 0.05 * random.standard_normal())
+        for joint, drive in robot.drive_trains.items()
+    }
+    small = {"friction_N_m": 0.1, "rotor_kg_m2": 0.01} if driver == "interbotix" else {}
+    bags = [
+        record_arm(
+            tmp_path / word, resource("urdf", name), constants, robot.payload_frame, load, seed, middle=middle, **small
+        )
+        for word, load, seed in (("empty", 0.0, 1), ("loaded", load_kg, 2))
+    ]
+    words = ["--robot", name, "--driver", driver, "--probe", "payload", "--json"]
+    assert main(["replay", str(bags[1]), "--baseline", str(bags[0]), *words]) == 0
+    mass = json.loads(capsys.readouterr().out)["estimates"][0]
+    low, high = mass["ci95"]
+    assert mass["name"] == "payload_mass" and low < load_kg < high and high - low < 1.2 * load_kg, mass
