@@ -37,11 +37,16 @@ _TICK_WRAP = 32768  # Realtime Tick counts 0..32767 ms
 _VELOCITY_AVERAGE = 8  # periods
 _THERMAL_RESISTANCE_K_W = 4.0
 _THERMAL_TIME_S = 300.0
+_WARMING = CONTROL_PERIOD_S / _THERMAL_TIME_S
 _OVERLOAD_FRACTION = 0.9
 _OVERLOAD_S = 5.0
 # divisors of the velocity controller's gains, and what one count of its output means; assumed: current
 _VELOCITY_P_DIVISOR = 128.0
 _VELOCITY_I_DIVISOR = 65536.0
+
+# as plain numbers: looked at by each servo in each period
+_CURRENT, _VELOCITY, _PWM = int(OperatingMode.CURRENT), int(OperatingMode.VELOCITY), int(OperatingMode.PWM)
+_CURRENT_BASED_POSITION = int(OperatingMode.CURRENT_BASED_POSITION)
 
 Goals = Mapping[str, int]
 
@@ -75,6 +80,7 @@ class VirtualServo:
         self.supply_voltage_V = supply_voltage_V
         self.temperature_C = AMBIENT_C
         self.latency_s = latency_s
+        self._highest_pwm = model.registers["pwm_limit"].highest
         self._back_emf_V_s_per_rad = back_emf_V_s_per_rad
         self._resistance_ohm = resistance_ohm
         self._registers = model.registers
@@ -133,11 +139,11 @@ class VirtualServo:
         """
         if length < 1 or address + length > self._end:
             return Error.DATA_RANGE, b""
-        return Error.NONE, bytes(map(self._byte, range(address, address + length)))
-
-    def _byte(self, address: int) -> int:
-        name, index = self._bytes.get(address, ("", 0))
-        return self._registers[name].encode(self._values[name])[index] if name else 0
+        found = bytearray()
+        while len(found) < length:
+            name, index = self._bytes.get(address + len(found), ("", 0))
+            found += self._registers[name].encode(self._values[name])[index:] if name else b"\0"
+        return Error.NONE, bytes(found[:length])
 
     def write(self, address: int, data: bytes, now_s: float) -> Error:
         """Set whole registers; with an error nothing is set (assumed)."""
@@ -272,54 +278,57 @@ class VirtualServo:
         Returns:
             Current that flows until the next call [A], a whole number of the servo's counts.
         """
-        values, model = self._values, self.model
+        values, model, velocities = self._values, self.model, self._velocities
         sign = -1.0 if values["drive_mode"] & _REVERSE else 1.0
         velocity_rad_s *= sign
-        self._velocities.append(velocity_rad_s)
-        mean_rad_s = sum(self._velocities) / len(self._velocities)
+        velocities.append(velocity_rad_s)
+        speed = round(sum(velocities) / len(velocities) / model.velocity_unit_rad_s)
         values["present_position"] = model.counts_of_position(sign * angle_rad) + values["homing_offset"]
-        values["present_velocity"] = round(mean_rad_s / model.velocity_unit_rad_s)
-        values["moving"] = int(abs(values["present_velocity"]) > values["moving_threshold"])
+        values["present_velocity"] = speed
+        values["moving"] = 1 if abs(speed) > values["moving_threshold"] else 0
         # the small addition keeps a sum of milliseconds from being rounded down
         values["realtime_tick"] = int((now_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
 
         self._look_for_trouble(now_s)
         while self._pending and self._pending[0][0] <= now_s:
             self._goals = self._pending.popleft()[1]
+        powered = values["torque_enable"] and self._goals is not None and now_s >= self._silent_until_s
+        if not powered:
+            values["present_current"] = values["present_pwm"] = 0
+            self._warm_up(0.0)
+            return 0.0
         counts = 0
-        powered = values["torque_enable"] and self._goals is not None and self.awake(now_s)
-        if powered and values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
+        if values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
             counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
-        current_A = model.current_A(counts)
-
-        voltage_V = (self._resistance_ohm * current_A + self._back_emf_V_s_per_rad * velocity_rad_s) if powered else 0.0
+        current_A = counts * model.current_unit_A
+        voltage_V = self._resistance_ohm * current_A + self._back_emf_V_s_per_rad * velocity_rad_s
         values["present_current"] = counts
-        self["present_pwm"] = round(voltage_V / self._volt_per_pwm)
+        values["present_pwm"] = max(-32768, min(32767, round(voltage_V / self._volt_per_pwm)))  # what its bytes hold
         self._warm_up(current_A)
         return sign * current_A
 
     @property
     def _volt_per_pwm(self) -> float:
-        return max(self.supply_voltage_V, 1e-3) / self._registers["pwm_limit"].highest
+        return max(self.supply_voltage_V, 1e-3) / self._highest_pwm
 
     def _wanted(self, velocity_rad_s: float) -> float:
         """Current before any bound [counts]."""
         assert self._goals is not None
         goals, values, model = self._goals, self._values, self.model
         mode = values["operating_mode"]
-        if mode == OperatingMode.CURRENT:
+        if mode == _CURRENT:
             return goals["goal_current"]
-        if mode == OperatingMode.VELOCITY:
+        if mode == _VELOCITY:
             error = goals["goal_velocity"] - velocity_rad_s / model.velocity_unit_rad_s
             self._velocity_integral += error * values["velocity_i_gain"] / _VELOCITY_I_DIVISOR
             self._velocity_integral = _clip(self._velocity_integral, values["current_limit"])
             return error * values["velocity_p_gain"] / _VELOCITY_P_DIVISOR + self._velocity_integral
-        if mode == OperatingMode.PWM:
+        if mode == _PWM:
             return self._current_of_pwm(goals["goal_pwm"], velocity_rad_s)
         output = (goals["goal_position"] - values["present_position"]) * (
             values["position_p_gain"] / model.position_p_divisor
         ) - velocity_rad_s / model.position_unit_rad * 1e-3 * (values["position_d_gain"] / model.position_d_divisor)
-        if mode == OperatingMode.CURRENT_BASED_POSITION:
+        if mode == _CURRENT_BASED_POSITION:
             return _clip(output, abs(goals["goal_current"]))
         return self._current_of_pwm(_clip(output, abs(goals["goal_pwm"])), velocity_rad_s)
 
@@ -333,26 +342,33 @@ class VirtualServo:
 
     def _bounded(self, wanted: float, velocity_rad_s: float) -> int:
         """Whole counts within Current Limit, and within what the supply can drive at this speed."""
-        counts = round(_clip(wanted, self._values["current_limit"]))
-        supply_V = self._values["pwm_limit"] * self._volt_per_pwm
-        unit_A = self.model.current_unit_A
-        lowest = math.ceil(self._current_at_A(-supply_V, velocity_rad_s) / unit_A)
-        highest = math.floor(self._current_at_A(supply_V, velocity_rad_s) / unit_A)
-        return max(lowest, min(highest, counts))
+        values, unit_A, resistance_ohm = self._values, self.model.current_unit_A, self._resistance_ohm
+        counts = round(_clip(wanted, values["current_limit"]))
+        supply_V, back_V = values["pwm_limit"] * self._volt_per_pwm, self._back_emf_V_s_per_rad * velocity_rad_s
+        if counts > (highest := (supply_V - back_V) / resistance_ohm / unit_A):
+            counts = math.floor(highest)
+        if counts < (lowest := (-supply_V - back_V) / resistance_ohm / unit_A):
+            counts = math.ceil(lowest)
+        return counts
 
     def _look_for_trouble(self, now_s: float) -> None:
         values = self._values
-        values["present_input_voltage"] = max(0, round(self.supply_voltage_V / self.model.voltage_unit_V))
-        values["present_temperature"] = min(255, max(0, round(self.temperature_C)))
-        if not values["min_voltage_limit"] <= values["present_input_voltage"] <= values["max_voltage_limit"]:
+        voltage = values["present_input_voltage"] = max(0, round(self.supply_voltage_V / self.model.voltage_unit_V))
+        temperature = values["present_temperature"] = min(255, max(0, round(self.temperature_C)))
+        if not values["min_voltage_limit"] <= voltage <= values["max_voltage_limit"]:
             self.fail(HardwareError.INPUT_VOLTAGE)
-        if values["present_temperature"] > values["temperature_limit"]:
+        if temperature > values["temperature_limit"]:
             self.fail(HardwareError.OVERHEATING)
         # assumed: overload is nearly the highest possible current without motion for some seconds
-        highest_A = min(self.model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, 0.0))
-        current_A = self.model.current_A(abs(values["present_current"]))
-        straining = current_A > 0.0 and current_A >= _OVERLOAD_FRACTION * highest_A and not values["moving"]
-        self._overloaded_s = self._overloaded_s + CONTROL_PERIOD_S if straining else 0.0
+        if values["present_current"] and not values["moving"]:
+            highest_A = self._current_at_A(self.supply_voltage_V, 0.0)
+            highest_A = min(self.model.current_A(values["current_limit"]), highest_A)
+            current_A = self.model.current_A(abs(values["present_current"]))
+            self._overloaded_s += (
+                CONTROL_PERIOD_S if current_A >= _OVERLOAD_FRACTION * highest_A else -self._overloaded_s
+            )
+        else:
+            self._overloaded_s = 0.0
         if self._overloaded_s > _OVERLOAD_S:
             self.fail(HardwareError.OVERLOAD)
         if values["torque_enable"] and values["bus_watchdog"] > 0:
@@ -364,8 +380,8 @@ class VirtualServo:
     def _warm_up(self, current_A: float) -> None:
         """Heat of the winding into one thermal mass; assumed values."""
         final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * current_A**2
-        self.temperature_C += (final_C - self.temperature_C) * (CONTROL_PERIOD_S / _THERMAL_TIME_S)
+        self.temperature_C += (final_C - self.temperature_C) * _WARMING
 
 
 def _clip(value: float, bound: float) -> float:
-    return max(-bound, min(bound, value))
+    return bound if value > bound else -bound if value < -bound else value

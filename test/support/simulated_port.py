@@ -15,6 +15,7 @@ from support.simulated_time import Ended, SimulatedClock
 
 WORLD_STEP_S = 0.01
 """The arm moves on at least so often, though nobody talks to it."""
+LONGEST_WAIT_S = 0.001
 PORTS: dict[str, SimulatedPort] = {}
 
 
@@ -72,6 +73,14 @@ class Wire(MemoryPort):
             return super().write(data)
 
     def read(self, size: int) -> bytes:
+        """What has arrived; waits for it as a descriptor does, so that nobody has to look again and again."""
+        self._check()
+        with self._port.lock:
+            data = super().read(size)
+        if data or size <= 0:
+            return data
+        now_s = time_source.now()
+        time_source.sleep(max(self._outbox.wait_s(now_s, LONGEST_WAIT_S), 1e-5))
         self._check()
         with self._port.lock:
             return super().read(size)

@@ -7,6 +7,7 @@ Messages take a while, and a `Network` may lose, double or reorder them as its s
 from __future__ import annotations
 
 import contextlib
+import heapq
 import inspect
 import itertools
 import math
@@ -55,6 +56,7 @@ class Graph:
     log: list[tuple[float, str, str, str]] = field(default_factory=list)
     set_by_s: float = 0.0
     """By how much somebody has set the system's clock."""
+    by_topic: dict[str, list[Subscription]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.random = random.Random(self.seed)
@@ -62,6 +64,12 @@ class Graph:
     def all(self, kind: str) -> Iterator[Any]:
         for node in self.nodes:
             yield from getattr(node, f"_ros_{kind}")
+
+    def subscribers(self, topic: str) -> list[Subscription]:
+        """Who listens to a topic, in the order of `all`; looked up once until somebody begins or ends to."""
+        if topic not in self.by_topic:
+            self.by_topic[topic] = [each for each in self.all("subscriptions") if each.topic_name == topic]
+        return self.by_topic[topic]
 
     def arrival(self, last_s: float) -> list[float]:
         """When a message comes, after whichever came last from the same publisher; not at all where it is lost."""
@@ -78,6 +86,7 @@ class Graph:
     def remove(self, group: str) -> None:
         """A process is gone, and all it offered."""
         self.nodes = [node for node in self.nodes if node.group != group]
+        self.by_topic.clear()
 
 
 GRAPH: list[Graph] = []
@@ -102,8 +111,8 @@ class Publisher:
             data = serialize_message(message)
         if self.latched:
             self.last = data
-        for subscription in graph.all("subscriptions"):
-            if subscription.topic_name == self.topic_name and subscription.msg_type is self.msg_type:
+        for subscription in graph.subscribers(self.topic_name):
+            if subscription.msg_type is self.msg_type:
                 subscription.deliver(self, data, self._number)
 
     def wait_for_all_acked(self, timeout: Any = None) -> bool:
@@ -292,6 +301,7 @@ class Timer:
     def reset(self) -> None:
         self.cancelled = False
         self.next_s = self._node.graph.clock._now_s + self.period_s
+        self._node.due(self.next_s)
 
     def ready(self) -> bool:
         return not self.cancelled and self.next_s <= self._node.graph.clock._now_s
@@ -301,6 +311,7 @@ class Timer:
         if self.cancelled or self.next_s > now_s:
             return False
         self.next_s += self.period_s * max(1, math.ceil((now_s - self.next_s) / self.period_s + 1e-9))
+        self._node.due(self.next_s)
         self.callback()
         return True
 
@@ -376,6 +387,7 @@ class SimulatedNode:
         self._ros_answers: deque[tuple[float, Future, Any, Client]] = deque()
         self._ros_wake = self.graph.clock.event()
         self._ros_due_s = math.inf
+        self._ros_dues: list[float] = []
         self._ros_ready: deque[Any] = deque()
         self._ros_state = "unconfigured"
         self.executor: Any = None
@@ -473,6 +485,7 @@ class SimulatedNode:
         polled = callback_group is not None
         subscription = Subscription(self, kind, self.resolve_topic_name(topic), callback, qos, raw, polled)
         self._ros_subscriptions.append(subscription)
+        self.graph.by_topic.clear()
         return subscription
 
     def create_service(self, kind: Any, name: str, callback: Any, **_: Any) -> Service:
@@ -503,6 +516,7 @@ class SimulatedNode:
     def destroy_subscription(self, each: Subscription) -> None:
         with contextlib.suppress(ValueError):
             self._ros_subscriptions.remove(each)
+        self.graph.by_topic.clear()
 
     def destroy_service(self, each: Service) -> None:
         with contextlib.suppress(ValueError):
@@ -519,6 +533,7 @@ class SimulatedNode:
     def destroy_node(self) -> None:
         with contextlib.suppress(ValueError):
             self.graph.nodes.remove(self)
+        self.graph.by_topic.clear()
 
     def count_publishers(self, topic: str) -> int:
         return sum(each.topic_name == self.resolve_topic_name(topic) for each in self.graph.all("publishers"))
@@ -589,6 +604,7 @@ class SimulatedNode:
 
     def due(self, at_s: float) -> None:
         """Something comes at an instant."""
+        heapq.heappush(self._ros_dues, at_s)
         if at_s < self._ros_due_s:
             self._ros_wake.set()
 
@@ -604,37 +620,29 @@ class SimulatedNode:
                 return True
         return False
 
-    def _earliest_s(self) -> float:
-        return min(
-            itertools.chain(
-                (timer.next_s for timer in self._ros_timers if not timer.cancelled),
-                (each.queue[0][0] for each in self._ros_subscriptions if each.queue and not each.polled),
-                (each.queue[0][0] for each in self._ros_services if each.queue),
-                (entry[0] for entry in self._ros_answers),
-            ),
-            default=math.inf,
-        )
-
     def spin_once(self, timeout_s: float) -> None:
         """One callback that is due, or a wait."""
-        clock = self.graph.clock
+        clock, dues = self.graph.clock, self._ros_dues
         end_s = clock._now_s + timeout_s
         while True:
             while self._ros_ready:  # all that was found ready has its turn before anything is looked at again
                 if self._ros_ready.popleft().serve():
                     return
-            self._ros_ready.extend((*self._ros_timers, *self._ros_subscriptions, *self._ros_services))
-            found = any(each.ready() for each in self._ros_ready)
-            if self._serve_answer():
-                return
-            if found:
-                continue
-            self._ros_ready.clear()
-            if clock._now_s >= end_s:
+            now_s = clock._now_s
+            if dues and dues[0] <= now_s:
+                entities = (*self._ros_timers, *self._ros_subscriptions, *self._ros_services)
+                self._ros_ready.extend(each for each in entities if each.ready())
+                if self._serve_answer():
+                    return
+                if self._ros_ready:
+                    continue
+                while dues and dues[0] <= now_s:  # all of them have been served
+                    heapq.heappop(dues)
+            if now_s >= end_s:
                 return
             self._ros_wake.clear()
-            self._ros_due_s = min(self._earliest_s(), end_s)
-            self._ros_wake.wait(max(self._ros_due_s - clock._now_s, 0.0))
+            self._ros_due_s = min(dues[0] if dues else math.inf, end_s)
+            self._ros_wake.wait(max(self._ros_due_s - now_s, 0.0))
 
 
 class SimulatedExecutor:

@@ -27,7 +27,8 @@ class Actor:
 
     def __init__(self, name: str, group: str) -> None:
         self.name, self.group = name, group
-        self.go = threading.Semaphore(0)
+        self.go = threading.Lock()  # a bare one: handing on is the scheduler's commonest act
+        self.go.acquire()
         self.due_s = math.inf
         self.killed = False
         self.stalled_until_s = -math.inf
