@@ -98,6 +98,54 @@ class RecordedRun:
 
 
 @dataclass(frozen=True)
+class JointFit:
+    """One joint of a motion under a controller: mean torque over windows, as recorded and as arm, friction and payload explain it.
+
+    Attributes:
+        name: Of the recording.
+        times_s: Middle of each window that is shown [s], shape (K,); measured, explained: [N m].
+        payload: What the payload makes of the explained torque [N m], shape (K,).
+        left_over, usual: rms of what is not explained, and of the same where the load was known [N m].
+        told: Which share of what all joints and motions know of the mass came in each part of the recording, shape (B,).
+        part_s: Length of such a part [s].
+    """
+
+    name: str
+    joint: str
+    times_s: np.ndarray
+    measured: np.ndarray
+    explained: np.ndarray
+    payload: np.ndarray
+    left_over: float
+    usual: float
+    told: np.ndarray
+    part_s: float
+
+
+@dataclass(frozen=True)
+class HeldView:
+    """The arm in poses of a motion and what it held in the last of them, seen in a plane [m].
+
+    Attributes:
+        side: From where, in words.
+        arm: The links, each a line from joint to joint, shape (P, L, 2, 2).
+        hand: Where the object is attached, in the last pose, shape (2,).
+        centre: Its centre of mass, shape (2,); None where no mass is stated.
+        within: Outline of the 95 % interval of the centre, shape (K, 2); None where nothing was identified of it.
+        body: Outline of the homogeneous ellipsoid of the same mass and inertia, shape (K, 2); None as for `centre`.
+        inertia_is: ``identified``, ``stated`` or ``assumed``.
+    """
+
+    side: str
+    arm: np.ndarray
+    hand: np.ndarray
+    centre: np.ndarray | None = None
+    within: np.ndarray | None = None
+    body: np.ndarray | None = None
+    inertia_is: str = ""
+
+
+@dataclass(frozen=True)
 class StartPath:
     """What one start did: what was searched for (kg, or Pa) after each iteration, and the cost."""
 
@@ -186,6 +234,8 @@ class Estimate:
     runs: int
     run_fits: tuple[RunFit, ...] = ()
     recorded: tuple[RecordedRun, ...] = ()  # every run, those that no fit could use among them
+    joint_fits: tuple[JointFit, ...] = ()  # of motions, where runs have `run_fits`
+    held_views: tuple[HeldView, ...] = ()
     unknowns: tuple[UnknownRow, ...] = ()
     budget: tuple[tuple[str, float], ...] = ()  # (source, standard deviation it puts on the first value, in its unit)
     scan: Scan | None = None

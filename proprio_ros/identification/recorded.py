@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
 
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.estimate import RecordedRun
+from proprio_ros.identification.estimate import HeldView, RecordedRun
 from proprio_ros.identification.prepared_runs import at_the_shaft
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import side_view
+from proprio_ros.robot.kinematics import links_in, side_plane, side_view
 
+POSES, AROUND = 6, 60  # of an arm in motion that are drawn; points of an outline
 BEFORE_SHARE = 0.3  # so much of a run's duration is shown of what came before it
 
 
@@ -41,3 +44,62 @@ def recorded_run(robot: Robot, run: Run, baseline: bool = False) -> RecordedRun:
         driven,
         baseline,
     )
+
+
+def held_views(
+    robot: Robot,
+    motion: Motion,
+    load: tuple[float, Sequence[float], np.ndarray] | None,
+    inertia_is: str = "",
+    within_m: Sequence[float] | None = None,
+) -> tuple[HeldView, ...]:
+    """An arm in motion and what it held, from the side and from above; nothing where a position is not known.
+
+    Args:
+        robot: Whose joints moved.
+        motion: The arm is drawn where the hand is farthest out, and fainter at other instants.
+        load: Mass [kg], centre in the payload's frame [m], shape (3,), and inertia about it [kg m^2], shape (3, 3).
+        inertia_is: Where the inertia is from.
+        within_m: Half 95 % intervals of the centre [m], shape (3,), where it was identified.
+    """
+    rows = [int(row) for row in np.linspace(0, len(motion.times_s) - 1, AROUND)]
+    poses = [
+        {
+            **motion.held,
+            **{joint: float(position[row]) for joint, position in motion.beside.items()},
+            **dict(zip(motion.joints, motion.position[row].tolist(), strict=True)),
+        }
+        for row in rows
+    ]
+    try:
+        hands = [robot.model.frame_transform(robot.payload_frame, pose) for pose in poses]
+        right, up = side_plane(robot, motion.joints[0], poses[0])
+        out = [float(np.linalg.norm(hand[:3, 3] - up * (up @ hand[:3, 3]))) for hand in hands]
+        far = int(np.argmax(out))
+        drawn = [*poses[:: AROUND // (POSES - 1)], poses[far]]
+        sides = [("from the side", np.array([right, up])), ("from above", np.array([right, np.cross(up, right)]))]
+        sides = sides[: len(motion.joints)]  # of one joint the side along its axis shows all
+        links = [links_in(robot, plane, drawn) for _, plane in sides]
+    except RobotError:  # locked joints that nobody recorded
+        return ()
+    views = []
+    for (side, plane), arm in zip(sides, links, strict=True):
+        hand, seen = plane @ hands[far][:3, 3], plane @ hands[far][:3, :3]
+        if load is None:
+            views.append(HeldView(side, arm, hand))
+            continue
+        mass, centre_m, inertia = load
+        centre = hand + seen @ np.asarray(centre_m)
+        # that of an ellipsoid along one of its half axes is a fifth of their square
+        spread = 5.0 * (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass
+        within = None if within_m is None else _outline(centre, seen @ np.diag(np.square(within_m)) @ seen.T)
+        views.append(HeldView(side, arm, hand, centre, within, _outline(centre, seen @ spread @ seen.T), inertia_is))
+    return tuple(views)
+
+
+def _outline(centre: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Of the ellipse ``x^T shape^-1 x = 1`` about a centre, shape (K, 2)."""
+    squares, axes = np.linalg.eigh(shape)
+    angle = np.linspace(0.0, 2.0 * np.pi, AROUND)
+    unit = np.array([np.cos(angle), np.sin(angle)])
+    return np.asarray(centre + (axes * np.sqrt(np.maximum(squares, 0.0)) @ unit).T)

@@ -27,7 +27,7 @@ from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
 from proprio_ros.probes import all_probes
 from proprio_ros.quantity import spec_for
-from proprio_ros.report import card, runs_figure, write_calibration_report
+from proprio_ros.report import card, motions_figure, runs_figure, write_calibration_report
 from proprio_ros.robot import Robot
 from proprio_ros.schema import header
 
@@ -133,11 +133,13 @@ class Weighing(_Answered):
         return _frame(columns, rows)
 
     def plot(self) -> Figure:
-        """Measured against simulated, with the residual, run by run.
+        """Measured against simulated, with the residual, run by run; of motions torque, joint by joint.
 
         Raises:
             ConfigurationError: No run could be used, so there is nothing to show.
         """
+        if self.estimate.joint_fits:
+            return motions_figure(self.estimate.joint_fits)
         if not self.estimate.run_fits:
             raise ConfigurationError("nothing to plot: no run could be used; `reasons` says why")
         return runs_figure(self.estimate.run_fits)

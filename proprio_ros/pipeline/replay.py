@@ -13,13 +13,13 @@ import numpy as np
 from proprio_ros.calibration_files.drift import aged, said
 from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ConfigurationError, RecordingError
-from proprio_ros.identification.estimate import Estimate
-from proprio_ros.identification.recorded import recorded_run
+from proprio_ros.identification.estimate import Estimate, HeldView
+from proprio_ros.identification.recorded import held_views, recorded_run
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.pipeline.loading import Recordings, bag_motion, bag_runs, bag_runs_or_motion
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
-from proprio_ros.probes.base import Recorded, TakesMotions
+from proprio_ros.probes.base import Carries, Recorded, TakesMotions
 from proprio_ros.recordings.contents import read_temperatures
 from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.motions import Motion
@@ -144,7 +144,21 @@ def identify(request: Request, robot: Robot, read: Recorded, paths: Sequence[str
     if (fresh := request.robot.calibration) is not None and robot.calibration is not None:
         if drifted := said(fresh, robot.drift, robot.calibration.made):
             notes += (drifted,)
-    return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded))
+    views = _held_views(request, robot, read.motions[0], estimate) if read.motions else ()
+    return replace(estimate, notes=notes, origin=origin, recorded=tuple(recorded), held_views=views)
+
+
+def _held_views(request: Request, robot: Robot, motion: Motion, estimate: Estimate) -> tuple[HeldView, ...]:
+    """The arm in the first motion with the load that the answer stands for."""
+    probe = request.probe
+    load = probe.carried(request.facts, estimate) if isinstance(probe, Carries) else None
+    if load is None:
+        return held_views(robot, motion, None)
+    place = next((value for value in estimate.values if value.name == "payload_com"), None)
+    ends = place.ci95 if place is not None and None not in place.ci95 else None
+    within = None if ends is None else [0.5 * (high - low) for low, high in ends]
+    about = (load.mass_kg, load.com_m, np.asarray(load.inertia_kg_m2))
+    return held_views(robot, motion, about, load.inertia_is, within)
 
 
 def aged_for(robot: Robot, runs: Sequence[Run], paths: Sequence[str | Path], state_topic: str | None = None) -> Robot:

@@ -1,7 +1,7 @@
 """One self-contained HTML page per result: what was measured, what was simulated, and what the number rests on."""
 
 from proprio_ros.report.calibration_page import write_calibration_report
-from proprio_ros.report.figures import runs_figure
+from proprio_ros.report.figures import motions_figure, runs_figure
 from proprio_ros.report.page import card, write_page
 
-__all__ = ["card", "runs_figure", "write_calibration_report", "write_page"]
+__all__ = ["card", "motions_figure", "runs_figure", "write_calibration_report", "write_page"]

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from html import escape
 from typing import Any
 
-from proprio_ros.identification.estimate import RunFit
+from proprio_ros.identification.estimate import JointFit, RunFit
 
 INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
 LINE, PALE, INSIDE = "#e4e8ee", "#dbe2ea", "#f4f6f9"
@@ -90,6 +90,30 @@ def runs_figure(fits: Sequence[RunFit]) -> Any:
     with drawn(7.4, 4.4 * count, nrows=2 * count, squeeze=False, height_ratios=[2.2, 1.0] * count) as (figure, axes):
         for fit, above, below in zip(fits, axes[::2, 0], axes[1::2, 0], strict=True):
             _draw_run(above, below, fit)
+        return figure
+
+
+def motions_figure(fits: Sequence[JointFit]) -> Any:
+    """The same for every joint of every motion, as a matplotlib ``Figure``."""
+    count = len(fits)
+    with drawn(7.4, 3.4 * count, nrows=2 * count, squeeze=False, height_ratios=[2.2, 1.0] * count) as (figure, axes):
+        for fit, above, below in zip(fits, axes[::2, 0], axes[1::2, 0], strict=True):
+            below.sharex(above)
+            above.set_title(plain(f"{fit.name}: {fit.joint}"), loc="left", fontsize=9.5)
+            above.plot(fit.times_s, fit.measured, color=MEASURED, linewidth=1.6, label="measured")
+            above.plot(fit.times_s, fit.explained, color=SIMULATED, linewidth=1.6, label="explained")
+            above.plot(
+                fit.times_s, fit.explained - fit.payload, color=MUTED, linewidth=1.2, label="without the payload"
+            )
+            above.set_ylabel("torque (N m)")
+            above.legend(loc="best")
+            if fit.usual > 0.0:
+                below.axhspan(-2.0 * fit.usual, 2.0 * fit.usual, color=ACCENT, alpha=0.15, linewidth=0)
+            below.plot(fit.times_s, fit.explained - fit.measured, color=SIMULATED, linewidth=0.8)
+            below.set_ylabel("residual (N m)")
+            below.set_xlabel(
+                "time (s); band: two standard deviations of what stays unexplained where the load is known"
+            )
         return figure
 
 

@@ -94,6 +94,11 @@ def bars(rows: Sequence[tuple[str, float, str]]) -> str:
     return f"<table class=bars><tbody>{body}</tbody></table>"
 
 
+def percent(share: float) -> str:
+    """A share, 0 to 1, as a reader wants it."""
+    return "under 0.1 %" if share < 0.001 else f"{100.0 * share:.{0 if share > 0.0995 else 1}f} %"
+
+
 def table(
     header: Sequence[str],
     rows: Sequence[Sequence[str]],

@@ -13,6 +13,7 @@ from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.report import pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
+from proprio_ros.report.motion_sections import arm_and_payload, torques, what_told
 
 _WORDS = {
     Verdict.ACCEPTED: "accepted",
@@ -51,16 +52,17 @@ def write_page(
     Raises:
         ConfigurationError: The file cannot be written.
     """
-    parts = [*_headline(estimate), *_runs(estimate), *own]
+    parts = [*_headline(estimate), *arm_and_payload(estimate.held_views), *what_told(estimate.joint_fits)]
+    parts += [*_runs(estimate), *own]
     if estimate.scan is not None and len(estimate.scan.values) > 1:
         parts += _scan(estimate)
     if estimate.solver is not None:
         parts += _convergence(estimate)
     if estimate.budget:
-        about = f"Standard deviations that each puts on the {estimate.values[0].label}."
+        about = f"Standard deviation that each puts on the {estimate.values[0].label}, and its share of the variance."
         parts += ["<h2>Where the uncertainty comes from</h2>", f"<p class=small>{escape(about)}</p>"]
         parts.append(pictures.budget_figure(estimate))
-    parts += _values(estimate)
+    parts += [*torques(estimate, HINT), *_values(estimate)]
     parts += listed("What was assumed", estimate.assumptions)
     parts += listed("Notes on the recording", estimate.notes)
     parts += provenance(command, sources, estimate.timing_s)
@@ -126,8 +128,10 @@ def _headline(estimate: Estimate) -> list[str]:
     runs = f"{estimate.runs} run" + "s" * (estimate.runs != 1)
     title = f"{estimate.probe} in the hand of {estimate.robot}, {runs}"
     parts = titled(title, estimate.verdict.value, _verdict_in_words(estimate.verdict))
-    for value in estimate.values:
-        parts.append(f"<p class=value>{escape(_in_words(value, estimate.interval_first))}</p>")
+    for place, value in enumerate(estimate.values):
+        if place == 0 or _known(value):
+            beside = " beside" * (place > 0)
+            parts.append(f'<p class="value{beside}">{escape(_in_words(value, estimate.interval_first))}</p>')
         parts.append(f"<p class=interval>{escape(_interval_in_words(value, estimate.interval_first))}</p>")
     return [*parts, *bulleted(estimate.reasons)]
 
@@ -137,14 +141,22 @@ def _verdict_in_words(verdict: Verdict) -> str:
     return _WORDS.get(verdict, verdict.value.replace("_", " "))
 
 
+def _known(value: Value) -> bool:
+    """Whether there is any number."""
+    return any(each is not None for each in value.value) if isinstance(value.value, list) else value.value is not None
+
+
 def _in_words(value: Value, interval_first: bool = False) -> str:
     """The number with its unit, as a headline, or the interval."""
     if value.value is None:
         return "no value"
     if isinstance(value.value, list):
         factor, unit = shown_unit(value.unit)
-        numbers = ", ".join("?" if v is None else f"{factor * v:.1f}" for v in value.value)
-        return f"{value.label} [{numbers}] {unit}"
+        components = _components(value)
+        numbers = ", ".join(
+            "?" if c.value is None else f"{factor * c.value:{spec_for(c.unit, c.std)}}" for c in components
+        )
+        return f"[{numbers}] {unit.replace('^2', '²')}"
     std = value.std if isinstance(value.std, float) else None
     spec = spec_for(value.unit, std)
     if interval_first and isinstance(value.ci95, list):
@@ -154,6 +166,11 @@ def _in_words(value: Value, interval_first: bool = False) -> str:
 
 def _interval_in_words(value: Value, interval_first: bool = False) -> str:
     """Its name and interval, or why there is none; the number where the interval leads."""
+    if isinstance(value.value, list) and _known(value):
+        known = [c for c in _components(value) if c.ci95 is not None]
+        intervals = "; ".join(shown(c.unit, *c.ci95, spec=spec_for(c.unit, c.std), between=" to ") for c in known)
+        why = f" ({value.reason})" if value.reason else ""
+        return f"{value.label}, 95 % intervals {intervals}".replace("^2", "²") + why if known else f"{value.label}{why}"
     if isinstance(value.ci95, list) and isinstance(value.value, float) and isinstance(value.std, float):
         spec = spec_for(value.unit, value.std)
         if interval_first:
@@ -164,6 +181,19 @@ def _interval_in_words(value: Value, interval_first: bool = False) -> str:
         in_si = spec_for(value.unit, value.std, kept=True)
         return f"{words} ({value.value:{in_si}} {value.unit}, standard deviation {value.std:.2g})"
     return f"{value.label}: {value.reason}" if value.reason else value.label
+
+
+def _components(value: Value) -> list[Any]:
+    """Of a vector or a tensor, each as a value of its own; a number as it is."""
+    if not isinstance(value.value, list):
+        return [value]
+    names = {3: ("x", "y", "z"), 6: ("xx", "xy", "xz", "yy", "yz", "zz")}.get(len(value.value), range(len(value.value)))
+    stds = value.std if isinstance(value.std, list) else [None] * len(value.value)
+    ends = value.ci95 if isinstance(value.ci95, list) else [None] * len(value.value)
+    return [
+        Value(f"{value.label}, {name}", value.unit, v, s, e, "" if v is not None else value.reason)
+        for name, v, s, e in zip(names, value.value, stds, ends, strict=True)
+    ]
 
 
 def _convergence(estimate: Estimate) -> list[str]:
@@ -202,10 +232,12 @@ def _convergence(estimate: Estimate) -> list[str]:
 def _values(estimate: Estimate) -> list[str]:
     parts = ["<h2>Values and intervals</h2>"]
     rows = []
-    for value in estimate.values:
-        numbers = (number(value.value, value.std), number(value.std, value.std), _interval(value.ci95, value.std))
-        rows.append([value.label, *numbers, value.unit, value.reason])
-    parts.append(table(["estimate", "value", "std", "95 % interval", "unit", ""], rows, numbers=(1, 2, 3)))
+    for each in (part for value in estimate.values for part in (_components(value) if _known(value) else [value])):
+        none = not _known(each)
+        numbers = ["-"] * 3 if none else [number(each.value, each.std), number(each.std, each.std), _interval(each)]
+        rows.append([each.label, *numbers, each.unit.replace("^2", "²"), each.reason])
+    header = ["estimate", "value", "std", "95 % interval", "unit", *[""] * any(row[-1] for row in rows)]
+    parts.append(table(header, [row[: len(header)] for row in rows], numbers=(1, 2, 3), labels=1))
     if estimate.unknowns:
         parts.append("<h3>Every unknown: what the robot file says, and what the recording adds</h3>")
         rows = []
@@ -218,19 +250,17 @@ def _values(estimate: Estimate) -> list[str]:
         header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
         parts.append(table(header, rows, numbers=(2, 3, 4)))
     if (fit := estimate.fit) is not None:
+        expected = "where the load is known" if estimate.joint_fits else "expected from encoder and stamps"
         rows = [
-            ["rms residual", shown(fit.unit, fit.rms)],
-            ["expected from encoder and stamps", shown(fit.unit, fit.expected_rms)],
+            ["rms residual", shown(fit.unit, fit.rms, spec=".3g")],
+            [expected, shown(fit.unit, fit.expected_rms, spec=".3g")],
             ["reduced chi-square", f"{fit.reduced_chi2:.3g}"],
-            ["condition of the scaled normal matrix", number(fit.condition)],
         ]
+        if fit.condition == fit.condition:
+            rows.append(["condition of the scaled normal matrix", f"{fit.condition:.2g}"])
         parts.append("<h3>Fit</h3>" + table(["", ""], rows, numbers=(1,)))
     return parts
 
 
-def _interval(value: Any, std: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(std, list):
-        return "; ".join(_interval(v, s) for v, s in zip(value, std, strict=True))
-    return " to ".join(number(v, std) for v in value)
+def _interval(value: Value) -> str:
+    return "-" if value.ci95 is None else " to ".join(number(end, value.std) for end in value.ci95)

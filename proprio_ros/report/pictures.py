@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, RecordedRun, RunFit, StartPath
 from proprio_ros.identification.fit import source_label
-from proprio_ros.quantity import shown, shown_unit
+from proprio_ros.quantity import Z95, shown, shown_unit, spec_for
 from proprio_ros.report.chart import Axis, Panel, Series, chart
-from proprio_ros.report.html import bars
+from proprio_ros.report.html import bars, percent
 
 TIME = "time after the current came on (s)"
 SHOWN_SOURCES = 8
@@ -56,32 +57,84 @@ def _current(run: RecordedRun) -> Series:
 
 def arm_figure(run: RecordedRun, number: int) -> str:
     """The arm from the side at the start (dotted) and at the end of a run."""
-    points = run.arm.reshape(-1, 2)
-    low, high = np.minimum(points.min(axis=0), 0.0), np.maximum(points.max(axis=0), 0.0)
-    width, margin, below = 300.0, 18.0, 44.0
-    scale = (width - 2.0 * margin) / max(float((high - low).max()), 1e-3)
-    height = scale * float((high - low)[1]) + 2.0 * margin + below
-    left = margin + 0.5 * (width - 2.0 * margin - scale * float((high - low)[0]))
-
-    def place(point: np.ndarray) -> str:
-        return f"{left + scale * (point[0] - low[0]):.1f},{margin + scale * (high[1] - point[1]):.1f}"
-
-    floor = margin + scale * high[1]
-    body = [f'<path class="ground" d="M{margin / 2:.1f},{floor:.1f}H{width - margin / 2:.1f}"/>']
+    picture = ArmPicture.around(run.arm.reshape(-1, 2))
+    picture.ground()
     for links, joint, style in zip(run.arm, run.driven, ("start", "end"), strict=True):
-        lines = dict.fromkeys(f"M{a}L{b}" for a, b in ((place(link[0]), place(link[1])) for link in links) if a != b)
-        x, y = place(joint).split(",")
-        body.append(f'<path class="{style}" d="{"".join(lines)}"/><circle class="{style}" cx="{x}" cy="{y}" r="5"/>')
-    length = next(bar for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0) if scale * bar < 0.35 * width)
-    bottom = height - 12.0
-    body.append(
-        f'<path class="ground" style="stroke:var(--ink)" d="M{margin:.1f},{bottom:.1f}h{scale * length:.1f}"/>'
-        f'<text x="{margin + scale * length + 8.0:.1f}" y="{bottom + 4.0:.1f}">{100.0 * length:g} cm</text>'
-    )
-    return (
-        f'<svg class="arm" role="img" aria-label="Run {number}: the arm from the side at the start and at the end" '
-        f'viewBox="0 0 {width:g} {height:.0f}">{"".join(body)}</svg>'
-    )
+        picture.links(links, style, joint)
+    return picture.svg(f"Run {number}: the arm from the side at the start and at the end")
+
+
+@dataclass
+class ArmPicture:
+    """An arm in a plane, to scale.
+
+    Attributes:
+        low, high: Corners of what is shown [m], shape (2,).
+        scale: Units of the picture per metre.
+        body: What is drawn.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    scale: float
+    body: list[str] = field(default_factory=list)
+    WIDTH, MARGIN, BELOW = 300.0, 18.0, 44.0
+
+    @classmethod
+    def around(cls, points: np.ndarray, closer: bool = False) -> ArmPicture:
+        """With room for some points, shape (N, 2), and unless it is from ``closer`` for the base."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        if not closer:
+            low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+        return cls(low, high, (cls.WIDTH - 2.0 * cls.MARGIN) / max(float((high - low).max()), 1e-3))
+
+    def ground(self) -> None:
+        """The floor, at the height of the base."""
+        floor = self.MARGIN + self.scale * self.high[1]
+        self.body.append(
+            f'<path class="ground" d="M{self.MARGIN / 2:.1f},{floor:.1f}H{self.WIDTH - self.MARGIN / 2:.1f}"/>'
+        )
+
+    def place(self, point: np.ndarray) -> str:
+        """Of a point [m]."""
+        left = self.MARGIN + 0.5 * (self.WIDTH - 2.0 * self.MARGIN - self.scale * float((self.high - self.low)[0]))
+        across, down = self.scale * (point[0] - self.low[0]), self.scale * (self.high[1] - point[1])
+        return f"{left + across:.1f},{self.MARGIN + down:.1f}"
+
+    def links(self, links: np.ndarray, style: str, joint: np.ndarray | None = None) -> None:
+        """Lines from joint to joint, shape (L, 2, 2), and a ring about one joint."""
+        lines = dict.fromkeys(
+            f"M{a}L{b}" for a, b in ((self.place(link[0]), self.place(link[1])) for link in links) if a != b
+        )
+        self.body.append(f'<path class="{style}" d="{"".join(lines)}"/>')
+        if joint is not None:
+            x, y = self.place(joint).split(",")
+            self.body.append(f'<circle class="{style}" cx="{x}" cy="{y}" r="5"/>')
+
+    def outline(self, points: np.ndarray, style: str) -> None:
+        """A closed curve, shape (K, 2)."""
+        self.body.append(f'<path class="{style}" d="M{"L".join(self.place(point) for point in points)}Z"/>')
+
+    def cross(self, point: np.ndarray) -> None:
+        """A mark."""
+        x, y = map(float, self.place(point).split(","))
+        self.body.append(f'<path class="cross" d="M{x - 5:.1f},{y:.1f}h10M{x:.1f},{y - 5:.1f}v10"/>')
+
+    def svg(self, name: str) -> str:
+        """With a bar for its scale; ``name`` is for those who cannot see it."""
+        height = self.scale * float((self.high - self.low)[1]) + 2.0 * self.MARGIN + self.BELOW
+        length = next(
+            bar for bar in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.0) if self.scale * bar < 0.35 * self.WIDTH
+        )
+        bottom, bar = height - 12.0, self.scale * length
+        ruler = (
+            f'<path class="ground" style="stroke:var(--ink)" d="M{self.MARGIN:.1f},{bottom:.1f}h{bar:.1f}"/>'
+            f'<text x="{self.MARGIN + bar + 8.0:.1f}" y="{bottom + 4.0:.1f}">{100.0 * length:g} cm</text>'
+        )
+        return (
+            f'<svg class="arm" role="img" aria-label="{name}" viewBox="0 0 {self.WIDTH:g} {height:.0f}">'
+            f"{''.join(self.body)}{ruler}</svg>"
+        )
 
 
 def convergence_figure(estimate: Estimate) -> str:
@@ -142,7 +195,10 @@ def budget_figure(estimate: Estimate) -> str:
     sources = [(source_label(source), std) for source, std in estimate.budget[:SHOWN_SOURCES]]
     if rest := estimate.budget[SHOWN_SOURCES:]:
         sources.append((f"{len(rest)} others", float(np.sqrt(sum(std**2 for _, std in rest)))))
-    return bars([(label, std, shown(unit, std)) for label, std in sources])
+    whole = sum(std**2 for _, std in sources) or 1.0
+    return bars([
+        (label, std, f"{shown(unit, std, spec=spec_for(unit, std / Z95))}, {percent(std**2 / whole)}") for label, std in sources
+    ])  # fmt: skip
 
 
 def paired(estimate: Estimate) -> Sequence[tuple[RunFit | None, RecordedRun | None]]:

@@ -61,11 +61,22 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
         RobotError: A position is missing.
     """
     model = robot.model
-    frames = [{link.name: model.frame_transform(link.name, pose) for link in model.links} for pose in poses]
+    plane = side_plane(robot, joint, poses[0])
+    driven = [plane @ model.frame_transform(model.joint(joint).child, pose)[:3, 3] for pose in poses]
+    return links_in(robot, plane, poses), np.array(driven)
+
+
+def side_plane(robot: Robot, joint: str, pose: Mapping[str, float]) -> np.ndarray:
+    """Unit vectors to the right and up of `side_view` in the frame of the root link, shape (2, 3).
+
+    Raises:
+        RobotError: A position is missing.
+    """
+    at = functools.partial(robot.model.frame_transform, positions=pose)
     up = -robot.gravity / np.linalg.norm(robot.gravity)
-    driven = model.joint(joint)
-    axis = frames[0][driven.child][:3, :3] @ driven.axis
-    reach = frames[0][robot.payload_frame][:3, 3] - frames[0][model.root][:3, 3]
+    driven = robot.model.joint(joint)
+    axis = at(driven.child)[:3, :3] @ driven.axis
+    reach = at(robot.payload_frame)[:3, 3] - at(robot.model.root)[:3, 3]
     level = axis - up * (up @ axis)
     right = np.cross(level, up)
     if driven.kind == "prismatic" or np.linalg.norm(level) < _LEVEL:
@@ -73,9 +84,14 @@ def side_view(robot: Robot, joint: str, poses: Sequence[Mapping[str, float]]) ->
     if np.linalg.norm(right) < _STILL_M:
         right = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     right *= (1.0 if right @ reach >= 0.0 else -1.0) / np.linalg.norm(right)
-    plane = np.array([right, up])
-    links = [[[plane @ at[end][:3, 3] for end in (j.parent, j.child)] for j in model.joints] for at in frames]
-    return np.array(links), np.array([plane @ at[driven.child][:3, 3] for at in frames])
+    return np.array([right, up])
+
+
+def links_in(robot: Robot, plane: np.ndarray, poses: Sequence[Mapping[str, float]]) -> np.ndarray:
+    """Both ends of the links in every pose, along the unit vectors of a plane [m], shape (P, L, 2, 2); as `side_view`."""
+    model = robot.model
+    frames = [{link.name: model.frame_transform(link.name, pose) for link in model.links} for pose in poses]
+    return np.array([[[plane @ at[end][:3, 3] for end in (j.parent, j.child)] for j in model.joints] for at in frames])
 
 
 def hand_path(robot: Robot, joint: str, start: Mapping[str, float], travel: float, points: int = 20) -> np.ndarray:

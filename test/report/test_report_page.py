@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.pages import read
+from support.pages import curves, read
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
@@ -105,21 +105,6 @@ def test_an_older_page_survives_until_the_new_one_is_whole(estimate: Estimate, t
     assert page.read_text() == "somebody's"
     write_report(estimate, page, force=True)
     assert page.read_text().startswith("<!doctype html>")
-
-
-def curves(page: str, name: str) -> list[np.ndarray]:
-    """Every curve called so, in its own numbers, shape (K, 2): read back from its path and the ends of its axes."""
-    found = []
-    for chart in re.findall(r'<svg class="chart".*?</svg></svg>', page):
-        x0, x1 = (float(re.search(rf'data-{end}="([^"]+)"', chart)[1]) for end in ("x0", "x1"))
-        for plot in re.findall(r'<svg class="plot".*?</svg>', chart):
-            y0, y1 = (float(re.search(rf'data-{end}="([^"]+)"', plot)[1]) for end in ("y0", "y1"))
-            width, height = (float(re.search(rf' {side}="([^"]+)"', plot)[1]) for side in ("width", "height"))
-            for path in re.findall(rf'<path class="[^"]*" data-name="{name}"[^>]* d="([^"]*)"', plot):
-                at = np.array(re.findall(r"[ML](-?[\d.]+),(-?[\d.]+)", path), dtype=float)
-                y = y1 + at[:, 1] / height * (y0 - y1)
-                found.append(np.stack([x0 + at[:, 0] / width * (x1 - x0), 10**y if "data-log" in plot else y], axis=1))
-    return found
 
 
 def test_a_run_is_drawn_with_its_current_and_the_arm(estimate: Estimate, tmp_path: Path) -> None:

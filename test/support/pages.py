@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 from pathlib import Path
+
+import numpy as np
 
 from proprio_ros.report.html import SCRIPT
 
@@ -52,3 +55,18 @@ def read(path: Path) -> tuple[Reader, str]:
     assert all(link.startswith("#") for link in reader.links), "the page must not need anything else"
     assert reader.scripts == [SCRIPT], "its own script, and nobody else's"
     return reader, " ".join(" ".join(reader.words).split())
+
+
+def curves(page: str, name: str) -> list[np.ndarray]:
+    """Every curve called so, in its own numbers, shape (K, 2): read back from its path and the ends of its axes."""
+    found = []
+    for chart in re.findall(r'<svg class="chart".*?</svg></svg>', page):
+        x0, x1 = (float(re.search(rf'data-{end}="([^"]+)"', chart)[1]) for end in ("x0", "x1"))
+        for plot in re.findall(r'<svg class="plot".*?</svg>', chart):
+            y0, y1 = (float(re.search(rf'data-{end}="([^"]+)"', plot)[1]) for end in ("y0", "y1"))
+            width, height = (float(re.search(rf' {side}="([^"]+)"', plot)[1]) for side in ("width", "height"))
+            for path in re.findall(rf'<path class="[^"]*" data-name="{name}"[^>]* d="([^"]*)"', plot):
+                at = np.array(re.findall(r"[ML](-?[\d.]+),(-?[\d.]+)", path), dtype=float)
+                y = y1 + at[:, 1] / height * (y0 - y1)
+                found.append(np.stack([x0 + at[:, 0] / width * (x1 - x0), 10**y if "data-log" in plot else y], axis=1))
+    return found

@@ -28,8 +28,16 @@ from proprio_ros.calibration_files.motions import (
     MotionCalibration,
 )
 from proprio_ros.errors import RecordingError, RobotError
+from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression.between import CONSIDERED, DIFFERS, WORDS, Between, effective_freedom
-from proprio_ros.identification.regression.motion_equations import MIN_STRETCHES, Arm, Problem, equations
+from proprio_ros.identification.regression.motion_equations import (
+    MIN_STRETCHES,
+    WINDOW_S,
+    Arm,
+    Problem,
+    Rows,
+    equations,
+)
 from proprio_ros.identification.regression.motion_prior import (
     LEAST_TORQUE_STD,
     LOAD_FRICTION_SPREAD,
@@ -41,6 +49,7 @@ from proprio_ros.identification.regression.motion_prior import (
     relative_torque_std,
 )
 from proprio_ros.identification.regression.solve import Solution, larger, solve, solve_both
+from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -82,6 +91,7 @@ class MotionFit:
         torque_ratio, torque_ratio_std: Torques of the motions with the payload over what arm and payload need by the empty
             motions, shape (n,): 1 unless units or torque constants differ.
         tells: How much of what is known of the mass each joint tells, shape (n,), sum 1.
+        shown: Torque over time, for a picture.
     """
 
     joints: tuple[str, ...]
@@ -104,6 +114,7 @@ class MotionFit:
     torque_ratio: FloatArray
     torque_ratio_std: FloatArray
     tells: FloatArray
+    shown: tuple[JointFit, ...]
 
     @property
     def misfit(self) -> float:
@@ -242,8 +253,8 @@ def fit_payload(
     motions, joints = [*loaded, *empty], calibration.joints
     _check_arm(robot, motions, calibration)
     arm = Arm.of(robot, joints, dict(motions[0].held))
-    at = None if centre is None else centre[0]
-    problem = Problem.of([equations(robot, motion, joints, at) for motion in motions], len(loaded))
+    parts = [equations(robot, motion, joints, None if centre is None else centre[0]) for motion in motions]
+    problem = Problem.of(parts, len(loaded))
     carrying = problem.carrying
     stretches = problem.stretches_of(carrying, loaded[0].name, better_s=15.0)
     known, terms = calibrated_prior(arm, calibration, len(motions))
@@ -262,7 +273,6 @@ def fit_payload(
     # what few stretches or recordings say of their own scatter is uncertain
     freedom = [(variances[STRETCHES], stretches - 1.0), (variances[CALIBRATION], calibration.stretches - 1.0)]
     freedom += [(variances[word], number) for word, number in solution.between.by_word.items()]
-    effective = float(effective_freedom(sum(variances.values()), freedom))
     halves = None
     if stretches >= 2 * MIN_STRETCHES:
         late = np.zeros(len(problem.joint), dtype=bool)
@@ -285,7 +295,7 @@ def fit_payload(
         residual=residual,
         empty_residual=empty_residual,
         driven=problem.rms_by_joint(problem.torque, carrying),
-        quantile=float(student.ppf(0.975, effective)),
+        quantile=float(student.ppf(0.975, effective_freedom(sum(variances.values()), freedom))),
         halves=halves,
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
@@ -297,7 +307,24 @@ def fit_payload(
         torque_ratio=ratio,
         torque_ratio_std=ratio_std,
         tells=tells,
+        shown=_shown(problem, parts, solution, calibration, [motion.name for motion in loaded]),
     )
+
+
+def _shown(
+    problem: Problem, parts: Sequence[Rows], solution: Solution, calibration: MotionCalibration, names: Sequence[str]
+) -> tuple[JointFit, ...]:
+    """Torque over time of the motions with the payload, whose names these are."""
+    explained = Explained(
+        Rows.together(parts).start_s + 0.5 * WINDOW_S,
+        problem.motion,
+        problem.joint,
+        problem.torque,
+        solution.residual,
+        problem.matrix[:, :PARAMETERS] @ solution.values[:PARAMETERS],
+        problem.by_mass * _weights(calibration.residual, calibration.correlation)[problem.joint],
+    )
+    return explained.joint_fits(names, calibration.joints, calibration.residual)
 
 
 def _misfit(tells: FloatArray, residual: FloatArray, empty_residual: FloatArray) -> float:
@@ -388,8 +415,13 @@ def _torque_ratio(problem: Problem, solution: Solution) -> tuple[FloatArray, Flo
 
 def _weight_by_joint(problem: Problem, residual: FloatArray, correlation: FloatArray) -> FloatArray:
     """How much of what the motions tell about a mass each joint tells that leaves so much over, shape (n,), sum 1."""
-    counts = residual > 0.0
-    weight = np.where(counts, 1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)), 0.0)
+    weight = _weights(residual, correlation)
     told = np.bincount(problem.joint, np.square(weight[problem.joint] * problem.by_mass), minlength=problem.count)
     result: FloatArray = told / max(float(told.sum()), 1e-300)
     return result
+
+
+def _weights(residual: FloatArray, correlation: FloatArray) -> FloatArray:
+    """Of a window of each joint, shape (n,); 0 of one that did not move."""
+    counts = residual > 0.0
+    return np.where(counts, 1.0 / (np.where(counts, residual, 1.0) * np.sqrt(correlation)), 0.0)

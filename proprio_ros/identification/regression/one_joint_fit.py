@@ -13,14 +13,16 @@ stretches of 1 s.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression.motion_equations import SLOW_RAD_S
+from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.identification.regression.weak_form import Windows, across_gaps, evenly
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -60,6 +62,7 @@ class OneJointFit:
         free_m: Length of the pendulum whose free response that would be [m].
         viscous, coulomb: Means over the motions [N m s/rad], [N m].
         one_sign: Whether no sample of the torque has another sign than the others.
+        windows, left_over: Of each motion, and the torque that is left over in all of them [N m], shape (W,).
     """
 
     joint: str
@@ -75,6 +78,8 @@ class OneJointFit:
     viscous: float
     coulomb: float
     one_sign: bool
+    windows: Sequence[Table]
+    left_over: FloatArray
 
     @property
     def std(self) -> FloatArray:
@@ -192,6 +197,8 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
         float(np.mean(solution.friction[:, 0])),
         float(np.mean(solution.friction[:, 1])),
         bool(np.all(torques >= 0.0) or np.all(torques <= 0.0)),
+        parts,
+        solution.residual,
     )
 
 
@@ -203,11 +210,13 @@ class Table:
         columns: Mean torque per unit of inertia, two first moments, viscous and Coulomb friction, offset, shape (W, 6).
         torque: Mean torque of the motor [N m], shape (W,).
         stretch: Number of the stretch, shape (W,).
+        middle_s: Of each window [s], shape (W,).
     """
 
     columns: FloatArray
     torque: FloatArray
     stretch: NDArray[np.int64]
+    middle_s: FloatArray
 
 
 def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
@@ -218,7 +227,7 @@ def stretches_of(parts: Sequence[Table]) -> list[tuple[int, int]]:
 def without(parts: Sequence[Table], number: int, label: int) -> list[Table]:
     """All windows but those of one stretch of motion ``number``; a motion that has no other is none of them."""
     kept = parts[number].stretch != label
-    rest = Table(parts[number].columns[kept], parts[number].torque[kept], parts[number].stretch[kept])
+    rest = Table(*(getattr(parts[number], field.name)[kept] for field in fields(Table)))
     return [*parts[:number], *([rest] if kept.any() else []), *parts[number + 1 :]]
 
 
@@ -256,7 +265,7 @@ def table_of(
     torque = robot.drive_trains[joint].torque_constant.value * windows.mean(currents[:, 0])
     middle_s = times_s[windows.starts] + 0.5 * window_s
     stretch = (middle_s / STRETCH_S).astype(np.int64)
-    return Table(columns[counts], torque[counts], stretch[counts])
+    return Table(columns[counts], torque[counts], stretch[counts], middle_s[counts])
 
 
 def _choices(tables: Sequence[Sequence[Table]]) -> FloatArray:
@@ -313,6 +322,41 @@ def _by_acceleration(parts: Sequence[Table]) -> FloatArray:
     matrix = np.column_stack([torque, load[:, 1:], friction])
     values = np.linalg.lstsq(matrix, load[:, 0], rcond=None)[0]
     return np.array([1.0, *(-values[1:3])]) / values[0]
+
+
+def shown_of(
+    names: Sequence[str],
+    joint: str,
+    windows: Sequence[Table],
+    left_over: FloatArray,
+    per_kg: FloatArray,
+    mass_kg: float,
+    usual: float,
+    scale: float = 1.0,
+) -> tuple[JointFit, ...]:
+    """Torque over time, for a picture.
+
+    Args:
+        names: Of the motions.
+        joint: Of the only joint.
+        windows: Of each motion.
+        left_over: Of all of them [N m], shape (W,).
+        per_kg: See `Carried`.
+        mass_kg: Of the payload.
+        usual: See `JointFit`, in true torque.
+        scale: The motor's torque and what is left over of it are so many times the true ones.
+    """
+    by_mass = np.concatenate([part.columns[:, :3] for part in windows]) @ per_kg
+    number = np.repeat(np.arange(len(windows)), [len(part.torque) for part in windows])
+    return Explained(
+        np.concatenate([part.middle_s for part in windows]),
+        number,
+        np.zeros_like(number),
+        np.concatenate([part.torque for part in windows]) / scale,
+        left_over / scale,
+        mass_kg * by_mass,
+        by_mass,
+    ).joint_fits(names, [joint], [usual])
 
 
 def rms(values: FloatArray) -> float:

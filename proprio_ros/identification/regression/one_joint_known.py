@@ -23,6 +23,7 @@ from scipy.stats import t as student
 
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression.between import half_width, spread_of, spread_posterior
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE
 from proprio_ros.identification.regression.one_joint_fit import (
@@ -32,6 +33,7 @@ from proprio_ros.identification.regression.one_joint_fit import (
     Table,
     carried_by,
     rms,
+    shown_of,
     stretches_of,
     table_of,
     without,
@@ -72,6 +74,7 @@ class KnownJointFit:
         stretches: Of the recordings.
         residual: rms of the windows' mean torque that is left over [N m]; driven: of the torque itself.
         at_the_end: Whether the mass stands at the end of what was looked for.
+        shown: Torque over time, for a picture.
     """
 
     mass: float
@@ -82,6 +85,7 @@ class KnownJointFit:
     residual: float
     driven: float
     at_the_end: bool
+    shown: tuple[JointFit, ...]
 
 
 def tables_of(robot: Robot, motion: Motion, joint: str) -> tuple[Table, ...]:
@@ -292,13 +296,16 @@ def identify_by_joint(
     variances[RUNS] = spread_kg**2
     std = float(np.sqrt(rest + variances[RUNS]))
     longest, scale = by_window[-1], max(abs(calibration.values[0]), 1e-9)
+    left_over = np.concatenate(_left_over(longest, calibration.values, carried, mass))
+    names = [motion.name for motion in motions]
     return KnownJointFit(
         mass,
         std,
         half / std if np.isfinite(half) else float(student.ppf(0.975, 1)),
         tuple((name, float(np.sqrt(variance))) for name, variance in variances.items()),
         stretches,
-        rms(np.concatenate(_left_over(longest, calibration.values, carried, mass))) / scale,
+        rms(left_over) / scale,
         rms(np.concatenate([part.torque for part in longest])) / scale,
         not reach_kg[0] + 1e-3 < mass < reach_kg[1] - 1e-3,
+        shown_of(names, joint, longest, left_over, carried.per_kg, mass, calibration.residual, scale),
     )

@@ -63,6 +63,7 @@ def identify_known_joint(
         fit=Fit(fit.residual, calibration.residual, fit.residual / calibration.residual, "N m"),
         budget=fit.parts,
         detail=MotionDetail(fit.stretches, (), STRETCH_S),
+        shown=fit.shown,
     )
 
 

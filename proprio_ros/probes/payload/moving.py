@@ -12,7 +12,7 @@ from itertools import chain
 import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
-from proprio_ros.identification.estimate import Estimate, Fit, Value, Verdict
+from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
 from proprio_ros.identification.judge import Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.motion_equations import STRETCH_S
@@ -82,6 +82,7 @@ def motion_answer(
     detail: MotionDetail | None,
     beside: Sequence[Motion] = (),
     notes: tuple[str, ...] = (),
+    shown: tuple[JointFit, ...] = (),
 ) -> Estimate:
     """The answer of any regression; ``beside`` has notes, too, and there may be others."""
     return Estimate(
@@ -93,6 +94,7 @@ def motion_answer(
         fit=fit,
         solver=None,
         runs=len(motions),
+        joint_fits=shown,
         budget=tuple(sorted(budget, key=lambda part: -part[1])),
         detail=detail,
         assumptions=assumptions,
@@ -154,6 +156,7 @@ def identify_in_motion(
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
         notes=passed_over(fit.joints, fit.tells, fit.residual / fit.driven),
+        shown=fit.shown,
     )
 
 

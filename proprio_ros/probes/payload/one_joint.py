@@ -11,7 +11,13 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate, Fit, Value
 from proprio_ros.identification.judge import FAR, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.regression.motion_prior import URDF_SHARE, relative_torque_std
-from proprio_ros.identification.regression.one_joint_fit import STRETCH_S, OneJointFit, carried_by, fit_one_joint
+from proprio_ros.identification.regression.one_joint_fit import (
+    STRETCH_S,
+    OneJointFit,
+    carried_by,
+    fit_one_joint,
+    shown_of,
+)
 from proprio_ros.identification.regression.refusals import (
     UNEXPLAINED_SHARE,
     interval_too_wide,
@@ -60,6 +66,7 @@ class Weighed:
         arm_kg_m: First moment of the arm [kg m].
         lever_m: From the joint's axis to the payload [m].
         arm_over_urdf: First moment of the empty arm over that of its URDF; None without a motion of it.
+        per_kg: See `Carried`, shape (3,).
     """
 
     mass: float
@@ -71,6 +78,7 @@ class Weighed:
     arm_kg_m: float
     lever_m: float
     arm_over_urdf: float | None
+    per_kg: np.ndarray
 
 
 def torque_std(robot: Robot, joint: str) -> float:
@@ -153,6 +161,7 @@ def _weighed(robot: Robot, motion: Motion, fit: OneJointFit, empty: OneJointFit 
         float(np.linalg.norm(arm)),
         length,
         ratio,
+        hangs.per_kg,
     )
 
 
@@ -309,4 +318,13 @@ def _estimate(
         fit=Fit(fit.residual, fit.residual if empty is None else empty.residual, 1.0, "N m"),
         budget=weighed.parts,
         detail=MotionDetail(fit.stretches, (), STRETCH_S),
+        shown=shown_of(
+            [motion.name for motion in motions],
+            fit.joint,
+            fit.windows,
+            fit.left_over,
+            weighed.per_kg,
+            weighed.mass,
+            fit.residual if empty is None else empty.residual,
+        ),
     )
