@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from proprio_ros import clock
 from proprio_ros.errors import ProprioError
-from proprio_ros.excitation.plans import Until
+from proprio_ros.excitation.plans import ExcitationSequence, Until, check_sequence, load_sequence
 from proprio_ros.experiment_design.choosing import Decision
+from proprio_ros.robot import Robot
 
 ROBOT = "robot"  # the job that calibrates the robot
 REFRESH = "refresh"  # the job that brings its calibration up to date
@@ -42,3 +43,15 @@ class Job:
     reason: str = ""  # why no further push was chosen; empty where none was to be
     until: Until | None = None  # pushes are chosen until then, whatever the sequence says; None: what it says counts
     decisions: list[Decision] = field(default_factory=list)  # one by one, where pushes were chosen
+
+    def plan(self, default: str, robot: Robot) -> ExcitationSequence:
+        """The sequence that it makes: the one that was asked for, else a parameter's, and until it is as sure as was asked for.
+
+        Raises:
+            ConfigurationError: It cannot be made with this robot.
+        """
+        plan = load_sequence(self.sequence or default, robot)
+        if self.until is not None:
+            plan = replace(plan, until=self.until, runs=plan.runs if self.sequence else ())
+            check_sequence(plan, robot)
+        return plan

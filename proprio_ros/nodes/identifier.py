@@ -24,14 +24,14 @@ from proprio_ros import clock, progress
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.inputs.settings import parse_settings
-from proprio_ros.live.job import REFRESH, WEIGH, Job
+from proprio_ros.live.job import REFRESH, WEIGH, Job, JobError
 from proprio_ros.live.job import ROBOT as ROBOT_JOB
 from proprio_ros.live.session import Session, as_parameters, check_settings, prepare_identification, recover
 from proprio_ros.live.workspace import Workspace
 from proprio_ros.nodes.excitation_client import CALL_S, Excitation
 from proprio_ros.nodes.inputs import Inputs
 from proprio_ros.nodes.jobs import Jobs
-from proprio_ros.nodes.numeric import WeighAction
+from proprio_ros.nodes.numeric import ACTION, WeighAction
 from proprio_ros.nodes.parameters import ROBOT, Parameter, value_of
 from proprio_ros.nodes.payload_export import HandingOn
 from proprio_ros.nodes.results import Results
@@ -161,7 +161,7 @@ class IdentifierNode(ManagedNode):
             LongService(self, f"~/{service}", partial(self._begin, kind))
         LongService(self, "~/cancel", self._cancel)
         LongService(self, "~/apply", HandingOn(self, results).apply)
-        self._action = WeighAction(self, self._begin_job, self._refused)
+        self._action = WeighAction(self, self._begin_job, self._check_job)
         results.hear = self._action.hear
         self.every(5.0, self._jobs.save_again)
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -273,6 +273,20 @@ class IdentifierNode(ManagedNode):
         job = self._job
         return "" if job is None else f"busy: {job.service} is under way; wait for it, or call ~/cancel"
 
+    def _check_job(self, job: Job) -> None:
+        """Whether a job could be begun now.
+
+        Raises:
+            JobError: This node is not ready, or busy.
+            ProprioError: Its facts or its sequence cannot be understood.
+        """
+        if why := self._refused():
+            raise JobError(why)
+        facts = {**parse_settings(value_of(self, "settings")), **parse_settings(job.settings)}
+        check_settings(replace(self._workspace.options(), settings=facts))
+        if job.kind != WEIGH:
+            job.plan(value_of(self, f"{job.kind}_sequence"), self._workspace.configured({}))
+
     def _begin(self, kind: str, answer: Answer) -> None:
         self._begin_job(Job(kind, self._service_of[kind]), answer)
 
@@ -290,7 +304,8 @@ class IdentifierNode(ManagedNode):
             if job is None:
                 return answer(True, "nothing was under way")
             job.on_end.append(lambda: answer(True, f"{job.service} was cancelled; the arm is held"))
-        job.cancelled.set()
+        if job.service != ACTION or not self._action.cancel():
+            job.cancelled.set()
         return None
 
     def _work(self, job: Job, answer: Answer) -> None:

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from proprio_ros import clock, progress
 from proprio_ros.errors import ProprioError, RecordingError
-from proprio_ros.excitation.plans import as_text, check_sequence, load_sequence
+from proprio_ros.excitation.plans import as_text, load_sequence
 from proprio_ros.experiment_design.choosing import Chooser, Decision
 from proprio_ros.experiment_design.until import chosen_known, chosen_refresh
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
@@ -127,10 +127,7 @@ class Jobs:
         if baseline is None and isinstance(probe, HasBaseline) and probe.needs_baseline(request.facts):
             raise JobError(f"the {probe.baseline.noun} has not been recorded: {probe.baseline.missing}")
         sequence = job.sequence or self._value(f"{probe.name}_sequence")
-        plan = load_sequence(sequence, request.robot)
-        if job.until is not None:
-            plan = replace(plan, until=job.until, runs=plan.runs if job.sequence else ())
-            check_sequence(plan, request.robot)
+        plan = job.plan(sequence, request.robot)
         if isinstance(probe, Guards):
             limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
             probe.check(request.robot, request.facts, plan, limits)

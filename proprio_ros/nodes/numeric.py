@@ -10,8 +10,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from action_msgs.msg import GoalInfo
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
+from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import Until
 from proprio_ros.live.job import WEIGH, Job
 from proprio_ros.nodes.runtime import LATCHED, Answer, ManagedNode
@@ -98,11 +101,11 @@ class WeighAction:
     Args:
         node: That offers it.
         begin: Begins a job or answers why there can be none.
-        refused: Why there can be none now; empty: nothing.
+        check: Raises `ProprioError`, with the reason, where there can be no such job now.
     """
 
-    def __init__(self, node: ManagedNode, begin: Callable[[Job, Answer], None], refused: Callable[[], str]) -> None:
-        self._node, self._begin, self._refused = node, begin, refused
+    def __init__(self, node: ManagedNode, begin: Callable[[Job, Answer], None], check: Callable[[Job], None]) -> None:
+        self._node, self._begin, self._check = node, begin, check
         self._goal: Any = None
         self._job: Job | None = None
         self._server = None
@@ -116,30 +119,49 @@ class WeighAction:
                 handle_accepted_callback=self._on_accepted,
                 cancel_callback=self._on_cancel,
             )
+            self._canceller = node.create_client(CancelGoal, f"~/{ACTION}/_action/cancel_goal")
 
     def destroy(self) -> None:
         """Offer it no more."""
         if self._server is not None:
+            self._node.destroy_client(self._canceller)
             self._server.destroy()
 
-    def _on_goal(self, request: Any) -> GoalResponse:
-        if why := self._refused():
-            self._node.say("warning", f"~/{ACTION} is refused: {why}")
-        return GoalResponse.REJECT if why else GoalResponse.ACCEPT
+    def cancel(self) -> bool:
+        """Ask for the goal's end as its own client would, so that it ends as cancelled; False where that cannot be asked."""
+        goal = self._goal
+        if goal is None or not self._canceller.service_is_ready():
+            return False
+        self._canceller.call_async(CancelGoal.Request(goal_info=GoalInfo(goal_id=goal.goal_id)))
+        return True
 
-    def _on_accepted(self, goal: Any) -> None:
-        asked = goal.request
-        target = asked.target or probe_at_work().name
+    def _on_goal(self, request: Any) -> GoalResponse:
+        try:
+            self._check(self._asked(request)[1])
+        except ProprioError as error:  # a client hears no more than that it was refused
+            self._node.say("warning", f"~/{ACTION} is refused: {error}")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _asked(self, request: Any) -> tuple[Probe[Any], Job]:
+        """What a goal asks for.
+
+        Raises:
+            ConfigurationError: There is no such weighing.
+        """
+        target = request.target or probe_at_work().name
         weighing = {each.name: each for each in all_probes() if each.answer[1] == "kg"} | {WEIGH: probe_at_work()}
         if (probe := weighing.get(target)) is None:
-            words = f"target {target!r}: give one of {', '.join(weighing)}"
-            return self._end(goal, probe_at_work(), Job(target, ACTION, message=words))
-        job = Job(target, ACTION, settings=tuple(asked.settings), sequence=asked.sequence)
-        if asked.half_interval != 0.0:  # what is no number is refused with the sequence
-            job.until = Until(asked.half_interval, "kg", asked.at_most_s or Until.at_most_s)
+            raise ConfigurationError(f"target {target!r}: give one of {', '.join(weighing)}")
+        job = Job(target, ACTION, settings=tuple(request.settings), sequence=request.sequence)
+        if request.half_interval != 0.0:
+            job.until = Until(request.half_interval, "kg", request.at_most_s or Until.at_most_s)
         if target == WEIGH and (job.sequence or job.until):
-            job.message = f"target {WEIGH!r} makes no sequence: leave it empty, and half_interval at 0"
-            return self._end(goal, probe, job)
+            raise ConfigurationError(f"target {WEIGH!r} makes no sequence: leave it empty, and half_interval at 0")
+        return probe, job
+
+    def _on_accepted(self, goal: Any) -> None:
+        probe, job = self._asked(goal.request)
         self._feedback = Weigh.Feedback(mass=math.nan)
         self._probe, self._job, self._goal = probe, job, goal
 
