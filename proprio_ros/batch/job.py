@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from proprio_ros.batch.drift import drift_of, evenly, readable, write_drift
 from proprio_ros.batch.episodes import Episode, episodes_of
+from proprio_ros.batch.listing import asked, named, path_of, span_of
 from proprio_ros.batch.local import CHUNK, processors, run_local
 from proprio_ros.batch.on_ray import ray_or_refuse, run_ray
-from proprio_ros.batch.page import COLUMNS, MOST_REPORTS, named, odd, path_of, span_of, write_batch_page
-from proprio_ros.batch.rows import GRASP, Job
+from proprio_ros.batch.page import COLUMNS, odd, write_batch_page
+from proprio_ros.batch.rows import FAILED, GRASP, Job
 from proprio_ros.batch.store import Store
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.inputs.resources import check_page
@@ -25,6 +29,8 @@ from proprio_ros.recordings.drivers import load_driver
 from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
 
+MOST_REPORTS = 12
+"""Rows whose pages are written unless told otherwise; more are written by several processes."""
 MOST_EMPTY = 20
 """Episodes that calibrate an arm."""
 LEAST_FIRST_S = SHORTEST_S
@@ -55,6 +61,7 @@ def run_batch(
     command: str = "",
     empty: str | None = None,
     empty_first_s: float | None = None,
+    reports: int = MOST_REPORTS,
 ) -> Outcome:
     """Do what is not done yet of all episodes of the sources.
 
@@ -72,6 +79,7 @@ def run_batch(
         empty: Column of the data sets that is not zero where the hand is known to be empty: such episodes calibrate the arm.
         empty_first_s: In every episode the hand is known to be empty for so long [s]: these seconds calibrate the arm, and what is
             asked is what it holds later.
+        reports: Rows whose own pages are written, what looks odd first.
 
     Raises:
         ConfigurationError, RobotError: An option is wrong; found before any episode is read.
@@ -102,7 +110,8 @@ def run_batch(
         periods = drift_of(empties, _stamps(store), plain, tell) if empties else []
         if periods:
             write_drift(periods, store.folder / "drift.csv")
-        write_batch_page(store, store.folder / "batch.html", command, _reports(store, job), periods)
+        pages = _reports(store, job, reports, processes or processors(), tell)
+        write_batch_page(store, store.folder / "batch.html", command, pages, periods, job.options)
         return Outcome(len(episodes), before, store.verdicts(), store.folder)
 
 
@@ -185,19 +194,38 @@ def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
     return found
 
 
-def _reports(store: Store, job: Job) -> dict[str, str]:
-    """Write the reports of the rows that look odd; returns their places beside the page, by what `named` calls the row."""
-    found: dict[str, str] = {}
-    rows = [row for row in store.read(COLUMNS) if row["kind"] != GRASP]
-    for number, row in enumerate(odd(rows)[:MOST_REPORTS]):
-        path, place, options = path_of(row), f"reports/{number:02d}.html", replace(job.options, span=span_of(row))
+def _reports(store: Store, job: Job, most: int, processes: int, tell: Callable[[str], Any]) -> dict[str, str]:
+    """Write the pages of rows, what looks odd first; returns their places beside the page, by what `named` calls the row.
+
+    A page that a stopped job left is of the same row and options: it stays.
+    """
+    rows = [row for row in store.read(COLUMNS) if row["kind"] not in (GRASP, FAILED)]
+    first = odd(rows)
+    known = {named(row) for row in first}
+    chosen = (first + [row for row in rows if named(row) not in known])[:most]
+    places = {named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html" for row in chosen}
+    missing = [row for row in chosen if not (store.folder / places[named(row)]).exists()]
+    if missing:
         (store.folder / "reports").mkdir(exist_ok=True)
-        try:
-            write_report(replay(path, options), store.folder / place, sources=[named(row)])
-        except ProprioError:  # the recording has gone since
-            continue
-        found[named(row)] = place
-    return found
+        tell(f"writing the pages of {len(missing)} rows")
+    each = [(named(row), path_of(row), replace(job.options, span=span_of(row))) for row in missing]
+    work = [(*one, store.folder / places[one[0]]) for one in each]
+    if len(work) > MOST_REPORTS:
+        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+            written = list(pool.map(_write_page, *zip(*work, strict=True)))
+    else:
+        written = [_write_page(*one) for one in work]
+    lost = {name for (name, *_), done in zip(work, written, strict=True) if not done}
+    return {name: place for name, place in places.items() if name not in lost}
+
+
+def _write_page(name: str, path: str, options: Options, place: Path) -> bool:
+    """The page of one row; whether its recording is still there."""
+    try:
+        write_report(replay(path, options), place, command=f"proprio replay {name}{asked(options)}", sources=[path])
+    except ProprioError:
+        return False
+    return True
 
 
 def _located(options: Options) -> Options:

@@ -208,6 +208,8 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     """``proprio batch``: rows and a page; returns the exit code."""
     if options.jobs is not None and not 1 <= options.jobs <= 1024:
         raise ConfigurationError(f"--jobs {options.jobs}: choose 1 to 1024")
+    if options.reports < 0:
+        raise ConfigurationError(f"--reports {options.reports}: choose 0 or more")
     for flag, engine in (("address", "ray"), ("jobs", "local")):
         if getattr(options, flag) is not None and options.engine != engine:
             raise ConfigurationError(f"--{flag} goes with --engine {engine}: add that, or leave it out")
@@ -228,6 +230,7 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
         command=_command(given),
         empty=options.empty,
         empty_first_s=options.empty_first,
+        reports=options.reports,
     )
     done = {"episodes": outcome.episodes, "done_before": outcome.before, "verdicts": outcome.verdicts}
     text = f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items())

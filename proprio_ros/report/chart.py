@@ -29,7 +29,7 @@ class Series:
         name: For the legend and the pointer; one without a name is not in them.
         x, y: Shape (K,).
         color: Class of the style sheet, such as ``measured``.
-        kind: ``line``, ``dots``, or ``steps`` (each value holds until the next).
+        kind: ``line``, ``dots``, ``steps`` (each value holds until the next), or ``pairs`` (a line from each first to each second).
         listed: Whether it is in the legend.
     """
 
@@ -135,6 +135,8 @@ def _panel(panel: Panel, axis: Axis, x0: float, x1: float, top: float) -> str:
         line = f"M{'L'.join(places)}"
         if series.kind == "dots":
             line = "".join(f"M{place}h0" for place in places)
+        elif series.kind == "pairs":
+            line = "".join(f"M{low}L{high}" for low, high in zip(places[::2], places[1::2], strict=True))
         elif series.kind == "steps":
             line = f"M{places[0]}" + "".join(f"H{place.partition(',')[0]}L{place}" for place in places[1:])
         named = f' data-name="{escape(series.name)}" data-unit="{escape(panel.unit)}"' if series.name else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,35 +15,56 @@ from proprio_ros.quantity import spec_for
 from proprio_ros.version import __version__
 
 SCRIPT = Path(__file__).with_name("chart.js").read_text(encoding="utf-8")
-"""Of ``chart.py``; the only script of a page."""
-_ALLOWED = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
-POLICY = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_ALLOWED}'"
-"""A browser loads nothing for the page, and runs no other script in it."""
+"""Of ``chart.py``; the only script of most pages."""
+
+
+def policy(*scripts: str) -> str:
+    """A browser loads nothing for the page, and runs no other scripts in it."""
+    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}"
+
+
+POLICY = policy(SCRIPT)
+"""Of a page without a script of its own."""
 
 STYLE = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
 """Of every page: bright, dark, narrow and on paper."""
 
 
-def document(title: str, parts: Sequence[str]) -> str:
+@dataclass(frozen=True)
+class Own:
+    """Style and script that only one kind of page has."""
+
+    style: str = ""
+    script: str = ""
+
+
+def document(title: str, parts: Sequence[str], own: Own | None = None) -> str:
     """One page that needs nothing from elsewhere."""
+    own = own or Own()
+    scripts = [SCRIPT, own.script] if own.script else [SCRIPT]
     head = (
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">',
         WRITTEN_BY,
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
+        f'<meta http-equiv="Content-Security-Policy" content="{policy(*scripts)}">',
+        f"<title>{escape(title)}</title><style>{STYLE}{own.style}</style></head><body>",
     )
-    return "\n".join([*head, *parts, f"<script>{SCRIPT}</script></body></html>"])
+    tail = "".join(f"<script>{script}</script>" for script in scripts)
+    return "\n".join([*head, *parts, f"{tail}</body></html>"])
 
 
-def write_document(path: Path, title: str, parts: Sequence[str], option: str, force: bool = False) -> None:
+def write_document(
+    path: Path, title: str, parts: Sequence[str], option: str, force: bool = False, own: Own | None = None
+) -> None:
     """Write a page; an older page of that name is replaced in one step, another file only with ``force``.
 
     Raises:
         ConfigurationError: Another file is there, or it cannot be written; the option is what named it.
     """
     check_page(path, option, force)
-    write_in_one_step(path, document(title, parts), option)
+    write_in_one_step(path, document(title, parts, own), option)
 
 
 def provenance(command: str, sources: Sequence[str], timing_s: Mapping[str, float]) -> list[str]:

@@ -28,7 +28,7 @@ from proprio_ros.batch.drift import periods_of
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.grasps import Grasps
 from proprio_ros.batch.job import run_batch
-from proprio_ros.batch.page import named, span_of
+from proprio_ros.batch.listing import named, span_of
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.cli import main
