@@ -46,6 +46,18 @@ class Outcome:
     verdicts: dict[str, int]
     folder: Path
 
+    def first(self, most: int = 20) -> list[dict[str, Any]]:
+        """The rows of the first episodes, for a terminal."""
+        from pyarrow import dataset
+
+        rows: list[dict[str, Any]] = dataset.dataset(self.folder / "rows", partitioning="hive").to_table().to_pylist()
+        order = ("source_name", "episode_index", "episode", "segment")
+        whole = sorted(
+            (row for row in rows if row["kind"] != GRASP),
+            key=lambda row: [str(row[key] or "").zfill(9) for key in order],
+        )
+        return whole[:most]
+
 
 def run_batch(
     sources: Sequence[str | Path],

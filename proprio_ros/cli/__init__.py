@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from proprio_ros import progress
 from proprio_ros.cli.parser import UsageError, make_parser
-from proprio_ros.cli.terminal import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, json_error, say
+from proprio_ros.cli.terminal import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, complain, json_error, say
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line
 
 LONGEST_WORD = 100_000
@@ -58,5 +58,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sentence, code = one_line(f"{error.filename or 'a file'}: {error.strerror or error}"), EXIT_BAD_INPUT
     except KeyboardInterrupt:
         sentence, code = "interrupted", EXIT_INTERRUPTED
-    print(f"proprio: {sentence}", file=sys.stderr)
+    complain(sentence)
     return json_error(given, sentence, code)

@@ -115,7 +115,12 @@ def check(options: argparse.Namespace, given: Sequence[str]) -> int:
     from proprio_ros.pipeline.looked_into import as_json
 
     robot, checks = check_bags(options.bags, asked)
-    terminal.show(options.json, as_json(robot, checks), "\n".join(check.as_text() for check in checks))
+    terminal.show(
+        options.json,
+        as_json(robot, checks),
+        "\n".join(check.as_text() for check in checks),
+        terminal.table_of_checks(checks),
+    )
     return EXIT_OK if any(check.usable for check in checks) else EXIT_NO_ANSWER
 
 
@@ -235,7 +240,17 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     done = {"episodes": outcome.episodes, "done_before": outcome.before, "verdicts": outcome.verdicts}
     text = f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items())
     text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
-    terminal.show(options.json, {**schema.header("batch"), "folder": str(outcome.folder), **done}, text)
+    whole = {**schema.header("batch"), "folder": str(outcome.folder), **done}
+    terminal.show(options.json, whole, text, terminal.table_of_episodes(outcome.first()))
+    return EXIT_OK
+
+
+def completion(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio completion``: a script for a shell; returns the exit code."""
+    from proprio_ros.cli.completion import script
+    from proprio_ros.cli.parser import make_parser
+
+    print(script(options.shell, make_parser()), end="")
     return EXIT_OK
 
 

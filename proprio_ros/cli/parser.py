@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from proprio_ros.cli import commands as obey
+from proprio_ros.cli.completion import SHELLS
 from proprio_ros.cli.terminal import EXIT_BAD_INPUT
 from proprio_ros.errors import one_line
 from proprio_ros.probes import all_probes, probe_that
@@ -91,7 +92,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="proprio", description="A robot arm's sense of weight and softness.")
     parser.add_argument("--version", action="version", version=f"proprio {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for make in (_replay, _calibrate, _check, _plan, _robot, _table, _warmup, _paper, _batch, _demo):
+    for make in (_replay, _calibrate, _check, _plan, _robot, _table, _warmup, _paper, _batch, _demo, _completion):
         make(commands.add_parser)
     return parser
 
@@ -314,6 +315,17 @@ def _demo(add: Callable[..., _Parser]) -> None:
     it.add_argument("--full", action="store_true", help="calibrate all joints, as on a real arm (a minute more)")
     it.add_argument("--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs")
     it.share("robot")
+
+
+def _completion(add: Callable[..., _Parser]) -> None:
+    it = add(
+        "completion",
+        command=obey.completion,
+        help="a script with which a shell completes this command line",
+        description="Print what a shell reads to complete commands, options and names: `source <(proprio completion bash)` in "
+        "~/.bashrc, the same with zsh in ~/.zshrc; `proprio completion fish > ~/.config/fish/completions/proprio.fish`.",
+    )
+    it.add_argument("shell", choices=SHELLS, help="the shell")
 
 
 def _names() -> list[str]:

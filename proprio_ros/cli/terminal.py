@@ -1,16 +1,34 @@
-"""What is said on the terminal: results to stdout, everything else to stderr."""
+"""What is said on the terminal: results to stdout, everything else to stderr.
+
+Where a stream is a terminal, lines are wrapped at its width, verdicts have colours and several answers are a table. In a pipe
+nothing of that is done: scripts read the same lines as ever.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from proprio_ros import schema
 from proprio_ros.errors import printable
 from proprio_ros.quantity import shown, spec_for
 
+COLOURS = {
+    "32": r"accepted\b|.+: [1-9]\d* of \d+ runs? usable",
+    "33": r"too_wide\b|  - |.+: 0 of \d+ runs? usable",
+    "31": r"(?:rejected|not_identifiable|failed)\b|  problem:|proprio: ",
+    "2": r"  (?:note|assumed|solver|fit|topic): .*",
+}
+"""Of what a line begins with, by the terminal's number of the colour: green, yellow, red, dim."""
+NARROWEST = 40
+"""A terminal that is narrower, or says so, is not wrapped for."""
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 
 
@@ -21,9 +39,48 @@ def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
     return exit_code
 
 
-def show(as_json: bool, content: Mapping[str, Any], text: str = "") -> None:
-    """A result: the one object of ``--json``, or its lines; what else moves a cursor is escaped (names in notes are others')."""
-    print(json.dumps(content, indent=1) if as_json else "\n".join(printable(line) for line in text.split("\n")))
+def show(as_json: bool, content: Mapping[str, Any], text: str = "", table: Sequence[Sequence[str]] = ()) -> None:
+    """A result: the one object of ``--json``, or its lines; what else moves a cursor is escaped (names in notes are others').
+
+    Args:
+        as_json: Whether to print the object.
+        content: The object.
+        text: The lines.
+        table: Several answers, titles first, for a terminal; a single one is its lines.
+    """
+    if as_json:
+        print(json.dumps(content, indent=1))
+        return
+    if len(table) > 2 and sys.stdout is not None and sys.stdout.isatty():
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        rows = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
+        text = "\n".join([text, "", *rows])
+    print("\n".join(laid_out(printable(line), sys.stdout) for line in text.split("\n")))
+
+
+def laid_out(line: str, stream: Any) -> str:
+    """A line as it is, or where the stream is a terminal wrapped at its width and in colour.
+
+    Colours stay away where ``NO_COLOR`` is set (no-color.org) or ``TERM`` is ``dumb``.
+    """
+    if stream is None or not stream.isatty():
+        return line
+    width = shutil.get_terminal_size().columns
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    if len(line) > width >= NARROWEST:
+        how = {"break_long_words": False, "break_on_hyphens": False, "replace_whitespace": False, "expand_tabs": False}
+        line = "\n".join(textwrap.wrap(line, width, subsequent_indent=indent, **how))
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return line
+    for colour, begins in COLOURS.items():
+        if (found := re.match(begins, line, re.DOTALL)) is not None:
+            return f"\033[{colour}m{found[0]}\033[0m{line[found.end() :]}"
+    return line
+
+
+def complain(sentence: str) -> None:
+    """What is wrong, in one line."""
+    print(laid_out(f"proprio: {sentence}", sys.stderr), file=sys.stderr)
 
 
 def say(message: str) -> None:
@@ -84,6 +141,33 @@ def calibration_as_text(estimate: Any) -> str:
     lines += [f"  next run: {plan_as_text(plan)}" for plan in estimate.advice]
     lines += [f"  note: {note}" for note in estimate.notes]
     return "\n".join(lines)
+
+
+def table_of_checks(checks: Sequence[Any]) -> list[tuple[str, ...]]:
+    """What several recordings are good for."""
+    rows = [("recording", "usable", "seconds", "a light mass to")]
+    for check in checks:
+        known = [check.tells.mass_half_width_kg] if check.tells is not None else []
+        known += [run.mass_half_width_kg for run in check.runs]
+        best = min((half for half in known if half is not None), default=None)
+        words = "-" if best is None else f"+-{shown('kg', best, spec='.0f')}"
+        found = len(check.runs) + (check.motion is not None)
+        name = printable("/".join(Path(check.bag).parts[-2:]))
+        rows.append((name, f"{check.usable} of {found}", f"{check.duration_s:.1f}", words))
+    return rows
+
+
+def table_of_episodes(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Answers of a batch."""
+    table = [("episode", "answer", "95 % interval", "verdict", "")]
+    for row in rows:
+        unit, spec = row["unit"], spec_for(row["unit"], row["std"])
+        answer, interval = "-", "-"
+        if row["value"] is not None:
+            answer, interval = shown(unit, row["value"], spec=spec), shown(unit, row["low"], row["high"], spec=spec)
+        codes = ", ".join(row["reason_codes"] or ())
+        table.append((printable(str(row["episode"])), answer, interval, row["verdict"], codes))
+    return table
 
 
 def plan_as_text(plan: Any) -> str:

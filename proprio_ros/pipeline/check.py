@@ -21,7 +21,8 @@ from proprio_ros.pipeline.loading import bag_recording, plausible_units, runs_or
 from proprio_ros.pipeline.looked_into import BagCheck, MotionCheck, RunCheck
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import all_probes
-from proprio_ros.recordings.contents import look_into
+from proprio_ros.recordings.contents import Contents, look_into
+from proprio_ros.recordings.datasets import episode_of
 from proprio_ros.recordings.drivers import drivers_of
 from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.recordings.motions import SLOWEST_HZ, Motion, motion_of
@@ -76,7 +77,11 @@ def _any_object(settings: Settings) -> None:
 
 def _bag_check(request: Request, path: Path) -> BagCheck:
     robot, options, effort_unit = request.robot, request.options, request.unit
-    contents = look_into(path, options.state_topic, options.command_topic, request.conventions)
+    if episode_of(path) is None:
+        contents = look_into(path, options.state_topic, options.command_topic, request.conventions)
+    else:  # a data set has columns, and the driver's profile says which
+        columns = request.driver.columns if request.driver else None
+        contents = Contents((), columns.position if columns else None)
     types = {name: kind for name, kind, _ in contents.topics}
     fitting = tuple(driver.name for driver in drivers_of(types.items()))
     check = BagCheck(
@@ -98,6 +103,8 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     except RecordingError as error:
         problem = str(error)
     if recording is None:
+        if not contents.topics:
+            return replace(check, problem=problem)
         try:  # only to look at: no run is cut from a current of an unstated unit
             recording = read_recording(
                 path,

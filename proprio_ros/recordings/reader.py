@@ -331,6 +331,8 @@ def _files(path: Path) -> list[Path]:
             return files
     inner = sorted(metadata.parent.name for metadata in path.glob("*/metadata.yaml"))
     hint = f"; did you mean one of the bags in it: {some(inner, 8)}?" if inner else "; give a bag folder or file"
+    if (path / "meta" / "info.json").is_file():
+        hint = f"; a LeRobot data set? Name an episode, '{one_line(path.name, 60)}#0', or ask all with `proprio batch`"
     raise RecordingError(f"{path}: not a bag: no metadata.yaml and no .mcap or .db3 file in it{hint}")
 
 

@@ -34,6 +34,7 @@ from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
+from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.replay import read_for, replay
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.recordings.datasets import open_data_set
@@ -107,6 +108,13 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
         value = replay(f"{written}#{n}", asked(fleet)).values[0]
         assert isinstance(value.value, float) and abs(value.value - mass) < 0.002
         assert value.ci95[0] - 0.001 <= mass <= value.ci95[1] + 0.001
+    _, (usable, missing) = check_bags([f"{written}#0", f"{written}#7"], asked(fleet))
+    assert (
+        usable.usable == 1 and usable.state_topic == "observation.state" and usable.duration_s == pytest.approx(11.98)
+    )
+    assert missing.usable == 0 and "no such episode" in missing.problem
+    with pytest.raises(RecordingError, match=r"a LeRobot data set\? Name an episode, 'lerobot_0_4_4#0', or ask all"):
+        check_bags(written, asked(fleet))
 
 
 @pytest.mark.parametrize("source", ["bags/1", "v3#1", "v21#1"])
