@@ -29,6 +29,7 @@ COLOURS = {
 """Of what a line begins with, by the terminal's number of the colour: green, yellow, red, dim."""
 NARROWEST = 40
 """A terminal that is narrower, or says so, is not wrapped for."""
+Table = Sequence[tuple[str, ...]]
 EXIT_OK, EXIT_BAD_INPUT, EXIT_NO_ANSWER, EXIT_INTERRUPTED = 0, 2, 3, 130
 
 
@@ -39,14 +40,10 @@ def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
     return exit_code
 
 
-def show(as_json: bool, content: Mapping[str, Any], text: str = "", table: Sequence[Sequence[str]] = ()) -> None:
+def show(as_json: bool, content: Mapping[str, Any], text: str = "", table: Table = ()) -> None:
     """A result: the one object of ``--json``, or its lines; what else moves a cursor is escaped (names in notes are others').
 
-    Args:
-        as_json: Whether to print the object.
-        content: The object.
-        text: The lines.
-        table: Several answers, titles first, for a terminal; a single one is its lines.
+    A ``table`` of several answers, titles first, follows on a terminal.
     """
     if as_json:
         print(json.dumps(content, indent=1))
@@ -68,8 +65,8 @@ def laid_out(line: str, stream: Any) -> str:
     width = shutil.get_terminal_size().columns
     indent = " " * (len(line) - len(line.lstrip()) + 4)
     if len(line) > width >= NARROWEST:
-        how = {"break_long_words": False, "break_on_hyphens": False, "replace_whitespace": False, "expand_tabs": False}
-        line = "\n".join(textwrap.wrap(line, width, subsequent_indent=indent, **how))
+        wrapped = textwrap.wrap(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        line = "\n".join(wrapped)
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return line
     for colour, begins in COLOURS.items():
@@ -143,7 +140,7 @@ def calibration_as_text(estimate: Any) -> str:
     return "\n".join(lines)
 
 
-def table_of_checks(checks: Sequence[Any]) -> list[tuple[str, ...]]:
+def table_of_checks(checks: Sequence[Any]) -> Table:
     """What several recordings are good for."""
     rows = [("recording", "usable", "seconds", "a light mass to")]
     for check in checks:
@@ -157,7 +154,7 @@ def table_of_checks(checks: Sequence[Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def table_of_episodes(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+def table_of_episodes(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Answers of a batch."""
     table = [("episode", "answer", "95 % interval", "verdict", "")]
     for row in rows:
