@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-import random
 from pathlib import Path
+
+from support.domains import free_domain
 
 # rclpy reads these when it is first imported. Without the field check, a wrong scalar type is published as garbage.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+if "ROS_DOMAIN_ID" not in os.environ:
+    os.environ["ROS_DOMAIN_ID"] = free_domain()
 
 # as the command line does: threads for matrices of a hundred unknowns only wait for each other
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
