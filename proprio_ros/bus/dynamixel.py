@@ -214,9 +214,9 @@ class DynamixelBus:
             self.close()
             raise PortLostError(f"{self.port_name}: the port is gone ({first_line(error)}): check the cable") from error
 
-    def _settle(self) -> None:
+    def _settle(self, wait_s: float = 0.002) -> None:
         """After a lost reply: whatever still comes belongs to the past."""
-        clock.sleep(0.002)
+        clock.sleep(wait_s)
         self._guarded(lambda port: port.clearPort())
 
     # --- single servos ------------------------------------------------------------------------------------------------
@@ -229,10 +229,13 @@ class DynamixelBus:
         """Value of a register, sign included."""
         entry = self._by_id[servo_id].model.registers[register]
         arguments = servo_id, entry.address, entry.size
-        data = self._tried(servo_id, f"read {register}", lambda port: self._packets.readTxRx(port, *arguments))
-        if len(data) != entry.size:
-            raise BusError(f"servo {servo_id}: read {register}: {len(data)} bytes came instead of {entry.size}")
-        return entry.decode(bytes(data))
+
+        def exchange(port: Any) -> tuple[Any, int, int]:
+            data, result, error = self._packets.readTxRx(port, *arguments)
+            late = result == dynamixel_sdk.COMM_SUCCESS and not error & ~ALERT and len(data) != entry.size
+            return data, dynamixel_sdk.COMM_RX_CORRUPT if late else result, error  # late: it answers something before
+
+        return entry.decode(bytes(self._tried(servo_id, f"read {register}", exchange)))
 
     def write(self, servo_id: int, register: str, value: int) -> None:
         """Write a register and wait for the servo's word on it."""
@@ -244,7 +247,7 @@ class DynamixelBus:
     def _tried(self, servo_id: int, what: str, exchange: Callable[[Any], tuple[Any, int, int]]) -> Any:
         """Repeat an exchange that was lost on the wire; the servo's own refusal is final. Returns its data."""
         result = error = 0
-        for _ in range(TRIES):
+        for number in range(TRIES):
             try:
                 data, result, error = self._guarded(exchange)
             except IndexError:  # the SDK trusts the length of a reply
@@ -253,6 +256,8 @@ class DynamixelBus:
             if result == dynamixel_sdk.COMM_SUCCESS and refused != 3:
                 if refused:
                     raise BusError(f"{self._called(servo_id)}: {what}: it {_STATUS_WORDS.get(refused, 'refuses')}")
+                if number:  # this may be a late answer to the try before, and its own be taken for the next request's
+                    self._settle(self._reply_timeout_s)
                 return data
             self._settle()
         raise BusError(f"{self._called(servo_id)}: {what}: {self._lost_words(result)}")

@@ -29,11 +29,13 @@ DURATION_S = 60.0
 WORLD = """
 import sys
 from pathlib import Path
+from proprio_ros.clock import run_in_real_time
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
 robot = load_robot("open_manipulator_x")
 virtual = VirtualRobot(robot, Truth.draw(robot, 1), link=Path(sys.argv[1]))
+run_in_real_time()  # servos do not wait for other programs
 print("ready", flush=True)
 sys.stdin.read()
 virtual.close()

@@ -262,6 +262,22 @@ def test_single_registers_survive_lost_answers(desk: Desk, bus: DynamixelBus) ->
     assert len(values) > 90 and all(abs(value - here) <= 1 for value in values)
 
 
+@pytest.mark.parametrize("next_one", ["led", "homing_offset"])  # as long as what is late, and longer
+def test_an_answer_that_comes_late_is_not_the_next_one_s(desk: Desk, bus: DynamixelBus, next_one: str) -> None:
+    """The first is given up and asked for again; it comes then, and the second when something else is asked for."""
+    receive, seen, late_s = desk.wire.receive, list[bytes](), (PATIENCE_S + 0.004, *[PATIENCE_S - 0.005] * 2)
+
+    def slow(data: bytes, now_s: float) -> list:  # type: ignore[type-arg]
+        more_s = late_s[len(seen)] if len(seen) < len(late_s) else 0.0
+        seen.append(data)
+        return [reply._replace(delay_s=reply.delay_s + more_s) for reply in receive(data, now_s)]
+
+    desk.wire.receive = slow  # type: ignore[method-assign]
+    assert bus.read(12, "id") == 12
+    assert len(seen) == 2, "it was asked again"
+    assert bus.read(12, next_one) == 0
+
+
 def test_a_read_that_never_came_is_no_zero(desk: Desk, bus: DynamixelBus) -> None:
     hang(desk, 12)
     with pytest.raises(BusError, match=r"servo 12 \(joint12\): read present_position: no answer in 3 tries"):

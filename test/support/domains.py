@@ -10,7 +10,7 @@ _FIRST_PORT, _PORTS = 7400, 250
 """Of domain 0, and of each: DDS Interoperability Wire Protocol (RTPS) 2.2, 9.6.1.1."""
 
 _claims: list[socket.socket] = []
-"""A name in Linux' abstract namespace is one process's until it ends: two sessions that look at the same time choose differently."""
+"""A name in Linux' abstract namespace is one process's until it ends: sessions that look at the same time choose differently."""
 
 
 def free_domain() -> str:
