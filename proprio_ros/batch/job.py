@@ -28,6 +28,7 @@ from proprio_ros.recordings.datasets import marked, open_data_set
 from proprio_ros.recordings.drivers import load_driver
 from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
+from proprio_ros.report import bars_figure, small_table
 
 MOST_REPORTS = 12
 """Rows whose pages are written unless told otherwise; more are written by several processes."""
@@ -57,6 +58,16 @@ class Outcome:
             key=lambda row: [str(row[key] or "").zfill(9) for key in order],
         )
         return whole[:most]
+
+    def plot(self) -> Any:
+        """How many rows have which verdict, as a matplotlib ``Figure``."""
+        bars = [(name.replace("_", " "), float(count), name == "accepted") for name, count in self.verdicts.items()]
+        return bars_figure(f"{self.episodes} episodes", "rows", bars)
+
+    def _repr_html_(self) -> str:
+        rows = [(name.replace("_", " "), str(count)) for name, count in self.verdicts.items()]
+        page = f"each with its reasons and what to do: {self.folder / 'batch.html'}"
+        return small_table(f"{self.episodes} episodes", ("verdict", "rows"), rows, [page])
 
 
 def run_batch(

@@ -25,9 +25,17 @@ from proprio_ros.pipeline.looked_into import BagCheck
 from proprio_ros.pipeline.looked_into import as_json as checks_as_json
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
+from proprio_ros.pipeline.shown import checks_figure, checks_table, plans_figure, plans_table
 from proprio_ros.probes import all_probes
 from proprio_ros.quantity import spec_for
-from proprio_ros.report import card, motions_figure, runs_figure, write_calibration_report
+from proprio_ros.report import (
+    calibration_figure,
+    card,
+    motions_figure,
+    runs_figure,
+    words_figure,
+    write_calibration_report,
+)
 from proprio_ros.robot import Robot
 from proprio_ros.schema import header
 
@@ -133,16 +141,11 @@ class Weighing(_Answered):
         return _frame(columns, rows)
 
     def plot(self) -> Figure:
-        """Measured against simulated, with the residual, run by run; of motions torque, joint by joint.
-
-        Raises:
-            ConfigurationError: No run could be used, so there is nothing to show.
-        """
-        if self.estimate.joint_fits:
-            return motions_figure(self.estimate.joint_fits)
-        if not self.estimate.run_fits:
-            raise ConfigurationError("nothing to plot: no run could be used; `reasons` says why")
-        return runs_figure(self.estimate.run_fits)
+        """Measured against simulated, with the residual, run by run; of motions torque, joint by joint; of neither why."""
+        found = self.estimate
+        if found.joint_fits:
+            return motions_figure(found.joint_fits)
+        return runs_figure(found.run_fits) if found.run_fits else words_figure(repr(self)[1:-1], self.reasons)
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
         """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
@@ -208,8 +211,13 @@ class CalibrationResult(_Answered, os.PathLike[str]):
         write_calibration_report(self.estimate, Path(path), command=self.call, sources=sources, force=force)
         return Path(path)
 
+    def plot(self) -> Figure:
+        """Drive trains before and after, or each motion weighed by the others; where it was refused, why."""
+        return calibration_figure(self.estimate)
+
     def _repr_html_(self) -> str:
-        return card(f"calibration, {self._about}", self.estimate.verdict, (), self.estimate.reasons)
+        can = () if self.estimate.weighable is None else (self.estimate.weighable.sentence(),)
+        return card(f"calibration, {self._about}", self.estimate.verdict, (), (*self.reasons, *can))
 
     @property
     def _about(self) -> str:
@@ -220,7 +228,7 @@ class CalibrationResult(_Answered, os.PathLike[str]):
 
 
 class _Listed(Sequence[_Row]):
-    """Rows that cannot be changed, which show themselves as a table in a notebook where pandas is there."""
+    """Rows that cannot be changed."""
 
     def __init__(self, rows: Iterable[_Row]) -> None:
         self._rows = tuple(rows)
@@ -254,6 +262,13 @@ class Plans(_Listed[ExcitationPlan]):
         keys = ("joint", "current_A", "duration_s", "start", "kind", "travel", "clearance_m", "std_kg", "reason")
         return _frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
 
+    def plot(self) -> Figure:
+        """Half of the 95 % interval that each promises."""
+        return plans_figure(repr(self)[1:-1], self)
+
+    def _repr_html_(self) -> str:
+        return plans_table(repr(self)[1:-1], self, self.masses_kg)
+
     def __repr__(self) -> str:
         masses = ", ".join(f"{mass:g}" for mass in self.masses_kg)
         return f"<{len(self)} plans of {self.robot.name} for {masses} kg>"
@@ -284,6 +299,13 @@ class Checks(_Listed[BagCheck]):
         keys = ("name", "joint", "duration_s", "travel", "unit", "current_A", "samples", "problem")
         rows = [(check.bag, *(getattr(run, key) for key in keys)) for check in self for run in check.runs]
         return _frame(("bag", *keys), rows)
+
+    def plot(self) -> Figure:
+        """How long each run or motion is; what is not usable is grey."""
+        return checks_figure(repr(self)[1:-1], self)
+
+    def _repr_html_(self) -> str:
+        return checks_table(repr(self)[1:-1], self)
 
     def __str__(self) -> str:
         return "\n".join(check.as_text() for check in self)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
@@ -24,7 +26,15 @@ def joints_of(unknowns: tuple[UnknownRow, ...]) -> list[str]:
 
 
 def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
-    """Every term of every joint: what the file said (pale), and what the runs say now (dark), 95 % each."""
+    """The same as SVG."""
+    with drawn(1.0, 1.0):  # words stay words
+        return svg(
+            draw_drive_trains(unknowns), "Drive-train terms of every joint with 95 % intervals, before and after"
+        )
+
+
+def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
+    """Every term of every joint: what the file said (pale), and what the runs say now (dark), 95 % each; a ``Figure``."""
     rows = {row.key: row for row in unknowns}
     joints = joints_of(unknowns)
     with drawn(9.2, 1.1 + 2 * (0.55 + 0.28 * len(joints)), nrows=2, ncols=3, sharey=True) as (figure, axes):
@@ -42,7 +52,7 @@ def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
             axis.set_title(f"{KINDS[term].label} ({KINDS[term].unit.replace('^2', '²')})", fontsize=9.5, loc="left")
             axis.grid(axis="y", visible=False)
             axis.locator_params(axis="x", nbins=5)
-        return svg(figure, "Drive-train terms of every joint with 95 % intervals, before and after")
+        return figure
 
 
 def correlation_figure(calibration: Calibration) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
+from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.report import pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
@@ -81,7 +82,10 @@ def card(
         number_style = "font-size:1.5em;font-weight:600;margin-top:.3em"
         lines.append(f'<div style="{number_style}">{escape(_in_words(value, interval_first))}</div>')
         lines.append(f"<div>{escape(_interval_in_words(value, interval_first))}</div>")
-    return "<div>" + "".join([*lines, *bulleted(reasons)]) + "</div>"
+    lines += bulleted(reasons)
+    if verdict is not Verdict.ACCEPTED and (remedy := REMEDIES.get(getattr(next(iter(reasons), ""), "code", ""))):
+        lines.append(f"<div>What to do: {escape(remedy)}.</div>")
+    return "<div>" + "".join(lines) + "</div>"
 
 
 def _runs(estimate: Estimate) -> list[str]:

@@ -147,6 +147,8 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(fleet: Path, t
     job = Job(asked(fleet))
     outcome = run_batch([fleet / "data"], job, tmp_path, lambda words: None, processes=2, chunk=2)
     rows = table(tmp_path)
+    outcome.plot().savefig(tmp_path / "verdicts.svg")
+    assert "<td" in outcome._repr_html_() and "batch.html" in outcome._repr_html_()
     assert outcome.episodes == len(rows) == 10 and outcome.verdicts == {"accepted": 9, "failed": 1}
     (failed,) = [row for row in rows if row["kind"] == "failed"]
     assert failed["episode"] == "bags/cut" and "not readable" in failed["reasons"][0]

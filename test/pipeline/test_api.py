@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
 import subprocess
@@ -165,12 +166,25 @@ def test_what_is_like_the_right_type_is_taken(tmp_path: Path, result: Weighing) 
     assert len(check((path for path in EMPTY[:2]), settings=None)) == 2
 
 
+def words_in(figure: Any) -> str:
+    """All that is written in a figure, which can be drawn."""
+    figure.savefig(io.BytesIO(), format="svg")
+    axes = figure.axes
+    texts = [
+        text.get_text()
+        for axis in axes
+        for text in [*axis.texts, axis.title, axis.xaxis.label, *axis.get_yticklabels()]
+    ]
+    return " ".join([*texts, *(axis.get_title(loc="left") for axis in axes)])
+
+
 def test_no_number_for_what_cannot_be_determined() -> None:
     stuck = weigh(STUCK)
     assert (stuck.mass, stuck.std, stuck.ci95, stuck.accepted) == (None, None, None, False)
     assert [reason.code for reason in stuck.reasons] == ["stuck"] and "not determined" in repr(stuck)
-    with pytest.raises(ConfigurationError, match="nothing to plot"):
-        stuck.plot()
+    assert "joint3 moved only" in words_in(stuck.plot()), "a refusal is shown with its reason"
+    html = stuck._repr_html_()
+    assert "What to do: push with more current" in html
     assert "no value" in stuck._repr_html_() and len(stuck.to_frame()) == 1
 
 
@@ -232,6 +246,7 @@ def test_a_calibration_is_used_as_an_object_or_as_its_file(calibration: Calibrat
     assert named == used  # also where the calibrated robot was named as the robot
     assert {"name", "value", "std", "prior"} <= set(calibration.to_frame().columns)
     assert len(calibration.to_frame()) == len(calibration.estimate.unknowns)
+    assert "joint3" in words_in(calibration.plot()) and "weighs " in calibration._repr_html_()
     words = calibration.report(tmp_path / "page.html").read_text()
     assert "calibrate([" in words and str(EMPTY[0]) in words
     assert "\n" not in repr(calibration) and "accepted" in calibration._repr_html_()
@@ -240,6 +255,7 @@ def test_a_calibration_is_used_as_an_object_or_as_its_file(calibration: Calibrat
 def test_a_calibration_that_failed_cannot_be_used() -> None:
     failed = calibrate(STUCK)
     assert failed.path is None and failed.calibration is None and not failed.accepted
+    assert "no run can be used" in words_in(failed.plot()) and "no run can be used" in failed._repr_html_()
     with pytest.raises(ConfigurationError, match="not_identifiable and cannot be used: no run can be used"):
         weigh(BALL, calibration=failed)
 
@@ -252,6 +268,9 @@ def test_plans_are_a_list(calibration: CalibrationResult) -> None:
     assert list(frame["joint"]) == [entry.joint for entry in plans] and plans.as_json()["calibrated"] is True
     with pytest.raises(ConfigurationError, match="must be positive"):
         plan([])
+    html = plans._repr_html_()
+    assert html.count("<tr>") == 3 and "0.05 kg" in html and f"± {1.96e3 * plans[0].std_kg[0]:.1f}"[:4] in html
+    assert plans[0].joint in words_in(plans.plot())
 
 
 # --- check -----------------------------------------------------------------------------------------------------------
@@ -274,6 +293,9 @@ def test_what_is_in_a_bag() -> None:
     assert run.joint == "joint3" and run.current_A == pytest.approx(-0.301, abs=2e-3) and not run.problem
     assert run.duration_s == pytest.approx(0.6, abs=0.03) and run.name == weigh(BAG).estimate.run_fits[0].name
     both = check([BAG, STUCK])
+    assert "not usable: joint3 moved only" in both._repr_html_().replace(str(STUCK), "") and "usable" in words_in(
+        both.plot()
+    )
     assert both.usable == 1 and "moved only" in both[1].runs[0].problem and len(both.to_frame()) == 2
 
 
@@ -299,7 +321,8 @@ def test_what_must_be_stated_is_said(tmp_path: Path) -> None:
     assert found.rate_Hz > 30.0 and found.runs == ()
     (stated,) = check(tmp_path / "effort", effort_unit="N.m")
     assert stated.input_unit == "N.m" and stated.usable == 1
-    (topic,) = check(BAG, state_topic="/joints")
+    (topic,) = refused = check(BAG, state_topic="/joints")
+    assert "is not in the bag" in refused._repr_html_() and "not in the" in " ".join(words_in(refused.plot()).split())
     assert "--state-topic /joints is not in the bag" in topic.problem and topic.topics
     still = recorded(BAG)
     inputs = InputRecord(still.inputs.times_ns, still.inputs.names, 0.0 * still.inputs.current_A, "/current_command")
