@@ -90,6 +90,7 @@ def test_tables_of_figures_are_those_of_the_results() -> None:
     for path, text in found.items():
         assert figures.filled(text) == text, f"{path.name}: run python docs/generate.py figures"
     assert 5 < len(figures.summary().splitlines()) - 2 <= 15
+    assert len(figures.readme().splitlines()) - 2 == len(figures.IN_README) == 6, "a table for two minutes"
 
 
 @pytest.mark.parametrize("path", sorted(figures.RESULTS.glob("*.json")), ids=lambda path: path.stem)
