@@ -19,7 +19,7 @@ from proprio_ros.batch.on_ray import ray_or_refuse, run_ray
 from proprio_ros.batch.page import COLUMNS, odd, write_batch_page
 from proprio_ros.batch.rows import FAILED, GRASP, Job
 from proprio_ros.batch.store import Store
-from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.inputs.resources import check_page
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay, write_report
@@ -238,17 +238,21 @@ def _reports(store: Store, job: Job, most: int, processes: int, tell: Callable[[
             written = list(pool.map(_write_page, *zip(*work, strict=True)))
     else:
         written = [_write_page(*one) for one in work]
-    lost = {name for (name, *_), done in zip(work, written, strict=True) if not done}
+    lost = {name: why for (name, *_), why in zip(work, written, strict=True) if why}
+    for name, why in lost.items():
+        tell(f"{name} has no page: {why}")
     return {name: place for name, place in places.items() if name not in lost}
 
 
-def _write_page(name: str, path: str, options: Options, place: Path) -> bool:
-    """The page of one row; whether its recording is still there."""
+def _write_page(name: str, path: str, options: Options, place: Path) -> str:
+    """The page of one row, or why it cannot be written: the recording may have gone since."""
     try:
         write_report(replay(path, options), place, command=f"proprio replay {name}{asked(options)}", sources=[path])
-    except ProprioError:
-        return False
-    return True
+    except ProprioError as error:
+        return str(error)
+    except Exception as error:  # whatever one row holds, all others are done
+        return one_line(f"unexpected: {type(error).__name__}: {error}")
+    return ""
 
 
 def _located(options: Options) -> Options:

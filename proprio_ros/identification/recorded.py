@@ -85,7 +85,7 @@ def held_views(
     views = []
     for (side, plane), arm in zip(sides, links, strict=True):
         hand, seen = plane @ hands[far][:3, 3], plane @ hands[far][:3, :3]
-        if load is None:
+        if load is None or not load[0] > 0.0:  # nothing has no body
             views.append(HeldView(side, arm, hand))
             continue
         mass, centre_m, inertia = load

@@ -121,6 +121,9 @@ def test_the_ellipsoid_is_the_homogeneous_one(folder: Path) -> None:
     inertia = mass / 5.0 * np.diag(square.sum() - square)
     still = Motion("still", SIX.joints, np.arange(80.0), np.zeros((80, 6)), np.zeros((80, 6)), {}, "")
     side, above = held_views(robot, still, (mass, CENTRE_M, inertia), "stated", 0.5 * half)
+    assert held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None, (
+        "nothing has no body"
+    )
     assert (side.side, above.side) == ("from the side", "from above")
     for view, axes in ((side, [0, 2]), (above, [0, 1])):
         assert view.centre - view.hand == pytest.approx(CENTRE_M[axes])
