@@ -204,7 +204,7 @@ def started(**arguments: str) -> list[str]:
 
 REFUSED = [
     ({"held": "50g"}, "object '50g': mass=50g must be a number; valid: none | 0.05"),
-    ({"robot": "nonsense"}, "unknown robot 'nonsense'; known robots: omx_f, open_manipulator_x"),
+    ({"robot": "nonsense"}, "unknown robot 'nonsense'; known robots: fr3, "),
     ({"params_file": "/nowhere/mine.yaml"}, "params_file /nowhere/mine.yaml: not readable (No such file or directory)"),
 ]
 

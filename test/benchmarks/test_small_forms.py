@@ -17,7 +17,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "between_recordings": ("--arms", "1", "--servos", "0", "--pendulums", "1", "--jobs", "1", "--real"),
     "block_until": ("--robots", "1", "--jobs", "1"),
     "container_until": ("--robots", "1", "--first", "9001", "--reference", "none", "--fixed-every", "2", "--jobs", "1"),
-    "coverage": ("--robots", "2", "--per-effect", "0", "--jobs", "1"),
+    "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
     "distorted": ("--only", "nothing", "currents x 2"),
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--jobs", "1"),
