@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from proprio_ros.pipeline.request import Options
 
 
+LONGEST_SEARCH_S = 1e6
+
+
 def _command(given: Sequence[str]) -> str:
     """The command line as it was given."""
     return shlex.join(["proprio", *given])
@@ -129,11 +132,13 @@ def plan(options: argparse.Namespace, given: Sequence[str]) -> int:
     masses = _masses(options.mass)
     if options.count < 1:
         raise ConfigurationError(f"--count {options.count}: must be at least 1")
+    if not 0.0 <= options.seconds <= LONGEST_SEARCH_S:
+        raise ConfigurationError(f"--seconds {options.seconds:g}: choose 0 to {LONGEST_SEARCH_S:g}")
     asked = _asked(options)
     from proprio_ros.pipeline.api import Plans
     from proprio_ros.pipeline.calibrate import plan_excitations
 
-    plans = Plans(*plan_excitations(masses, asked, options.count, say_progress), masses)
+    plans = Plans(*plan_excitations(masses, asked, options.count, say, options.seconds), masses)
     open_yet = "the robot has not been calibrated: the intervals carry what its file leaves open"
     lines = [] if plans.robot.is_calibrated() else [open_yet]
     lines += [f"{number:2d}. {terminal.plan_as_text(plan)}" for number, plan in enumerate(plans, start=1)]

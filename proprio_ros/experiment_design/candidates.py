@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from proprio_ros.identification.coefficients import at_poses
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.quantity import shown
@@ -21,6 +23,8 @@ CLEARANCE_M = 0.03
 """Nothing may come closer to the base's plane than this; the grasped object hangs below the hand's frame."""
 LIMIT_MARGIN = 0.05  # left before a joint's limit [rad]
 WIDEST = 1.5  # the range searched of a joint without limits [rad]
+MOST_LOOKED_AT = 1024  # poses in which a joint may carry the hand
+MOST_POSES = 100_000  # of a grid
 PUSHES = (0.1, 0.2, 0.4)  # torque beyond balance and friction, relative to the largest gravity load at that pose
 TimeOf = Callable[[Sequence[Mapping[str, float]]], np.ndarray]
 """Seconds that S pushes take beside their durations, shape (S,), by the positions of all joints at their starts."""
@@ -76,13 +80,17 @@ def still_run(joint: str, pose: Mapping[str, float], current_A: float, duration_
 
 def candidate_joints(robot: Robot) -> list[str]:
     """Driven joints that carry the hand against gravity somewhere."""
-    found = []
+    found, model, rest = [], robot.model, zero_pose(robot)
+    followed = {model.driving(joint)[0] for joint in model.joints if joint.mimic is not None}
     for name in robot.drive_trains:
-        if robot.model.joint(name).kind == "prismatic":
+        if model.joint(name).kind == "prismatic" or name in followed:
             continue
-        stills = [still_run(name, pose, 0.0, 0.1) for pose in start_poses(robot, name, 2, 2)]
-        loads = [np.abs(prepare_run(robot, run, KnownLoad()).coefficients.payload[1:3]).max() for run in stills]
-        if max(loads, default=0.0) > 1e-3:
+        ends = {each: start_positions(robot, each, 2) for each in (name, *joints_that_matter(robot, name))}
+        poses = [rest | places for places in itertools.islice(shuffled(ends), MOST_LOOKED_AT)]
+        if not (poses := [pose for pose in poses if clearance(robot, pose) >= CLEARANCE_M]):
+            continue
+        _, payload = at_poses(robot, name, {held: np.array([pose[held] for pose in poses]) for held in poses[0]})
+        if np.abs(payload[:, 1:3]).max() > 1e-3:
             found.append(name)
     return found
 
@@ -95,11 +103,26 @@ def start_positions(robot: Robot, joint: str, count: int) -> list[float]:
     return [round(float(q), 2) for q in np.linspace(lower + margin, upper - margin, count)]
 
 
+def joints_that_matter(robot: Robot, joint: str) -> list[str]:
+    """Locked joints with a motor whose positions change what a driven joint carries."""
+    matters = prepare_run(robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
+    return [name for name in matters if name in robot.drive_trains]
+
+
+def shuffled(axes: Mapping[str, Sequence[float]]) -> Iterator[dict[str, float]]:
+    """Places of a grid, by the positions along each of its axes, always in the same order; some of them where they are many."""
+    sizes, rng = [len(axis) for axis in axes.values()], np.random.default_rng(0)
+    if math.prod(sizes) <= MOST_POSES:
+        places = np.stack(np.unravel_index(rng.permutation(math.prod(sizes)), sizes), axis=1)
+    else:
+        places = rng.integers(sizes, size=(MOST_POSES, len(sizes)))
+    for row in places.tolist():
+        yield {name: axis[at] for (name, axis), at in zip(axes.items(), row, strict=True)}
+
+
 def locked_poses(robot: Robot, joint: str, count: int) -> list[dict[str, float]]:
     """Poses over a grid of the locked joints that matter to the driven one, ``count`` positions of each; all others at zero."""
-    rest = zero_pose(robot)
-    matters = prepare_run(robot, still_run(joint, bent_pose(robot), 0.0, 0.1), KnownLoad()).coefficients.pose
-    others = [name for name in matters if name in robot.drive_trains]
+    rest, others = zero_pose(robot), joints_that_matter(robot, joint)
     grids = [start_positions(robot, name, count) for name in others]
     return [rest | dict(zip(others, positions, strict=True)) for positions in itertools.product(*grids)]
 

@@ -25,26 +25,29 @@ from proprio_ros.experiment_design.candidates import (
     start_poses,
     still_run,
 )
+from proprio_ros.experiment_design.search import SAME_KIND, Search
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan, Weighable
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.gates import LITTLE_TRAVEL, MIN_USED
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import load_unknowns, robot_unknowns
-from proprio_ros.identification.unknowns import Role
+from proprio_ros.identification.unknowns import Role, scaled_inverse
 from proprio_ros.kinds import Key, label_of
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts
 
-STARTS = 6  # start positions of the driven joint, over its range
-POSES = 4  # positions of each locked joint that matters, over its range
-COARSE_STARTS, COARSE_POSES = 4, 2  # the same, where one good run will do
+SECONDS = 3.0  # that a search takes where nobody says otherwise
+COARSE_STARTS, COARSE_POSES = (
+    4,
+    2,
+)  # start positions of a driven joint, and of each locked one, where one good run will do
+ROUNDING = 1e-12  # of the information on a mass: less of it that is left may be none
 DURATION_S = 0.6  # of every run
 TYPICAL_KG = 0.02  # for which a calibration says how well it weighs
 ADVISED_TERMS = ("torque_constant", "coulomb", "viscous", "load_friction", "armature")
-SAME_KIND = 2  # plans shown of one joint and kind
 
 
 @dataclass(frozen=True)
@@ -58,25 +61,23 @@ class _Candidates:
     clearance_m: np.ndarray  # shape (R,)
     fits: np.ndarray  # whether a run is inside all limits, shape (S, R)
 
-    def posterior(self, s: int, r: int) -> tuple[list[Key], np.ndarray]:
-        """Keys of the unknowns that one run touches, and their covariance after it, everything else under its prior."""
-        return _posterior(self.problem, self.dq[s], self.alive[s], [r])
+    def known_after(self, s: int, r: int) -> tuple[list[Key], np.ndarray]:
+        """Keys of the unknowns that one run touches, and what is known of them after it, everything else under its prior."""
+        return _known_after(self.problem, self.dq[s], self.alive[s], [r])
 
 
-def _posterior(
+def _known_after(
     problem: Problem, dq: np.ndarray, alive: np.ndarray, runs: Sequence[int]
 ) -> tuple[list[Key], np.ndarray]:
-    """Keys and covariance of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
+    """Keys and precision of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
     free = [problem.unknowns[row] for row in problem.free]
     own = [f for f, u in enumerate(free) if u.shared or u.scope in runs]
-    normal = problem.coordinates.prior_precision[np.ix_(own, own)].copy()
+    precision = problem.coordinates.prior_precision[np.ix_(own, own)].copy()
     for r in runs:
         weight = problem.weight[r][: alive.shape[1]][alive[r]]
         rows = dq[r][alive[r]][:, own] * weight[:, None]
-        normal += rows.T @ rows
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True)
-    return [free[f].key for f in own], inverse * scale[:, None] * scale[None, :]
+        precision += rows.T @ rows
+    return [free[f].key for f in own], precision
 
 
 def plan(
@@ -85,8 +86,11 @@ def plan(
     facts: PayloadFacts | None = None,
     count: int = 10,
     progress: Callable[[str], None] = lambda _: None,
+    seconds: float = SECONDS,
 ) -> list[ExcitationPlan]:
     """Rank weighings by the widest interval they would give over the masses that the hand may hold; a run must suit all of them.
+
+    The search ends after so many ``seconds``, when nothing is left to try, or by Ctrl-C, with the best so far.
 
     Raises:
         ConfigurationError: A mass is not positive, or no candidate suits all of them.
@@ -94,22 +98,32 @@ def plan(
     if not masses_kg or min(masses_kg) <= 0.0:
         raise ConfigurationError(f"the masses to plan for must be positive, not {list(masses_kg)} kg")
     masses = np.array(sorted(masses_kg))
-    simulate = partial(_candidates, robot, masses, facts or PayloadFacts(), None)
-    found: list[ExcitationPlan] = []
-    for joint in candidate_joints(robot):
-        progress(f"simulating candidate runs of {joint}")
-        for candidates, r in _suitable(robot, [joint], STARTS, POSES, simulate):
-            stds = [_std_of_mass(*candidates.posterior(s, r)) for s in range(len(masses))]
+
+    def tries(joint: str, pose: Mapping[str, float]) -> Iterator[tuple[float, ExcitationPlan]]:
+        if (candidates := _candidates(robot, masses, facts or PayloadFacts(), None, joint, pose)) is None:
+            return
+        for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist():
+            stds = [_std_of_mass(*candidates.known_after(s, r)) for s in range(len(masses))]
             widest = int(np.argmax(stds))
-            interval = f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
-            found.append(_as_plan(candidates, r, stds, f"widest 95 % interval {interval}"))
-    if not found:
+            if np.isfinite(stds[widest]):
+                interval = (
+                    f"+-{shown('kg', Z95 * stds[widest], spec='.1f')}, at {shown('kg', masses[widest], spec='.0f')}"
+                )
+                yield stds[widest], _as_plan(candidates, r, stds, f"widest 95 % interval {interval}")
+
+    search = Search(robot, candidate_joints(robot), tries)
+    try:
+        search.run(seconds, progress)
+    except KeyboardInterrupt:
+        if not search.plans:
+            raise
+        progress("stopped: these are the best so far")
+    if not search.plans:
         ends = shown("kg", masses[0], masses[-1], spec=".0f", between=" to ")
         cure = "narrow the range, plan for light and heavy objects apart, or allow more time"
         none = f"no run of {DURATION_S} s suits all masses from {ends} inside the robot's limits"
         raise ConfigurationError(f"{none}: {cure}")
-    found.sort(key=lambda p: max(p.std_kg))
-    return _varied(found, count)
+    return search.plans[:count]
 
 
 def with_advice(
@@ -157,7 +171,8 @@ def advise(robot: Robot, joints: Sequence[str], count: int = 3) -> list[Excitati
     turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
     found: list[tuple[float, ExcitationPlan]] = []
     for candidates, r in _suitable(robot, turning, COARSE_STARTS, COARSE_POSES, simulate):
-        keys, covariance = candidates.posterior(0, r)
+        keys, precision = candidates.known_after(0, r)
+        covariance = scaled_inverse(precision)
         # of other joints' drive trains this run determines only what is correlated with its own
         shared = [key for key in wanted if key in keys]
         now = [keys.index(key) for key in shared]
@@ -182,7 +197,7 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     best: dict[str, dict[bool, tuple[float, PreparedRun, np.ndarray]]] = {}
     driven = [joint for joint in candidate_joints(robot) if joint in joints]
     for candidates, r in _suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate):
-        std, run = _std_of_mass(*candidates.posterior(0, r)), candidates.problem.runs[r]
+        std, run = _std_of_mass(*candidates.known_after(0, r)), candidates.problem.runs[r]
         way, upwards = best.setdefault(run.run.joint, {}), bool(candidates.travel[0, r] > 0.0)
         if upwards not in way or std < way[upwards][0]:
             way[upwards] = std, run, candidates.alive[0, r]
@@ -193,13 +208,21 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     prepared = [run for _, run, _ in runs]
     problem = Problem(robot, prepared, facts, load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG))
     _, _, dq = problem.simulate(problem.base[None], problem.free)
-    keys, covariance = _posterior(problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs)))
-    return Weighable(TYPICAL_KG, _std_of_mass(keys, covariance), tuple(joint for joint in joints if joint in chosen))
+    known = _known_after(problem, dq[0], np.array([alive for _, _, alive in runs]), range(len(runs)))
+    return Weighable(TYPICAL_KG, _std_of_mass(*known), tuple(joint for joint in joints if joint in chosen))
 
 
-def _std_of_mass(keys: Sequence[Key], covariance: np.ndarray) -> float:
-    row = keys.index("payload_mass")
-    return float(np.sqrt(max(covariance[row, row], 0.0)))
+def _std_of_mass(keys: Sequence[Key], precision: np.ndarray) -> float:
+    """What a precision leaves open of the mass [kg]; infinite where nothing tells it."""
+    row, diagonal = keys.index("payload_mass"), np.diag(precision)
+    if diagonal[row] <= 0.0:
+        return np.inf
+    scale = 1.0 / np.sqrt(diagonal)
+    others = np.delete(np.arange(len(keys)), row)
+    scaled = precision * scale[:, None] * scale
+    # the part of what is known of the mass that is not taken up by what else could have caused it
+    left = 1.0 - scaled[row, others] @ np.linalg.solve(scaled[np.ix_(others, others)], scaled[others, row])
+    return float(scale[row] / np.sqrt(left)) if left > ROUNDING else np.inf
 
 
 def _varied(plans: Sequence[ExcitationPlan], count: int) -> list[ExcitationPlan]:
@@ -251,7 +274,8 @@ def _candidates(
         q, v, dq = problem.simulate(values, problem.free)
     drive, limits = robot.drive_trains[joint], robot.model.joint(joint)
     start = pose[joint]
-    alive = np.cumprod(np.isfinite(q) & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
+    told = np.isfinite(q) & np.isfinite(dq).all(axis=3)
+    alive = np.cumprod(told & (np.abs(v) < drive.usable_velocity), axis=2).astype(bool)
     counted = np.abs(np.where(alive, q, start) - start).max(axis=2)
     ends = np.where(np.isfinite(q), np.clip(q, -10.0, 10.0), start)
     low, high = ends.min(axis=2), ends.max(axis=2)

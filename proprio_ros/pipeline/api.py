@@ -392,18 +392,20 @@ def plan(
     calibration: AnyPath | None = None,
     robot: AnyPath | None = None,
     count: int = 10,
+    seconds: float = 3.0,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[str], None] = lambda _: None,
     **facts: Mapping[str, Any],
 ) -> Plans:
     """Which run to make for an object of about this mass: start poses and currents, the smallest interval first.
 
-    A run must suit all ``masses`` [kg] that the hand may hold; there are at most ``count`` plans. ``progress`` hears in sentences
-    what is going on. All else is as for `weigh`, errors included.
+    A run must suit all ``masses`` [kg] that the hand may hold; there are at most ``count`` plans. The search ends after so many
+    ``seconds``, or when nothing is left to try; the longer, the better its plans. Interrupted, it returns the best so far.
+    ``progress`` hears in sentences what is going on. All else is as for `weigh`, errors included.
     """
     given = _read(locals())
     asked = given["masses"]
-    return Plans(*plan_excitations(asked, _options(given), given["count"], progress), asked)
+    return Plans(*plan_excitations(asked, _options(given), given["count"], progress, given["seconds"]), asked)
 
 
 def check(
@@ -486,6 +488,7 @@ _ARGUMENTS: dict[str, Form] = {
     "references": Perhaps(form=Part(by=_known)),
     "masses": Part(by=_masses),
     "count": Whole(lowest=1),
+    "seconds": Number(lowest=0.0),
     "force": Truth(),
     "progress": Part(by=_called),
 }

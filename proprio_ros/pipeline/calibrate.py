@@ -21,7 +21,7 @@ from proprio_ros.calibration_files.motors import MotorIdentity, other_arm
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, JointCalibration
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
-from proprio_ros.experiment_design.planning import plan, with_advice
+from proprio_ros.experiment_design.planning import SECONDS, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.reasons import Reason
@@ -254,8 +254,9 @@ def plan_excitations(
     options: Options | None = None,
     count: int = 10,
     progress: Callable[[str], None] = lambda _: None,
+    seconds: float = SECONDS,
 ) -> tuple[Robot, list[ExcitationPlan]]:
-    """The robot, and the weighings that would determine most about objects of these masses.
+    """The robot, and the weighings that would determine most about objects of these masses, as a search so long finds them.
 
     Raises:
         ConfigurationError, RobotError: With one line that says what is wrong and what to do.
@@ -263,7 +264,7 @@ def plan_excitations(
     request = read_request(options or Options(), _reference)
     for name in request.locked:
         raise ConfigurationError(f"--set held.{name}: a plan says where every joint is; leave it out")
-    return request.robot, plan(request.robot, masses_kg, request.facts, count, progress=progress)
+    return request.robot, plan(request.robot, masses_kg, request.facts, count, progress, seconds)
 
 
 def _from_motions(

@@ -8,12 +8,14 @@ import pytest
 from proprio_ros.experiment_design.candidates import (
     CLEARANCE_M,
     LIMIT_MARGIN,
+    MOST_POSES,
     PUSHES,
     Push,
     best_first,
     candidate_joints,
     currents_beyond,
     expected_coulomb,
+    shuffled,
     start_poses,
     still_run,
 )
@@ -78,3 +80,9 @@ def test_the_quickest_that_is_enough_comes_first() -> None:
         for time_s, std in ((5.0, 1e-3), (3.0, 1.5e-3), (1.0, 9e-3))
     )
     assert best_first([vague, slow, quick], 2e-3) == [quick, slow, vague]
+
+
+def test_a_grid_is_gone_through_once_and_a_large_one_in_part() -> None:
+    places = [tuple(place.values()) for place in shuffled({"a": [1.0, 2.0], "b": [3.0, 4.0, 5.0]})]
+    assert len(places) == len(set(places)) == 6 and places != sorted(places)
+    assert sum(1 for _ in shuffled({str(axis): [0.0, 1.0] for axis in range(40)})) == MOST_POSES

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import seven_joints
 
+import proprio_ros
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.experiment_design.candidates import CLEARANCE_M
@@ -31,6 +38,7 @@ from proprio_ros.robot import Robot, load_robot
 from proprio_ros.robot.kinematics import clearance
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
+TO_ITS_END = 600.0  # a search of so few joints ends before
 MASSES = (0.01, 0.03, 0.1)
 BALL = PayloadFacts(shape=PayloadShape.of("sphere", 0.03))
 
@@ -69,7 +77,7 @@ def test_only_a_calibration_that_holds_gets_advice(estimate: CalibrationEstimate
 
 @pytest.fixture(scope="module")
 def plans(calibrated: Robot) -> list[ExcitationPlan]:
-    return plan(calibrated, MASSES, BALL, count=20)
+    return plan(calibrated, MASSES, BALL, count=20, seconds=TO_ITS_END)
 
 
 @pytest.mark.long
@@ -115,7 +123,7 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[Excitat
     assert learnt is not None
     arm = robot.with_calibration(learnt)
     checked = 0
-    for entry in plan(arm, [0.03], BALL, count=6):
+    for entry in plan(arm, [0.03], BALL, count=6, seconds=TO_ITS_END):
         run = run_of(entry.joint, entry.start, entry.current_A, ball(0.03, 0.03))
         estimate = weigh(arm, [run], BALL)
         value = estimate.value("payload_mass")
@@ -129,8 +137,8 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[Excitat
 
 @pytest.mark.long
 def test_a_calibration_makes_better_promises(calibrated: Robot, plans: list[ExcitationPlan]) -> None:
-    (before, *_) = plan(load_robot("open_manipulator_x"), [0.03], BALL, count=1)
-    (after, *_) = plan(calibrated, [0.03], BALL, count=1)
+    (before, *_) = plan(load_robot("open_manipulator_x"), [0.03], BALL, count=1, seconds=TO_ITS_END)
+    (after, *_) = plan(calibrated, [0.03], BALL, count=1, seconds=TO_ITS_END)
     assert after.std_kg[0] < 0.2 * before.std_kg[0]
 
 
@@ -206,3 +214,75 @@ def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: li
     assert main(["plan", *arguments]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("proprio: --")
+
+
+# --- seven joints, and a search that can be stopped ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def seven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("seven")
+    urdf, robot = seven_joints.write(folder), folder / "robot.yaml"
+    assert main(["robot", "new", str(urdf), "--effort-unit", "N.m", "--output", str(robot)]) == 0
+    return robot
+
+
+def test_seven_joints_have_a_plan_at_once_and_better_ones_later(seven: Path) -> None:
+    said: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        began = time.process_time()
+        (first,) = proprio_ros.plan(0.05, robot=seven, count=1, seconds=0.0, progress=said.append)
+        took_s = time.process_time() - began
+        later = proprio_ros.plan(0.05, robot=seven, count=20, seconds=4.0, progress=said.append)
+    assert (
+        took_s < 5.0
+        and "trying start poses of joint2" in said[0]
+        and any("start poses tried in" in one for one in said)
+    )
+    assert 0.0 < later[0].std_kg[0] <= first.std_kg[0]
+    kinds = [(entry.joint, entry.kind) for entry in later]
+    assert max(kinds.count(kind) for kind in kinds) <= SAME_KIND
+    limits = load_robot(seven).model
+    for name, position in later[0].start.items():
+        assert limits.joint(name).lower <= position <= limits.joint(name).upper
+
+
+def test_interrupted_it_returns_the_best_so_far(seven: Path) -> None:
+    said: list[str] = []
+
+    def interrupt(sentence: str, after: str) -> None:
+        said.append(sentence)
+        if after in sentence:
+            raise KeyboardInterrupt
+
+    plans = proprio_ros.plan(0.05, robot=seven, seconds=60.0, progress=lambda one: interrupt(one, "so far joint"))
+    assert plans and said[-1] == "stopped: these are the best so far"
+    with pytest.raises(KeyboardInterrupt):
+        proprio_ros.plan(0.05, robot=seven, progress=lambda one: interrupt(one, "trying start poses"))
+
+
+def test_the_command_interrupted_prints_the_best_so_far(seven: Path) -> None:
+    words = ["plan", "--mass", "0.05", "--robot", str(seven), "--count", "1", "--seconds", "600", "--json"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-m", "proprio_ros.cli", *words], stdout=pipe, stderr=pipe, text=True
+    ) as command:
+        assert command.stderr is not None
+        for line in command.stderr:
+            if "so far joint" in line:
+                break
+        command.send_signal(signal.SIGINT)
+        out, error = command.communicate(timeout=60)
+    assert command.returncode == 0 and "proprio: stopped: these are the best so far" in error
+    assert len(json.loads(out)["plans"]) == 1
+
+
+def test_a_mass_that_nothing_tells_is_no_plan() -> None:
+    """The flange of a UR5e turns about its own axis: an object in the middle of it changes nothing."""
+    plans = plan(load_robot("ur5e"), [0.05], count=20, seconds=2.0)
+    assert plans and all(entry.joint != "wrist_3_joint" and entry.std_kg[0] > 1e-3 for entry in plans)
+
+
+def test_a_joint_that_drives_another_one_is_held() -> None:
+    assert all(entry.joint != "gripper_joint_1" for entry in plan(load_robot("omx_f"), [0.05], seconds=0.0))
