@@ -27,6 +27,7 @@ import calibrated
 import case as cases
 import container
 import fresh_process
+import planned
 import softness
 from case import REPEATS, Case, Row, measure
 from results import Results, parser_of
@@ -41,6 +42,7 @@ PARTS = {
     "calibrated": calibrated.rows,
     "container": container.rows,
     "fresh": fresh_process.rows,
+    "plan": planned.rows,
     "bus": bus.rows,
     "softness": softness.rows,
 }

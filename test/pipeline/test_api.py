@@ -132,6 +132,7 @@ ALSO_WRONG: dict[str, list[Any]] = {
     **{name: ["", 5, True, [], ["a"], int] for name in ("settings", "references")},
     "masses": NO_NUMBERS,
     "count": [*NO_NUMBERS, [], -1, 0, 1.5],
+    "seconds": [*NO_NUMBERS, [], -1.0],
     "force": [None, 0, 1, "no", [], {}],
     "progress": [None, 5, "print", []],
     "payload": [None, 5, "x", []],
