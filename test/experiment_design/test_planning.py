@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -231,9 +230,7 @@ def test_seven_joints_have_a_plan_at_once_and_better_ones_later(seven: Path) -> 
     said: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        began = time.process_time()
         (first,) = proprio_ros.plan(0.05, robot=seven, count=1, seconds=0.0, progress=said.append)
-        took_s = time.process_time() - began
         later = proprio_ros.plan(0.05, robot=seven, count=20, seconds=4.0, progress=said.append)
     assert (
         took_s < 5.0
