@@ -72,7 +72,7 @@ def as_markdown(parts: Sequence[str]) -> tuple[str, dict[str, str]]:
         elif part.startswith("<figure"):
             name = f"{section}_{sum(one.startswith(section + '_') for one in drawn) + 1}.svg"
             svg, caption = re.fullmatch(r"<figure[^>]*>(<svg.*</svg>)(.*)</figure>", part, re.DOTALL).groups()
-            drawn[name] = _alone(svg)
+            drawn[name] = alone(svg)
             alternative = re.search(r'aria-label="([^"]*)"', svg)
             lines.append(f"![{alternative[1] if alternative else name}](figures/{name})")
             if caption:
@@ -89,11 +89,11 @@ def _plain(part: str) -> str:
     return re.sub(r' class=("label number"|number\b)', " align=right", part).replace("<tr", "\n<tr")
 
 
-def _alone(svg: str) -> str:
-    """A figure of the page as a picture of its own, on white."""
+def alone(svg: str, rules_of: str = DRAWN) -> str:
+    """A figure of a page as a picture of its own, on white, with the rules of the style sheet that it needs."""
     wide = STYLE[: STYLE.index("@media (max-width")]
     rules = re.findall(r"[^{}]+\{[^{}]*\}", wide)
-    drawn = [rule.strip() for rule in rules if re.match(DRAWN, rule.strip())]
+    drawn = [rule.strip() for rule in rules if re.match(rules_of, rule.strip())]
     style = "\n".join([rules[0].strip(), "svg { background: #fff; font-family: sans-serif; }", *drawn])
     plain = re.sub(r' data-[a-z0-9]+(="[^"]*")?', "", svg)
     return (

@@ -9,10 +9,10 @@ from pathlib import Path
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.kinds import KINDS
-from proprio_ros.quantity import shown
+from proprio_ros.quantity import Z95, shown, spec_for
 from proprio_ros.report import calibration_figures as figures
 from proprio_ros.report import pictures
-from proprio_ros.report.html import bulleted, framed, listed, plotted, provenance, table, titled, write_document
+from proprio_ros.report.html import bulleted, framed, listed, number, plotted, provenance, table, titled, write_document
 
 _WORDS = {
     Verdict.REJECTED: "rejected: the model does not explain the runs",
@@ -46,7 +46,7 @@ def write_calibration_report(
             "The run as the calibration without it predicts it. It may be far off where the others say little, but not "
             "further than promised: bars on the right that reach far past 1 contradict the others.",
         )
-    parts += _motions(estimate)
+    parts += [*_motions(estimate), *_weighed(estimate)]
     parts += _unused(estimate)
     parts += listed("What the runs could not separate", estimate.not_separated)
     if estimate.calibration is not None:
@@ -81,14 +81,22 @@ def _motions(estimate: CalibrationEstimate) -> list[str]:
         "<h3>Torque that is left over</h3>",
         table(["joint", "rms over windows of 0.5 s", "windows that share an error"], joints, numbers=(1, 2)),
     ]
-    if estimate.weighed_empty:
-        parts.append("<h3>Each motion, weighed by the calibration of the others</h3>")
-        rows = [
-            [each.name, shown("kg", each.mass_kg, spec=".1f"), "± " + shown("kg", each.half_width, spec=".1f")]
-            for each in estimate.weighed_empty
-        ]
-        parts.append(table(["", "weighs", "95 %"], rows, numbers=(1, 2)))
     return parts
+
+
+def _weighed(estimate: CalibrationEstimate) -> list[str]:
+    if not estimate.weighed_empty:
+        return []
+    loads = {run["name"]: run["load_kg"] for run in estimate.joint.runs} if estimate.joint is not None else {}
+    rows = []
+    for each in estimate.weighed_empty:
+        spec = spec_for("kg", each.half_width / Z95)
+        held = shown("kg", loads.get(each.name, 0.0), spec=".0f")
+        rows.append(
+            [each.name, held, shown("kg", each.mass_kg, spec=spec), "± " + shown("kg", each.half_width, spec=spec)]
+        )
+    title = "<h3>Each motion, weighed by the calibration of the others</h3>"
+    return [title, table(["", "held", "weighs", "95 %"], rows, numbers=(1, 2, 3))]
 
 
 def _unused(estimate: CalibrationEstimate) -> list[str]:
@@ -103,7 +111,7 @@ def _headline(estimate: CalibrationEstimate) -> list[str]:
     verdict = _WORDS.get(estimate.verdict, estimate.verdict.value.replace("_", " "))
     parts = titled(f"calibration of {estimate.robot}, {used}", estimate.verdict.value, verdict)
     if estimate.weighable is not None:
-        parts.append(f"<p class=value>{escape(estimate.weighable.sentence())}</p>")
+        parts.append(f'<p class="value beside">{escape(estimate.weighable.sentence())}</p>')
     if (fit := estimate.fit) is not None:
         parts.append(
             f"<p class=interval>{shown(fit.unit, fit.rms)} rms of the residuals over all runs; "
@@ -146,7 +154,9 @@ def _unknowns(estimate: CalibrationEstimate) -> list[str]:
     rows = []
     for row in estimate.unknowns:
         left = f"{100.0 * row.std / row.prior_std:.0f} %" if row.prior_std > 0.0 else "-"
-        prior, now = f"{row.prior:.6g} ± {row.prior_std:.3g}", f"{row.value:.6g} ± {row.std:.3g}"
-        rows.append([row.label, prior, now, left, row.unit])
+        prior, now = (
+            f"{number(value, std)} ± {std:.2g}" for value, std in ((row.prior, row.prior_std), (row.value, row.std))
+        )
+        rows.append([row.label, prior, now, left, row.unit.replace("^2", "²")])
     header = ["unknown", "robot file", "now", "left of its uncertainty", "unit"]
-    return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3))]
+    return ["<h2>Every shared unknown</h2>", table(header, rows, numbers=(1, 2, 3), labels=1)]

@@ -188,7 +188,10 @@ def _ticks(low: float, high: float, log: bool, most: float = 7.0) -> list[tuple[
         return [(math.log10(v), f"{v:g}".replace("e+0", "e")) for v in values if low <= math.log10(v) <= high]
     power = 10.0 ** math.floor(math.log10((high - low) / most))
     step = next(power * digit for digit in (1, 2, 5, 10) if (high - low) / (power * digit) < most)
+    if math.floor(high / step) - math.ceil(low / step) < 1:  # one mark is no scale
+        step /= 2.0
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    digits += round(step * 10.0**digits, 6) % 1.0 > 0.0
     places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
     return [(place * step, _signed(f"{place * step:.{digits}f}")) for place in places]
 

@@ -55,7 +55,7 @@ def write_choices(choices: Sequence[Choice], sought: Sought, target: float, path
         took = f"{1e3 * choice.decided_s:.0f} ms"
         rows.append([str(number), known, choice.chosen, promised, "; ".join(choice.others), took])
     header = ["", "known before", "chosen", "promises", "not chosen", "decided in"]
-    parts += ["<h2>What was chosen, and what was not</h2>", table(header, rows, (0, 1, 3, 5))]
+    parts += ["<h2>What was chosen, and what was not</h2>", table(header, rows, (0, 1, 3, 5), labels=1)]
     write_document(path, "Pushes, one by one", parts, "the page of the choices")
 
 
@@ -76,4 +76,4 @@ def _figure(choices: Sequence[Choice], sought: Sought, target: float) -> str:
         Panel(f"half 95 % interval ({unit_of_half})", unit_of_half, halves, rules=rules, log=True),
     ]
     about = f"{name} and 95 % interval after each push. Below: half of it, what the push promised, what was asked for."
-    return framed(chart(panels, Axis("pushes", ""), "Interval after each push"), f"Above: {about}", "large")
+    return framed(chart(panels, Axis("pushes", ""), "Interval after each push"), f"Above: {about}")

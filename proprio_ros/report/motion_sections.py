@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, HeldView, JointFit
+from proprio_ros.quantity import Z95, spec_for
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed, percent
 from proprio_ros.report.pictures import ArmPicture
@@ -108,9 +109,10 @@ def torques(estimate: Estimate, hint: str) -> list[str]:
     told = [fit.joint for fit in sorted(fits, key=lambda fit: -float(fit.told.sum()))]
     for fit in sorted(fits, key=lambda fit: (fit.name, told.index(fit.joint))):
         title = f"{fit.name}: {fit.joint}" if several else fit.joint
-        usual = f", {fit.usual:.2g} N m where the load is known" if fit.usual > 0.0 else ""
+        left_over, known = (f"{rms:{spec_for('', rms / Z95, kept=True)}} N m" for rms in (fit.left_over, fit.usual))
+        usual = f", {known} where the load is known" if fit.usual > 0.0 else ""
         told_mass = f"Told {percent(float(fit.told.sum()))} of the mass; " if len(fits) > 1 else ""
-        words = f"{told_mass}{fit.left_over:.2g} N m stay unexplained (rms){usual}."
+        words = f"{told_mass}{left_over} stay unexplained (rms){usual}."
         figure = framed(torque_figure(fit, estimate.values[0].value is not None))
         parts.append(f"<h3>{escape(title)}</h3><p class=small>{escape(words)}</p>{figure}")
     return parts

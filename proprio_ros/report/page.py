@@ -12,6 +12,7 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, shown_unit, spec_for
+from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report import pictures
 from proprio_ros.report.html import bulleted, framed, listed, number, provenance, table, titled, write_document
 from proprio_ros.report.motion_sections import arm_and_payload, torques, what_told
@@ -97,7 +98,8 @@ def _runs(estimate: Estimate) -> list[str]:
     for n, (fit, run) in enumerate(pairs, start=1):
         if fit is not None:
             name = fit.name
-            about = f"{fit.joint}, {fit.current_A:+.3f} A from {fit.source}, travel {fit.travel:+.2f} rad"
+            driven_by = "let go" if fit.source == TORQUE_OFF else f"{fit.current_A:+.3f} A from {fit.source}"
+            about = f"{fit.joint}, {driven_by}, travel {fit.travel:+.2f} rad"
         else:
             assert run is not None
             name = run.name
@@ -182,8 +184,10 @@ def _interval_in_words(value: Value, interval_first: bool = False) -> str:
         words = f"{value.label}, 95 % interval {shown(value.unit, *value.ci95, spec=spec, between=' to ')}"
         if shown_unit(value.unit)[0] == 1.0:
             return words
-        in_si = spec_for(value.unit, value.std, kept=True)
-        return f"{words} ({value.value:{in_si}} {value.unit}, standard deviation {value.std:.2g})"
+        in_si, deviation = spec_for(value.unit, value.std, kept=True), f"{value.std:.2g}"
+        if "e+" in deviation:  # nobody reads powers of ten
+            deviation = f"{value.std:.0f}"
+        return f"{words} ({value.value:{in_si}} {value.unit}, standard deviation {deviation})"
     return f"{value.label}: {value.reason}" if value.reason else value.label
 
 
@@ -224,7 +228,15 @@ def _convergence(estimate: Estimate) -> list[str]:
         for path in paths:
             stops = [f"{factor * (path.scheduled or 0.0):.1f}"] * scheduled
             end = f"{factor * path.end:.3f}"
-            rows.append([*[stage] * refined, f"{factor * path.start:.3g}", *stops, end, f"{path.cost:.3g}"])
+            rows.append(
+                [
+                    *[stage] * refined,
+                    f"{factor * path.start:{'.0f' if factor * path.start >= 100.0 else '.3g'}}",
+                    *stops,
+                    end,
+                    f"{path.cost:.3g}",
+                ]
+            )
     return [
         "<h2>Convergence of every start</h2>",
         f"<p class=small>{escape(about)}</p>",
@@ -250,9 +262,10 @@ def _values(estimate: Estimate) -> list[str]:
             prior = "none" if row.prior_std == float("inf") else known
             pull = "-" if row.pull is None else f"{row.pull:+.1f}"
             fitted = f"{number(row.value, row.std)} ± {row.std:.2g}"
-            rows.append([row.label, _ROLES.get(row.role, row.role), prior, fitted, pull, row.unit])
+            unit = row.unit.replace("^2", "²")
+            rows.append([row.label, _ROLES.get(row.role, row.role), prior, fitted, pull, unit])
         header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
-        parts.append(table(header, rows, numbers=(2, 3, 4)))
+        parts.append(table(header, rows, numbers=(2, 3, 4), labels=1))
     if (fit := estimate.fit) is not None:
         expected = "where the load is known" if estimate.joint_fits else "expected from encoder and stamps"
         rows = [

@@ -10,10 +10,11 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate, RecordedRun, RunFit, StartPath
 from proprio_ros.identification.fit import source_label
 from proprio_ros.quantity import Z95, shown, shown_unit, spec_for
+from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import bars, percent
 
-TIME = "time after the current came on (s)"
+TIME, RELEASED = "time after the current came on (s)", "time after it was let go (s)"
 SHOWN_SOURCES = 8
 HIGHEST_CHI2 = 15.0
 """Of a profile that is shown: the 95 % interval ends at 3.8."""
@@ -36,7 +37,8 @@ def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) ->
             Series("simulated", fit.times_s, fit.simulated, "simulated"),
         ]
     panels = [Panel(f"position ({unit})", unit, traces, 170.0)]
-    if recorded is not None:
+    free = TORQUE_OFF in (fit.source if fit is not None else "", recorded.source if recorded is not None else "")
+    if recorded is not None and not free:
         panels.append(Panel("input current (A)", "A", [_current(recorded)], 70.0, rules=[0.0]))
     if fit is not None:
         residual, sigma = 1e3 * (fit.simulated - fit.measured), 2e3 * fit.sigma
@@ -44,7 +46,7 @@ def run_figure(fit: RunFit | None, recorded: RecordedRun | None, number: int) ->
         title = "residual (mrad); band: two standard deviations"
         panels.append(Panel(title, "mrad", [off], 90.0, (fit.times_s, -sigma, sigma), rules=[0.0]))
     fitted, alone = "measured and simulated position, input current and residual", "recorded position and input current"
-    return chart(panels, Axis(TIME, "s"), f"Run {number}: {fitted if fit else alone} over time")
+    return chart(panels, Axis(RELEASED if free else TIME, "s"), f"Run {number}: {fitted if fit else alone} over time")
 
 
 def _current(run: RecordedRun) -> Series:

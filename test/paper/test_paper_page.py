@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from paper_results import as_markdown, label
 from support.pages import read
+from support.paper_rows import synthetic
 
 from proprio_ros.cli import main
 from proprio_ros.errors import SimulationError
@@ -115,28 +116,6 @@ def test_what_cannot_be_run_is_refused_before_anything_is_made(
     assert main(["paper", "--out", str(tmp_path / "made"), *arguments]) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "made").exists()
-
-
-def synthetic() -> dict[str, list[Rows]]:
-    """Rows as the experiments return them, of two seeds."""
-    found: dict[str, list[Rows]] = {name: [] for name in ("objects", "starts")}
-    for seed, off in enumerate((-0.001, 0.002)):
-        rows = []
-        for name, (mass, _, _) in cases.OBJECTS.items():
-            for way, low, high in (("paper", None, None), ("ours", mass - 0.003, mass + 0.003)):
-                rows.append(
-                    {
-                        "object": name, "calibrated": True, "truth": mass, "way": way, "runs": 1, "value": mass + off,
-                        "low": low, "high": high, "seconds": 0.1, "verdict": "" if low is None else "accepted", "why": "",
-                    }
-                )  # fmt: skip
-        found["objects"].append({"rows": rows, "trace": {}, "seed": seed})
-        ends = [
-            {"way": "ours", "calibrated": False, "start": start, "value": 0.05 + off, "truth": 0.05}
-            for start in cases.STARTS_KG
-        ]
-        found["starts"].append({"rows": ends, "seed": seed})
-    return found
 
 
 def test_the_page_says_where_its_recordings_come_from_and_shows_what_was_run(tmp_path: Path) -> None:

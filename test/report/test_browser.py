@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import functools
 import html
 import json
+import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from support.arm_in_motion import SIX, Twin, write_robot
+from support.fleet import write_bag
+from support.paper_rows import synthetic
 
+from proprio_ros.paper.page import write_paper_page
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options
+from proprio_ros.quantity import Sought
 from proprio_ros.report import write_calibration_report
+from proprio_ros.report.choices_page import Choice, write_choices
 from proprio_ros.report.html import POLICY
 
 pytestmark = pytest.mark.long
@@ -26,23 +35,41 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 QUIET = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--window-size=1500,1000",
+    "--host-resolver-rules=MAP * ~NOTFOUND", "--proxy-server=direct://",
 ]  # fmt: skip
 LONG_NAME = "a_folder_" * 20 + "<script>document.title = 'run'</script>"
+PAPER_PX = 680
+"""A4 less its margins."""
 DARK = "--blink-settings=preferredColorScheme=0"
 
 Look = Callable[..., Any]
 
 MEASURE = """
 const seen = (element) => getComputedStyle(element);
-const verdict = seen(document.querySelector(".verdict"));
-const figure = (name) => { const all = [...document.querySelectorAll(name)]; return Math.min(...all.map((text) =>
+const badge = document.querySelector(".verdict"), verdict = badge ? seen(badge) : {};
+const figure = (name) => { const all = [...document.querySelectorAll(name)]; return Math.min(99, ...all.map((text) =>
   parseFloat(seen(text).fontSize) * text.ownerSVGElement.getScreenCTM().a)); };
+const wider = [...document.querySelectorAll("body *")].filter((box) =>
+  box.scrollWidth > box.clientWidth + 1 && ["auto", "scroll"].includes(seen(box).overflowX));
+const broken = (element) => { // words of a header that stand on more than one line
+  const found = [], walker = document.createTreeWalker(element, NodeFilter.SHOW_TEXT);
+  for (let node; (node = walker.nextNode());) for (const word of node.data.matchAll(/[^\\s]+/g)) {
+    const range = document.createRange();
+    range.setStart(node, word.index);
+    range.setEnd(node, word.index + word[0].length);
+    if (new Set([...range.getClientRects()].map((box) => box.top)).size > 1) found.push(word[0]);
+  }
+  return found;
+};
 return {
   width: innerWidth, scroll: document.documentElement.scrollWidth, title: document.title,
   verdict: [verdict.color, verdict.backgroundColor, verdict.borderTopColor], paper: seen(document.body).backgroundColor,
-  inks: [...new Set([...document.querySelectorAll("svg text, svg tspan")].map((text) => seen(text).fill))],
-  smallest: figure(".chart > text, .chart .ticks text, .chart .grid text"),
-  clipped: [...document.querySelectorAll(".wide, figure")].filter((box) => box.scrollWidth > box.clientWidth + 1).length,
+  inks: [...new Set([seen(document.body).color, ...[...document.querySelectorAll("svg text, svg tspan")].map((text) => seen(text).fill)])],
+  smallest: figure(".chart > text, .chart .ticks text, .chart .grid text, .arm text"),
+  clipped: [...document.querySelectorAll(".wide, figure, table")].filter((box) => box.scrollWidth > box.clientWidth + 1).length,
+  unsigned: wider.filter((box) => !/gradient.*gradient.*gradient.*gradient/s.test(seen(box).backgroundImage)
+    || !seen(box).backgroundAttachment.includes("local")).map((box) => box.outerHTML.slice(0, 80)),
+  broken: [...document.querySelectorAll("th")].flatMap(broken),
 };
 """
 
@@ -65,31 +92,46 @@ return { words, shown, before, near, zoomed, again, gone: tip.hidden };
 """
 
 
-@pytest.fixture
-def look(tmp_path: Path) -> Look:
-    """Opens a copy of a page and returns what a script says there."""
+def needs_browser() -> str:
+    """Where it is; a test without one is skipped, but where the environment says that there has to be one it fails."""
     if BROWSER is None:
+        if os.environ.get("PROPRIO_REQUIRE_BROWSER"):
+            pytest.fail("no Chromium, and PROPRIO_REQUIRE_BROWSER is set")
         pytest.skip("needs Chromium")
+    return BROWSER
 
-    def open_page(page: Path, script: str, width: int = 1400, *more: str, style: Callable[[str], str] = str) -> Any:
-        text = style(page.read_text().replace(POLICY, ""))  # the page lets no script in but its own
-        text += f"<script>parent.document.body.dataset.said = JSON.stringify((() => {{{script}}})())</script>"
-        # a window cannot be as narrow as a telephone, a frame can
-        frame = f'<iframe style="width:{width}px; height:900px; border:0" srcdoc="{html.escape(text)}"></iframe>'
-        outer = tmp_path / "outer.html"
-        outer.write_text(f'<!doctype html><meta charset="utf-8"><body>{frame}</body>')
-        command = [BROWSER, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", *more, "--dump-dom", outer.as_uri()]
+
+@pytest.fixture(scope="module")
+def look(tmp_path_factory: pytest.TempPathFactory) -> Look:
+    """Opens copies of a page, each so wide and in a style of its own, and returns what a script says in each."""
+    browser, folder = needs_browser(), tmp_path_factory.mktemp("browser")
+
+    def open_page(page: Path, script: str, widths: Sequence[int] = (1400,), *more: str, paper_px: int = 0) -> list[Any]:
+        text, frames = page.read_text().replace(POLICY, ""), ""  # the page lets no script in but its own
+        # what is for print only, shown on a screen as wide as a sheet less its margins
+        copies = [(width, text) for width in widths]
+        if paper_px:
+            copies.append((paper_px, text.replace("@media print", "@media screen")))
+        for number, (width, copy) in enumerate(copies):
+            copy += (
+                f"<script>parent.document.body.dataset.said{number} = JSON.stringify((() => {{{script}}})())</script>"
+            )
+            # a window cannot be as narrow as a telephone, a frame can
+            frames += f'<iframe style="width:{width}px; height:900px; border:0" srcdoc="{html.escape(copy)}"></iframe>'
+        outer = folder / "outer.html"
+        outer.write_text(f'<!doctype html><meta charset="utf-8"><body>{frames}</body>')
+        command = [browser, *QUIET, f"--user-data-dir={folder / 'profile'}", *more, "--dump-dom", outer.as_uri()]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
-        said = re.search(r'data-said="([^"]*)"', done.stdout)
-        assert said, done.stderr[-2000:]
-        return json.loads(html.unescape(said[1]))
+        said = [re.search(rf'data-said{number}="([^"]*)"', done.stdout) for number in range(len(copies))]
+        assert all(said), done.stderr[-2000:]
+        return [json.loads(html.unescape(found[1])) for found in said]
 
     return open_page
 
 
 @pytest.fixture(scope="module")
 def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A weighing, a block, a calibration with a run that was not used; with names as long as folders may be."""
+    """Every page that the tool writes, with names as long as folders may be; one of each way of weighing and calibrating."""
     folder = tmp_path_factory.mktemp("pages")
     weighed = replay([bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"])
     fit, run = weighed.run_fits[0], weighed.recorded[0]
@@ -105,7 +147,48 @@ def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     empty = [*sorted(bags.glob("realistic_s00_empty_0[0-5]_*")), bags / "friction_s00_fixed_random_a_joint3"]
     calibration = calibrate_from_bags([each / "bag_mcap" for each in empty], {})
     write_calibration_report(calibration, folder / "calibration.html", sources=[LONG_NAME])
+    options = Options(
+        probe="container", baseline=[bags / "realistic_s00_container_no_sphere_joint4_100mA" / "bag_mcap"]
+    )
+    box = replay([bags / "realistic_s00_container_sphere_12g_joint4_100mA" / "bag_mcap"], options)
+    write_report(box, folder / "container.html", command="proprio replay", sources=[LONG_NAME])
+    _motion_pages(folder)
+    choices = [
+        Choice(0.05, half, 0.5 * half, "joint3 -300 mA for 0.6 s, a lift", ["joint2 +200 mA for 1 s", "joint4"], 0.02)
+        for half in (0.05, 0.004, 0.001)
+    ]
+    write_choices(choices, Sought("payload_mass", "kg"), 0.002, folder / "choices.html")
+    write_paper_page(synthetic(), folder / "paper.html", f"proprio paper --out {LONG_NAME}", 2)
     return {path.stem: path for path in folder.glob("*.html")}
+
+
+def _motion_pages(folder: Path) -> None:
+    """A payload weighed while six joints move, and the calibration of that arm, with the first of their names a long one."""
+    pytest.importorskip("mujoco")
+    arm, robot = Twin(11), write_robot(folder)
+    recorded = [arm.record("bar", 12.0, (2.0, np.array([0.05, 0.03, -0.02])), (0.25, 0.25, 0.02))]
+    recorded += [arm.record(name, 12.0) for name in ("empty", "again")]
+    bar, *empty = (write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in recorded)
+    options = Options(robot=str(robot), effort_unit="N.m", baseline=empty[:1])
+    weighed = replay([bar], options)
+    named = tuple(replace(fit, name=LONG_NAME) for fit in weighed.joint_fits)
+    write_report(replace(weighed, joint_fits=named), folder / "motion.html", command=f"proprio replay {LONG_NAME}")
+    learnt = calibrate_from_bags(empty, {}, replace(options, baseline=[]))
+    write_calibration_report(learnt, folder / "motion_calibration.html", sources=[LONG_NAME])
+
+
+NAMES = ["payload", "softness", "calibration", "container", "motion", "motion_calibration", "choices", "paper"]
+
+
+@pytest.fixture(scope="module")
+def bright(pages: dict[str, Path], look: Look) -> Callable[[str], dict[Any, dict[str, Any]]]:
+    """What is measured on a page: by width, and on paper."""
+
+    @functools.cache
+    def measured(name: str) -> dict[Any, dict[str, Any]]:
+        return dict(zip((1400, 400, "paper"), look(pages[name], MEASURE, (1400, 400), paper_px=PAPER_PX), strict=True))
+
+    return measured
 
 
 def brightness(color: str) -> float:
@@ -114,36 +197,44 @@ def brightness(color: str) -> float:
     return 1.0 if opacity == [0.0] else (0.3 * red + 0.59 * green + 0.11 * blue) / 255.0
 
 
-@pytest.mark.parametrize("name", ["payload", "softness", "calibration"])
+Bright = Callable[[str], dict[Any, dict[str, Any]]]
+
+
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("width", [1400, 400])
-def test_nothing_is_wider_than_the_window(pages: dict[str, Path], look: Look, name: str, width: int) -> None:
-    seen = look(pages[name], MEASURE, width)
+def test_nothing_is_wider_than_the_window(bright: Bright, name: str, width: int) -> None:
+    seen = bright(name)[width]
     assert seen["width"] == width and seen["scroll"] <= width
     assert seen["smallest"] > 9.0, "px: what stands at the axes can be read"
     assert seen["title"] != "run"
+    assert seen["unsigned"] == [], "what scrolls casts a shadow where it goes on"
+    assert width == 400 or seen["clipped"] == 0, "a wide window shows every column"
 
 
-@pytest.mark.parametrize("name", ["payload", "softness", "calibration"])
-def test_bright_on_dark_where_the_reader_wants_that(pages: dict[str, Path], look: Look, name: str) -> None:
-    light, dark = (look(pages[name], MEASURE, 1400, *more) for more in ((), (DARK,)))
+@pytest.mark.parametrize("name", NAMES)
+def test_bright_on_dark_where_the_reader_wants_that(
+    pages: dict[str, Path], bright: Bright, look: Look, name: str
+) -> None:
+    light, [dark] = bright(name)[1400], look(pages[name], MEASURE, (1400,), DARK)
     assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
     assert max(map(brightness, light["inks"])) < 0.7
     assert min(map(brightness, dark["inks"])) > 0.4, "no ink is left from the bright page"
 
 
-@pytest.mark.parametrize("name", ["payload", "softness", "calibration"])
-def test_on_paper_the_verdict_and_every_column_can_be_read(pages: dict[str, Path], look: Look, name: str) -> None:
-    """What is for print only, shown on a screen as wide as A4 less its margins."""
-    seen = look(pages[name], MEASURE, 680, style=lambda text: text.replace("@media print", "@media screen"))
+@pytest.mark.parametrize("name", NAMES)
+def test_on_paper_the_verdict_and_every_column_can_be_read(bright: Bright, name: str) -> None:
+    seen = bright(name)["paper"]
     ink, ground, border = seen["verdict"]
-    assert brightness(ink) < 0.1 and brightness(ground) == 1.0 and brightness(border) < 0.1
-    assert seen["clipped"] == 0 and seen["scroll"] <= 680
+    if name not in ("choices", "paper"):  # they judge nothing
+        assert brightness(ink) < 0.1 and brightness(ground) == 1.0 and brightness(border) < 0.1
+    assert seen["clipped"] == 0 and seen["scroll"] <= PAPER_PX
+    assert seen["broken"] == [], "headers break between words"
 
 
 def test_values_under_the_pointer_and_a_closer_look(pages: dict[str, Path], look: Look, bags: Path) -> None:
     run = replay([bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"]).run_fits[0]
     time_s = float(run.times_s[10])
-    seen = look(pages["payload"], POINT.replace("RUN", json.dumps({"time": time_s})))
+    [seen] = look(pages["payload"], POINT.replace("RUN", json.dumps({"time": time_s})))
     assert seen["shown"] and seen["gone"]
     lines = dict(line.split(": ") for line in seen["words"].replace("\N{MINUS SIGN}", "-").splitlines()[1:])
     value, unit = lines["measured"].split()
@@ -158,10 +249,9 @@ def test_values_under_the_pointer_and_a_closer_look(pages: dict[str, Path], look
 
 
 def test_the_policy_lets_the_page_s_own_script_run_and_no_other(pages: dict[str, Path], tmp_path: Path) -> None:
-    if BROWSER is None:
-        pytest.skip("needs Chromium")
+    browser = needs_browser()
     copy = tmp_path / "copy.html"
     copy.write_text(pages["payload"].read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
-    command = [BROWSER, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", copy.as_uri()]
+    command = [browser, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", copy.as_uri()]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert 'class="tip"' in shown and "<title>run</title>" not in shown
