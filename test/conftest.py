@@ -19,6 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import pytest
+from support.browser import look  # noqa: F401
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LONG = pytest.StashKey[int]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -109,7 +110,7 @@ def bars(rows: Sequence[tuple[str, float, str]]) -> str:
     """A bar per row: its label, its length, and what is written beside it."""
     longest = max((length for _, length, _ in rows), default=0.0) or 1.0
     body = "".join(
-        f"<tr><td>{escape(label)}</td><td><i style='width:{100.0 * length / longest:.1f}%'></i></td>"
+        f"<tr><td>{breakable(label)}</td><td><i style='width:{100.0 * length / longest:.1f}%'></i></td>"
         f"<td class=number>{escape(words)}</td></tr>"
         for label, length, words in rows
     )
@@ -146,7 +147,7 @@ def table(
         if column < labels and column in right:
             kind = '"label number"'
         named = f' data-name="{escape(header[column])}"' if labels and tag == "td" else ""
-        return f"<{tag}{f' class={kind}' if kind else ''}{named}>{escape(words)}</{tag}>"
+        return f"<{tag}{f' class={kind}' if kind else ''}{named}>{breakable(words)}</{tag}>"
 
     def cells(row: Sequence[str], tag: str) -> str:
         return "".join(cell(column, words, tag) for column, words in enumerate(row))
@@ -154,6 +155,15 @@ def table(
     head = f"<thead><tr>{cells(header, 'th')}</tr></thead>" if any(header) else ""
     body = "".join(f"<tr{mark}>{cells(row, 'td')}</tr>" for row, mark in zip(rows, marks, strict=True))
     return f"<div class=wide><table{' class=folds' if labels else ''}>{head}<tbody>{body}</tbody></table></div>"
+
+
+def breakable(words: str) -> str:
+    """A cell's words, in which a long name may break where folders do."""
+    return (
+        re.sub(r"(?<=[/_])(?=\w)", "<wbr>", escape(words))
+        if len(max(words.split(), key=len, default="")) > 24
+        else escape(words)
+    )
 
 
 def number(value: Any, std: Any = None) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from proprio_ros.identification.estimate import Estimate, HeldView, JointFit
 from proprio_ros.quantity import Z95, spec_for
 from proprio_ros.report.chart import Axis, Panel, Series, chart
-from proprio_ros.report.html import framed, percent
+from proprio_ros.report.html import breakable, framed, percent
 from proprio_ros.report.pictures import ArmPicture
 
 _INERTIA = {
@@ -68,7 +68,7 @@ def what_told(fits: Sequence[JointFit]) -> list[str]:
     for name in dict.fromkeys(fit.name for fit in fits):
         mine = [fit for fit in fits if fit.name == name]
         rows = "".join(
-            f"<tr><td>{escape(fit.joint)}</td><td>{_strip(fit.told / most)}</td>"
+            f"<tr><td>{breakable(fit.joint)}</td><td>{_strip(fit.told / most)}</td>"
             f"<td class=number>{percent(float(fit.told.sum()))}</td></tr>"
             for fit in sorted(mine, key=lambda fit: -float(fit.told.sum()))
         )

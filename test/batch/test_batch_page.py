@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,13 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra batch")
 
-from report.test_browser import BROWSER, DARK, QUIET, Look, brightness, look  # noqa: F401
+from support.browser import DARK, PAPER_PX, Look, brightness, on_paper
+from support.browser import MEASURE as READABLE
 
-from proprio_ros.batch.page import OWN, odd, write_batch_page
+from proprio_ros.batch.page import odd, write_batch_page
 from proprio_ros.batch.rows import COLUMNS, Job, source_name
 from proprio_ros.batch.store import Store
 from proprio_ros.pipeline.request import Options
-from proprio_ros.report.html import SCRIPT, policy
 
 COUNT, SOURCES = 10_000, ("/data/line_1", "/data/line_2", "/data/pick <b>cubes")
 HOUR_NS = 3600 * 10**9
@@ -121,7 +120,7 @@ return {
 
 
 def opened(
-    look: Look,  # noqa: F811
+    look: Look,
     page: Path,
     script: str,
     width: int = 1400,
@@ -130,11 +129,7 @@ def opened(
 ) -> Any:
     """What a script says on the page, which lets it in."""
 
-    def style(text: str) -> str:
-        text = text.replace(policy(SCRIPT, OWN.script), "")
-        return text.replace("@media print", "@media screen") if printed else text
-
-    return look(page, script, width, *more, style=style)
+    return look(page, script, width, *more, style=on_paper if printed else str)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +140,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.long
 @pytest.mark.parametrize("width", [1400, 400])
-def test_nothing_is_wider_than_the_window(page: Path, look: Look, width: int) -> None:  # noqa: F811
+def test_nothing_is_wider_than_the_window(page: Path, look: Look, width: int) -> None:
     seen = opened(look, page, MEASURE, width)
     assert seen["width"] == width and seen["scroll"] <= width and seen["beyond"] == [] and seen["clipped"] == 0
     assert seen["title"] == "Many recordings" and seen["details"] == 1
@@ -153,7 +148,7 @@ def test_nothing_is_wider_than_the_window(page: Path, look: Look, width: int) ->
 
 
 @pytest.mark.long
-def test_dark_and_on_paper(page: Path, look: Look) -> None:  # noqa: F811
+def test_dark_and_on_paper(page: Path, look: Look) -> None:
     light, dark = (opened(look, page, MEASURE, 1400, *more) for more in ((), (DARK,)))
     assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
     assert max(map(brightness, light["inks"])) < 0.7 and min(map(brightness, dark["inks"])) > 0.4
@@ -162,7 +157,13 @@ def test_dark_and_on_paper(page: Path, look: Look) -> None:  # noqa: F811
 
 
 @pytest.mark.long
-def test_ten_thousand_rows_are_searched_filtered_and_ordered(page: Path, look: Look) -> None:  # noqa: F811
+def test_what_scrolls_casts_a_shadow_and_printed_headers_stay_whole(page: Path, look: Look) -> None:
+    narrow, paper = look.frames(page, READABLE, [(400, str), (PAPER_PX, on_paper)])
+    assert narrow["unsigned"] == [] and paper["broken"] == []
+
+
+@pytest.mark.long
+def test_ten_thousand_rows_are_searched_filtered_and_ordered(page: Path, look: Look) -> None:
     assert page.stat().st_size < 2.5e6
     seen = opened(look, page, OPEN + """
 const found = { all: counted(), first: names().length, elements: document.querySelectorAll("*").length, loaded: performance.now() };
@@ -198,7 +199,7 @@ return found;
 
 
 @pytest.mark.long
-def test_a_row_says_all_about_itself_and_a_dot_opens_its_row(page: Path, look: Look) -> None:  # noqa: F811
+def test_a_row_says_all_about_itself_and_a_dot_opens_its_row(page: Path, look: Look) -> None:
     seen = opened(look, page, OPEN + """
 choose("verdict", "failed"); names()[0].click();
 const failed = document.querySelector(".detail").innerText;
@@ -235,13 +236,14 @@ return { failed, far, detail, shown: names().map((each) => each.textContent), va
 
 
 @pytest.mark.long
-def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(page: Path, tmp_path: Path) -> None:
-    if BROWSER is None:
-        pytest.skip("needs Chromium")
+def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(
+    page: Path,
+    look: Look,
+    tmp_path: Path,
+) -> None:
     copy = tmp_path / "copy.html"
     copy.write_text(page.read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
-    command = [BROWSER, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", copy.as_uri()]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    shown = look.shown(copy)
     assert 'class="tip"' in shown and f"{COUNT} of {COUNT}" in shown and "<title>run</title>" not in shown
 
 

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import functools
-import html
 import json
-import os
-import re
-import shutil
-import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.arm_in_motion import SIX, Twin, write_robot
+from support.browser import DARK, MEASURE, PAPER_PX, Look, brightness, on_paper
 from support.fleet import write_bag
 from support.paper_rows import synthetic
 
@@ -27,52 +23,10 @@ from proprio_ros.pipeline.request import Options
 from proprio_ros.quantity import Sought
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices
-from proprio_ros.report.html import POLICY
 
 pytestmark = pytest.mark.long
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-QUIET = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--window-size=1500,1000",
-    "--host-resolver-rules=MAP * ~NOTFOUND", "--proxy-server=direct://",
-]  # fmt: skip
 LONG_NAME = "a_folder_" * 20 + "<script>document.title = 'run'</script>"
-PAPER_PX = 680
-"""A4 less its margins."""
-DARK = "--blink-settings=preferredColorScheme=0"
-
-Look = Callable[..., Any]
-
-MEASURE = """
-const seen = (element) => getComputedStyle(element);
-const badge = document.querySelector(".verdict"), verdict = badge ? seen(badge) : {};
-const figure = (name) => { const all = [...document.querySelectorAll(name)]; return Math.min(99, ...all.map((text) =>
-  parseFloat(seen(text).fontSize) * text.ownerSVGElement.getScreenCTM().a)); };
-const wider = [...document.querySelectorAll("body *")].filter((box) =>
-  box.scrollWidth > box.clientWidth + 1 && ["auto", "scroll"].includes(seen(box).overflowX));
-const broken = (element) => { // words of a header that stand on more than one line
-  const found = [], walker = document.createTreeWalker(element, NodeFilter.SHOW_TEXT);
-  for (let node; (node = walker.nextNode());) for (const word of node.data.matchAll(/[^\\s]+/g)) {
-    const range = document.createRange();
-    range.setStart(node, word.index);
-    range.setEnd(node, word.index + word[0].length);
-    if (new Set([...range.getClientRects()].map((box) => box.top)).size > 1) found.push(word[0]);
-  }
-  return found;
-};
-return {
-  width: innerWidth, scroll: document.documentElement.scrollWidth, title: document.title,
-  verdict: [verdict.color, verdict.backgroundColor, verdict.borderTopColor], paper: seen(document.body).backgroundColor,
-  inks: [...new Set([seen(document.body).color, ...[...document.querySelectorAll("svg text, svg tspan")].map((text) => seen(text).fill)])],
-  smallest: figure(".chart > text, .chart .ticks text, .chart .grid text, .arm text"),
-  clipped: [...document.querySelectorAll(".wide, figure, table")].filter((box) => box.scrollWidth > box.clientWidth + 1).length,
-  unsigned: wider.filter((box) => !/gradient.*gradient.*gradient.*gradient/s.test(seen(box).backgroundImage)
-    || !seen(box).backgroundAttachment.includes("local")).map((box) => box.outerHTML.slice(0, 80)),
-  broken: [...document.querySelectorAll("th")].flatMap(broken),
-};
-"""
-
 POINT = """
 const chart = document.querySelector("svg.chart"), box = chart.getBoundingClientRect(), run = RUN;
 const x = (time) => { const d = chart.dataset, share = (time - d.x0) / (d.x1 - d.x0);
@@ -90,43 +44,6 @@ const again = labels();
 fire("pointerleave", 0.2);
 return { words, shown, before, near, zoomed, again, gone: tip.hidden };
 """
-
-
-def needs_browser() -> str:
-    """Where it is; a test without one is skipped, but where the environment says that there has to be one it fails."""
-    if BROWSER is None:
-        if os.environ.get("PROPRIO_REQUIRE_BROWSER"):
-            pytest.fail("no Chromium, and PROPRIO_REQUIRE_BROWSER is set")
-        pytest.skip("needs Chromium")
-    return BROWSER
-
-
-@pytest.fixture(scope="module")
-def look(tmp_path_factory: pytest.TempPathFactory) -> Look:
-    """Opens copies of a page, each so wide and in a style of its own, and returns what a script says in each."""
-    browser, folder = needs_browser(), tmp_path_factory.mktemp("browser")
-
-    def open_page(page: Path, script: str, widths: Sequence[int] = (1400,), *more: str, paper_px: int = 0) -> list[Any]:
-        text, frames = page.read_text().replace(POLICY, ""), ""  # the page lets no script in but its own
-        # what is for print only, shown on a screen as wide as a sheet less its margins
-        copies = [(width, text) for width in widths]
-        if paper_px:
-            copies.append((paper_px, text.replace("@media print", "@media screen")))
-        for number, (width, copy) in enumerate(copies):
-            copy += (
-                f"<script>parent.document.body.dataset.said{number} = JSON.stringify((() => {{{script}}})())</script>"
-            )
-            # a window cannot be as narrow as a telephone, a frame can
-            frames += f'<iframe style="width:{width}px; height:900px; border:0" srcdoc="{html.escape(copy)}"></iframe>'
-        outer = folder / "outer.html"
-        outer.write_text(f'<!doctype html><meta charset="utf-8"><body>{frames}</body>')
-        command = [browser, *QUIET, f"--user-data-dir={folder / 'profile'}", *more, "--dump-dom", outer.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        said = [re.search(rf'data-said{number}="([^"]*)"', done.stdout) for number in range(len(copies))]
-        assert all(said), done.stderr[-2000:]
-        return [json.loads(html.unescape(found[1])) for found in said]
-
-    return open_page
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +88,7 @@ def _motion_pages(folder: Path) -> None:
     bar, *empty = (write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in recorded)
     options = Options(robot=str(robot), effort_unit="N.m", baseline=empty[:1])
     weighed = replay([bar], options)
-    named = tuple(replace(fit, name=LONG_NAME) for fit in weighed.joint_fits)
+    named = tuple(replace(fit, name=LONG_NAME, joint=f"left_arm_shoulder_{fit.joint}") for fit in weighed.joint_fits)
     write_report(replace(weighed, joint_fits=named), folder / "motion.html", command=f"proprio replay {LONG_NAME}")
     learnt = calibrate_from_bags(empty, {}, replace(options, baseline=[]))
     write_calibration_report(learnt, folder / "motion_calibration.html", sources=[LONG_NAME])
@@ -186,15 +103,10 @@ def bright(pages: dict[str, Path], look: Look) -> Callable[[str], dict[Any, dict
 
     @functools.cache
     def measured(name: str) -> dict[Any, dict[str, Any]]:
-        return dict(zip((1400, 400, "paper"), look(pages[name], MEASURE, (1400, 400), paper_px=PAPER_PX), strict=True))
+        seen = look.frames(pages[name], MEASURE, [(1400, str), (400, str), (PAPER_PX, on_paper)])
+        return dict(zip((1400, 400, "paper"), seen, strict=True))
 
     return measured
-
-
-def brightness(color: str) -> float:
-    """Of what a browser calls a colour, 0 to 1; see-through is paper."""
-    red, green, blue, *opacity = map(float, re.findall(r"[\d.]+", color))
-    return 1.0 if opacity == [0.0] else (0.3 * red + 0.59 * green + 0.11 * blue) / 255.0
 
 
 Bright = Callable[[str], dict[Any, dict[str, Any]]]
@@ -215,7 +127,7 @@ def test_nothing_is_wider_than_the_window(bright: Bright, name: str, width: int)
 def test_bright_on_dark_where_the_reader_wants_that(
     pages: dict[str, Path], bright: Bright, look: Look, name: str
 ) -> None:
-    light, [dark] = bright(name)[1400], look(pages[name], MEASURE, (1400,), DARK)
+    light, dark = bright(name)[1400], look(pages[name], MEASURE, 1400, DARK)
     assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
     assert max(map(brightness, light["inks"])) < 0.7
     assert min(map(brightness, dark["inks"])) > 0.4, "no ink is left from the bright page"
@@ -234,7 +146,7 @@ def test_on_paper_the_verdict_and_every_column_can_be_read(bright: Bright, name:
 def test_values_under_the_pointer_and_a_closer_look(pages: dict[str, Path], look: Look, bags: Path) -> None:
     run = replay([bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"]).run_fits[0]
     time_s = float(run.times_s[10])
-    [seen] = look(pages["payload"], POINT.replace("RUN", json.dumps({"time": time_s})))
+    seen = look(pages["payload"], POINT.replace("RUN", json.dumps({"time": time_s})))
     assert seen["shown"] and seen["gone"]
     lines = dict(line.split(": ") for line in seen["words"].replace("\N{MINUS SIGN}", "-").splitlines()[1:])
     value, unit = lines["measured"].split()
@@ -248,10 +160,10 @@ def test_values_under_the_pointer_and_a_closer_look(pages: dict[str, Path], look
     assert 0.0 < begin < begin + length < 552.0
 
 
-def test_the_policy_lets_the_page_s_own_script_run_and_no_other(pages: dict[str, Path], tmp_path: Path) -> None:
-    browser = needs_browser()
+def test_the_policy_lets_the_page_s_own_script_run_and_no_other(
+    pages: dict[str, Path], look: Look, tmp_path: Path
+) -> None:
     copy = tmp_path / "copy.html"
     copy.write_text(pages["payload"].read_text().replace("</h1>", "</h1><script>document.title = 'run'</script>", 1))
-    command = [browser, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", copy.as_uri()]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    shown = look.shown(copy)
     assert 'class="tip"' in shown and "<title>run</title>" not in shown

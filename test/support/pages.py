@@ -10,7 +10,7 @@ import numpy as np
 
 from proprio_ros.report.html import SCRIPT
 
-VOID = {"meta", "br", "hr", "img", "link", "input"}
+VOID = {"meta", "br", "wbr", "hr", "img", "link", "input"}
 
 
 class Reader(HTMLParser):
