@@ -17,7 +17,7 @@ from proprio_ros.batch.listing import asked, named, path_of, span_of
 from proprio_ros.batch.local import CHUNK, processors, run_local
 from proprio_ros.batch.on_ray import ray_or_refuse, run_ray
 from proprio_ros.batch.page import COLUMNS, odd, write_batch_page
-from proprio_ros.batch.rows import FAILED, GRASP, Job
+from proprio_ros.batch.rows import FAILED, GRASP, Job, Row
 from proprio_ros.batch.store import Store
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.inputs.resources import check_page
@@ -32,6 +32,8 @@ from proprio_ros.report import bars_figure, small_table
 
 MOST_REPORTS = 12
 """Rows whose pages are written unless told otherwise; more are written by several processes."""
+MOST_SHOWN = 20
+"""Rows that a terminal shows."""
 MOST_EMPTY = 20
 """Episodes that calibrate an arm."""
 LEAST_FIRST_S = SHORTEST_S
@@ -40,24 +42,13 @@ LEAST_FIRST_S = SHORTEST_S
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a batch did: episodes there are, those done before, how many have which verdict, and the folder with the rows."""
+    """What a batch did: episodes there are, those done before, how many have which verdict, the folder with the rows, and some."""
 
     episodes: int
     before: int
     verdicts: dict[str, int]
     folder: Path
-
-    def first(self, most: int = 20) -> list[dict[str, Any]]:
-        """The rows of the first episodes, for a terminal."""
-        from pyarrow import dataset
-
-        rows: list[dict[str, Any]] = dataset.dataset(self.folder / "rows", partitioning="hive").to_table().to_pylist()
-        order = ("source_name", "episode_index", "episode", "segment")
-        whole = sorted(
-            (row for row in rows if row["kind"] != GRASP),
-            key=lambda row: [str(row[key] or "").zfill(9) for key in order],
-        )
-        return whole[:most]
+    first: Sequence[Row] = ()
 
     def plot(self) -> Any:
         """How many rows have which verdict, as a matplotlib ``Figure``."""
@@ -135,7 +126,9 @@ def run_batch(
             write_drift(periods, store.folder / "drift.csv")
         pages = _reports(store, job, reports, processes or processors(), tell)
         write_batch_page(store, store.folder / "batch.html", command, pages, periods, job.options)
-        return Outcome(len(episodes), before, store.verdicts(), store.folder)
+        rows = [row for row in store.read(COLUMNS) if row["kind"] != GRASP]
+        rows.sort(key=lambda row: (row["source"], row["episode_index"] or 0, row["episode"], row["segment"]))
+        return Outcome(len(episodes), before, store.verdicts(), store.folder, rows[:MOST_SHOWN])
 
 
 def _check_options(engine: str, options: Options, empty: str | None, empty_first_s: float | None) -> None:

@@ -246,7 +246,7 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
     text = f"{outcome.episodes} episodes: " + ", ".join(f"{count} {name}" for name, count in outcome.verdicts.items())
     text += f"\nrows: {outcome.folder / 'rows'}; page: {outcome.folder / 'batch.html'}"
     whole = {**schema.header("batch"), "folder": str(outcome.folder), **done}
-    terminal.show(options.json, whole, text, terminal.table_of_episodes(outcome.first()))
+    terminal.show(options.json, whole, text, terminal.table_of_episodes(outcome.first))
     return EXIT_OK
 
 
