@@ -14,7 +14,7 @@ from proprio_ros.identification.estimate import UnknownRow
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
-from proprio_ros.identification.regression.motion_prior import file_prior
+from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
 from proprio_ros.identification.regression.refusals import deciding, far_from_prior, unexplained_torque, unlike_urdf
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
@@ -25,6 +25,8 @@ SHOWN_SHARE = 0.1
 """The headline is for an object of this share of the arm's mass."""
 LIGHT_REFERENCE = 0.2
 """A reference whose mass is read with a greater relative standard deviation says nothing about torque constants."""
+OWN_SHARE = 1.0 / 3.0
+"""A joint's torque may be off from the others' by this share of what its file leaves open: motors of one maker are off together."""
 
 Reference = tuple[Motion, float]
 """A motion with a weighed object in the hand, and its mass [kg]."""
@@ -103,7 +105,12 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
     yield from unexplained_torque(calibration.joints, share, "the arm and its friction")
     yield from unlike_urdf(calibration.arm_over_urdf)
     prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
-    std = np.sqrt(np.diag(prior.covariance))
+    # the prior has what a joint's torque repeats to; what its file leaves open is more, most of it in common with the others
+    open_yet = [
+        OWN_SHARE * relative_torque_std(robot, joint) if kind == "torque_share" else 0.0
+        for kind, joint in calibration.keys
+    ]
+    std = np.hypot(np.sqrt(np.diag(prior.covariance)), open_yet)
     yield from far_from_prior(calibration.keys, calibration.values, prior.values, std, "robot file")
 
 

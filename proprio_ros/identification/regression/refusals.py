@@ -95,7 +95,8 @@ def far_from_prior(
             "far_from_prior",
             f"the arm does not fit its {known}",
             f"{label_of(key)} ended {pulls[worst]:.0f} standard deviations from what the {known} says ({prior[worst]:.3g} +- "
-            f"{std[worst]:.2g} {UNITS[key[0]]}): check the URDF, the torque constants and the effort's unit",
+            f"{f'{std[worst]:.2g} {UNITS[key[0]]}'.removesuffix(' 1')}): check the URDF, the torque constants and the effort's "
+            "unit",
         )
 
 
