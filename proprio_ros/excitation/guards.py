@@ -31,7 +31,7 @@ class Guards:
         limit_margin_rad: Room left before a joint's limit during a run.
         max_velocity_rad_s: No joint may be faster.
         stale_after_s: Neither samples nor ticks may be further apart while a current is on; such a run is repeated.
-        patience_s: The same while all joints are held, which the servos do without us.
+        patience_s: The same while all joints are held, which the servos do without us; never less than ``stale_after_s``.
         follow_error_rad, follow_time_s: A joint may be off its goal by so much, for so long, while no current is on.
         lookahead_s: A run ends when its joint would reach a limit or the table within this time at its present speed.
         held_joint_error_rad: A joint that is held during a run may be off its goal by so much.

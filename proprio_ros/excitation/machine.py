@@ -247,7 +247,7 @@ class ExcitationMachine:
     def _observe(self, now_s: float, sample: JointSample | None) -> _Problem | None:
         """Take in the time and a sample, unless something is wrong with them."""
         driven = self.phase in (Phase.PROBE, Phase.CATCH)
-        longest_s = self.guards.stale_after_s if driven else self.guards.patience_s
+        longest_s = self.guards.stale_after_s if driven else max(self.guards.patience_s, self.guards.stale_after_s)
         if not math.isfinite(now_s):
             return "clock", f"the time is {now_s}: check the clock"
         if not math.isnan(self._now_s):

@@ -472,6 +472,15 @@ def test_a_pause_of_the_loop_ends_the_current_and_the_run_is_repeated_as_it_was(
     assert ready.machine.phase is Phase.ABORTED and "paused" in ready.machine.abort_reason
 
 
+def test_who_may_pause_for_long_under_a_current_may_without_one() -> None:
+    ready = bench(Phase.SETTLE, guards=Guards(stale_after_s=4.0))
+    ready.tick(later_s=3.5)
+    assert ready.machine.busy
+    ready = bench(Phase.SETTLE)
+    ready.tick(later_s=1.5)
+    assert ready.machine.aborted_by == "stale"
+
+
 def test_no_sample_any_more() -> None:
     ready = pushed()
     last_s = ready.sample.time_s
