@@ -36,6 +36,9 @@ def any_moved(states: Iterable[tuple[Sequence[str], Sequence[float]]], joints: I
 class OnlineFeed:
     """Makes a running estimate of joint states as they come, on a robot with a calibration of motions.
 
+    Args:
+        stated: Where joints stand, whatever is heard of them [rad or m]; the robot's file says it of those that are not heard.
+
     Attributes:
         others: Joints that are not in the calibration and count as standing.
         waits_for: Why no joint state counted since the last that did; empty: nothing is wrong.
@@ -46,8 +49,9 @@ class OnlineFeed:
         RobotError: The calibration is of another arm.
     """
 
-    def __init__(self, probe: Online[Any], robot: Robot, facts: Any) -> None:
+    def __init__(self, probe: Online[Any], robot: Robot, facts: Any, stated: Mapping[str, float] | None = None) -> None:
         assert robot.motion_calibration is not None
+        self._stated = dict(stated or {})
         self.probe, self._robot, self._facts = probe, robot, facts
         self._per_current = {n: drive.nominal_effort_per_current for n, drive in robot.drive_trains.items()}
         self.joints = robot.motion_calibration.joints
@@ -55,7 +59,8 @@ class OnlineFeed:
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, tuple[float, float]] = {}
         self._running: OnlineEstimator | None = None
-        self._held = zero_pose(self._robot, self.others)
+        here = {name: at for name, at in {**robot.held, **self._stated}.items() if name in self.others}
+        self._held = {**zero_pose(self._robot, self.others), **here}
         self.waits_for, self.samples = "", 0
         self.moved: set[str] = set()
 
@@ -88,7 +93,7 @@ class OnlineFeed:
         Positions are in rad or m; the unit of efforts is ``N.m``, ``A``, ``mA`` or ``raw``, and empty where nobody says it.
         """
         heard = {name: at for name, at in zip(names, position, strict=False) if math.isfinite(at)}
-        others = {name: at for name, at in heard.items() if name in self._held}
+        others = {name: at for name, at in heard.items() if name in self._held and name not in self._stated}
         if self._running is None:
             self._held |= others
         self.moved |= {name for name, at in others.items() if abs(at - self._held[name]) > MOVED_RAD}

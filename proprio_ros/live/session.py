@@ -29,7 +29,7 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.resources import paths_of, private_folder, write_in_one_step
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import bag_runs, check_motors
+from proprio_ros.pipeline.loading import bag_runs, check_motors, standing
 from proprio_ros.pipeline.request import Options, Request, read_request, request_of, robot_of
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
@@ -409,7 +409,7 @@ class LiveEstimate:
             record = JointRecord(np.array(list(rows)), names, np.array(list(rows.values())).reshape(-1, len(names)))
             topic = "/applied_effort" if applied else "/current_command"
             source = InputRecord(np.array([time_ns for time_ns, _ in inputs]), drives, current, topic)
-            return cut_runs(Recording("live", record, source), joints=drives)
+            return cut_runs(Recording("live", record, source), held=standing(self._request, names), joints=drives)
         except ProprioError:
             return ()  # not enough yet; what is wrong for good is reported by the identification of the bag
 

@@ -71,7 +71,7 @@ class Weighing:
         elif asked:
             probe = probe_at_work()
             request = self._workspace.request(probe, stated, None)
-            self._make_feed = partial(OnlineFeed, probe, request.robot, request.facts)
+            self._make_feed = partial(OnlineFeed, probe, request.robot, request.facts, request.locked)
             self._make_feed()  # so that a calibration of another arm is refused now
             self._link = request.robot.payload_frame
 

@@ -15,9 +15,19 @@ from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, screen_run, unusable
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression.motion_fit import refuse_useless
+from proprio_ros.identification.regression.one_joint_fit import fit_one_joint
+from proprio_ros.identification.regression.one_joint_known import tables_of
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
-from proprio_ros.pipeline.loading import bag_recording, plausible_units, runs_or_motion, turning_joints, unit_not_used
+from proprio_ros.pipeline.loading import (
+    bag_recording,
+    plausible_units,
+    refuse_uncalibrated,
+    runs_or_motion,
+    turning_joints,
+    unit_not_used,
+)
 from proprio_ros.pipeline.looked_into import BagCheck, MotionCheck, RunCheck
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import all_probes
@@ -97,10 +107,12 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         recording = bag_recording(path, request)
         found = runs_or_motion(recording, request)
         if isinstance(found, Motion):
+            _refuse_motion(robot, found)
             motion = found
         else:
+            refuse_uncalibrated(robot, found)
             runs = tuple(_run_check(robot, run) for run in found)
-    except RecordingError as error:
+    except (RecordingError, RobotError) as error:
         problem = str(error)
     if recording is None:
         if not contents.topics:
@@ -126,7 +138,9 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     if recording.inputs is None or recording.inputs.measured or recording.inputs.computed:
         runs = tuple(_with_effort(run, seen) for run in runs)
         for finding in seen:
-            if motion is not None and finding.code in UNUSABLE_EFFORT and set(finding.joints) & set(motion.moved):
+            # an old effort is only coarse there, and among several joints one that says nothing is passed over
+            no_torque = finding.code in UNUSABLE_EFFORT and finding.code != "effort_stale"
+            if motion is not None and no_torque and set(motion.moved) <= set(finding.joints):
                 motion, problem = None, f"of no use as a motion: {finding.sentence}"
     useless = {name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints}
     by_voltage = voltage_driven(robot)
@@ -153,6 +167,16 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         tells=tells,
     )
     return replace(check, record=_advice(robot, recording, check))
+
+
+def _refuse_motion(robot: Robot, motion: Motion) -> None:
+    """Raise what `replay` raises of this motion by itself."""
+    if len(motion.joints) > 1:
+        refuse_useless(robot, motion)
+    elif robot.joint_calibration is not None or voltage_driven(robot):
+        tables_of(robot, motion, motion.joints[0])
+    else:
+        fit_one_joint(robot, [motion], motion.joints[0])
 
 
 def _spacing(times_s: FloatArray) -> dict[str, Any]:

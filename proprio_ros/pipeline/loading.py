@@ -20,7 +20,7 @@ from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort
 from proprio_ros.recordings.motions import Motion, motion_of
 from proprio_ros.recordings.plausibility import EffortUnit, effort_per_torque, effort_units
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
-from proprio_ros.recordings.signals import read_drive_signals, read_recording, without_jumps
+from proprio_ros.recordings.signals import read_drive_signals, read_recording, refuse_prefix, without_jumps
 from proprio_ros.recordings.voltage import refuse_unit, voltage_driven, with_stall_currents
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.robot import Robot, is_description
@@ -113,7 +113,8 @@ def runs_or_motion(recording: Recording, request: Request) -> tuple[Run, ...] | 
 
 def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
     """Raises: RecordingError: It holds no runs, or what was commanded is not what flowed."""
-    runs = cut_runs(recording, held=_locked(recording, request), joints=list(request.robot.drive_trains))
+    held = standing(request, recording.joints.names)
+    runs = cut_runs(recording, held=held, joints=list(request.robot.drive_trains))
     usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
     refuse_other_current(recording, Effort(request.unit, request.effort_per_current), usable)
     return runs
@@ -121,7 +122,7 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
 
 def _motion(recording: Recording, request: Request) -> Motion:
     """The recording as a motion; fingers that were not recorded stand where their range allows nearest to zero, which is noted."""
-    robot, locked = request.robot, _locked(recording, request)
+    robot, locked = request.robot, standing(request, recording.joints.names)
     known = {*recording.joints.names, *locked}
     slides = [robot.model.joint(name) for name in robot.model.independent_joints if name not in known]
     taken = {each.name: float(np.clip(0.0, each.lower, each.upper)) for each in slides if each.kind == "prismatic"}
@@ -133,9 +134,9 @@ def _motion(recording: Recording, request: Request) -> Motion:
     return replace(motion, notes=motion.notes + notes)
 
 
-def _locked(recording: Recording, request: Request) -> dict[str, float]:
+def standing(request: Request, recorded: Collection[str]) -> dict[str, float]:
     """Where joints stand [rad or m]: as is stated now, else as the robot's file says of those that were not recorded."""
-    kept = {name: at for name, at in request.robot.held.items() if name not in recording.joints.names}
+    kept = {name: at for name, at in request.robot.held.items() if name not in recorded}
     return kept | dict(request.locked)
 
 
@@ -177,6 +178,7 @@ def bag_recording(path: Path, request: Request) -> Recording:
             states_only=len(by_voltage) == len(robot.drive_trains),
             span=options.span,
         )
+    refuse_prefix(path, recording.joints.names, list(robot.drive_trains))
     recording = without_jumps(recording, list(robot.drive_trains))
     if by_voltage:
         if episode is None:
@@ -265,6 +267,15 @@ def check_motors(path: Path, robot: Robot, state_topic: str | None) -> tuple[str
         )
     updated = other_firmware(robot.calibration.motors, motors)
     return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",) if updated else ()
+
+
+def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:
+    """Raises: RecordingError: only motions were calibrated, and these are runs."""
+    if runs and robot.calibration is None and robot.motion_calibration is not None:
+        raise RecordingError(
+            f"{runs[0].name}: one joint was driven; --calibration {robot.source.name} was made from motions of several and says "
+            "nothing about such runs: calibrate with empty-hand runs, or leave it out"
+        )
 
 
 def turning_joints(robot: Robot) -> list[str]:

@@ -16,7 +16,7 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Estimate, HeldView
 from proprio_ros.identification.recorded import held_views, recorded_run
 from proprio_ros.inputs.resources import paths_of
-from proprio_ros.pipeline.loading import Recordings, bag_motion, bag_runs, bag_runs_or_motion
+from proprio_ros.pipeline.loading import Recordings, bag_motion, bag_runs, bag_runs_or_motion, refuse_uncalibrated
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.base import Carries, Recorded, TakesMotions
@@ -109,11 +109,7 @@ def _refuse_unsuited(request: Request, runs: Sequence[Run], motions: Sequence[Mo
             f"{motions[0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].name} holds probes: "
             "replay them apart"
         )
-    if runs and robot.calibration is None and robot.motion_calibration is not None:
-        raise RecordingError(
-            f"{runs[0].name}: one joint was driven; --calibration {robot.source.name} was made from motions of several and says "
-            "nothing about such runs: calibrate with empty-hand runs, or leave it out"
-        )
+    refuse_uncalibrated(robot, runs)
     if motions and not isinstance(probe, TakesMotions):
         raise RecordingError(
             f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "

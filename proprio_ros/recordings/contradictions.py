@@ -21,6 +21,8 @@ RATE_OFF = 0.004
 """Of the pace of header stamps, against that of the recorder's clock: quartz keeps 0.0001."""
 CLEARLY = 5.0
 """Times the scatter of what comes late that two clocks must drift apart; a recorder that falls behind does so in jumps."""
+OTHER_UNIT = 100.0
+"""Stamps that run so many times faster or slower are of no simulated clock either, but in another unit."""
 FEWEST_STAMPS = 20
 OTHER_CLOCK_S = 0.5
 """A clock further off than this is not the recorder's (simulated time), and may run at a pace of its own."""
@@ -82,6 +84,10 @@ def refuse_pace(where: str, columns: JointColumns) -> tuple[str, ...]:
     if found is None:
         return ()
     share, same = found
+    factor = 1.0 + share
+    if not 1.0 / OTHER_UNIT < factor < OTHER_UNIT:
+        many = f"{factor:.0f} times faster" if factor > 1.0 else f"{1.0 / factor:.0f} times slower"
+        raise RecordingError(f"{where}: header stamps run {many} than the times of recording: they are not in s and ns")
     much = f"run {abs(100.0 * share):.1f} % {'faster' if share > 0.0 else 'slower'} than the times of recording"
     if same:
         raise RecordingError(

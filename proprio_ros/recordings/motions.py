@@ -136,7 +136,7 @@ def _check_times(times_s: FloatArray, name: str) -> None:
     rate_hz = 1.0 / float(np.median(intervals))
     if rate_hz < SLOWEST_HZ:
         raise RecordingError(
-            f"{name}: joint states come at {rate_hz:.0f} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
+            f"{name}: joint states come at {rate_hz:.2g} Hz; a motion needs {SLOWEST_HZ:g} Hz at least"
         )
     lost_s = float(intervals[intervals > LONGEST_GAP_S].sum())
     if lost_s > 0.5 * times_s[-1]:

@@ -59,6 +59,9 @@ GARBAGE_SHARE = 0.05
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
 
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 5.0
+"""Joint states that come faster or slower have stamps in another unit."""
+
 _NO_TIMES: TimeArray = np.empty(0, dtype=np.int64)
 
 
@@ -119,6 +122,8 @@ def read_recording(
         bag.cut(state, span)
         command = None if states_only else bag.topics.input(command_topic, state, conventions)
         columns = joint_state_columns(bag, state, ["position", "velocity", "effort"], conventions)
+        if not states_only:
+            refuse_prefix(path, columns.names, joint_order)
         notes = [*columns.notes, *refuse_pace(f"{path}: {state.name}", columns)]
         if command is not None and command[0] != state:
             inputs = _commands(bag, *command, columns, asked, notes)
@@ -134,6 +139,19 @@ def read_recording(
     return Recording(path.resolve().name, record, inputs, tuple(notes), torque_off, commanded=beside)
 
 
+def refuse_prefix(path: Path, recorded: Sequence[str], joints: Sequence[str]) -> None:
+    """Raise RecordingError: the recorded names are those of the robot's joints with one prefix before all of them."""
+    if set(recorded) & set(joints):
+        return
+    before = {name.removesuffix(joint) for joint in joints for name in recorded if name.endswith(joint)}
+    for prefix in sorted(before, key=len):
+        alike = [joint for joint in joints if prefix + joint in recorded]
+        if 2 * len(alike) > len(joints):
+            called = f"its joints are called {prefix}{alike[0]} and so on, where the robot has {alike[0]}"
+            cure = f"state joint_prefix: {prefix} in a driver's profile (--driver FILE), or name the robot with --robot"
+            raise RecordingError(f"{path}: {called}: {cure}")
+
+
 def _joint_record(
     path: Path, topic: Topic, columns: JointColumns, inputs: InputRecord | None, asked: _Asked, notes: list[str]
 ) -> JointRecord:
@@ -143,6 +161,9 @@ def _joint_record(
         driven = [name for name, column in zip(inputs.names, used, strict=True) if column]
     expected = [*asked.joint_order, *driven]
     times, names, values = _state_rows(path, topic, columns, driven, expected, notes)
+    period_s = 1e-9 * float(np.median(np.diff(times)))
+    if not SHORTEST_PERIOD_S < period_s < LONGEST_PERIOD_S:
+        raise RecordingError(f"{path}: {topic.name} comes every {period_s:.2g} s: its time stamps are not in s and ns")
     _check_positions(path, names, values["position"], expected)
     effort = _signed(names, values["effort"], notes)
     return asked.effort.record(times, names, values["position"], known_or_none(values["velocity"]), effort)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,13 +31,13 @@ class Estimator:
         return self
 
 
-def new_feed() -> OnlineFeed:
+def new_feed(kept: dict[str, float] | None = None, stated: dict[str, float] | None = None) -> OnlineFeed:
+    """``kept`` is where the calibration says that joints stand, ``stated`` what is stated now."""
     arm = load_robot("open_manipulator_x")
-    robot: Any = SimpleNamespace(
-        model=arm.model, drive_trains=arm.drive_trains, motion_calibration=SimpleNamespace(joints=JOINTS)
-    )
+    calibration: Any = SimpleNamespace(joints=JOINTS)
+    robot = replace(arm, motion_calibration=calibration, held=kept or {})
     probe: Any = SimpleNamespace(running=lambda robot, facts, held: Estimator(dict(held)))
-    return OnlineFeed(probe, robot, None)
+    return OnlineFeed(probe, robot, None, stated)
 
 
 @pytest.fixture
@@ -83,3 +84,12 @@ def test_a_joint_outside_the_calibration_that_moves_is_named(feed: OnlineFeed) -
 def test_only_the_arm_that_moves_is_weighed() -> None:
     states = [(["joint1", "wheel"], [0.001 * number, float(number)]) for number in range(20)]
     assert not any_moved(states, JOINTS) and any_moved(states, ["wheel"])
+
+
+def test_a_calibration_says_where_joints_stand_that_nobody_reports() -> None:
+    """As `replay` has it: what is heard wins over the calibration, and what is stated now over both."""
+    finger = "gripper_left_joint"
+    feed = new_feed({finger: 0.01, "joint3": 0.2, "joint1": 1.0}, {"joint4": 0.3})
+    feed.add(0.0, ["joint3", "joint4"], [0.4, 0.1], [0.0, 0.0], "A")
+    estimate: Any = feed.add(0.1, JOINTS, AT_REST, [1.0, 2.0], "A")
+    assert estimate.held == {"joint3": 0.4, "joint4": 0.3, finger: 0.01} and not feed.warning

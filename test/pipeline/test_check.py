@@ -124,3 +124,30 @@ def test_nothing_given_and_no_bag_are_refused_in_a_line(tmp_path: Path) -> None:
     assert "\n" not in str(refused.value) and "nothing" in str(refused.value)
     with pytest.raises(ConfigurationError, match="colour"):
         check_bags(PUSH / "bag_mcap", Options(settings={"colour": "red"}))
+
+
+@pytest.mark.parametrize(("seconds", "moves_s"), [(2.0, 2.0), (3.4, 3.4), (9.0, 3.0), (12.0, 12.0)])
+def test_a_motion_is_usable_where_replay_takes_it(tmp_path: Path, seconds: float, moves_s: float) -> None:
+    """As check says it: what is too short for a fit, or stands still for most of the time, is refused in the words of replay."""
+    joints = ("joint1", "joint2", "joint3", "joint4")  # the gripper was not recorded
+    times_s = np.arange(0.0, seconds, 0.01)
+    phase = 2.0 * np.minimum(times_s, moves_s)[:, None] + np.arange(4)
+    record = JointRecord(
+        (1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase)
+    )
+    write_recording(tmp_path / "bag", Recording("motion", record, None))
+    times_s = np.arange(0.0, 15.0, 0.01)
+    phase = 1.7 * times_s[:, None] + np.arange(4)
+    empty = JointRecord(
+        (1e9 * (1.0 + times_s)).astype(np.int64), joints, 0.4 * np.sin(phase), effort=0.3 * np.cos(phase)
+    )
+    write_recording(tmp_path / "empty", Recording("empty", empty, None))
+    options = Options(effort_unit="N.m", baseline=(tmp_path / "empty",))
+    check = looked_into(tmp_path / "bag", options)
+    try:
+        replay(tmp_path / "bag", options)
+        refusal = ""
+    except ProprioError as error:
+        refusal = str(error)
+    assert check.problem.rpartition("/")[2] == refusal.rpartition("/")[2]
+    assert check.usable == (refusal == "") == (moves_s > 9.0)

@@ -134,6 +134,44 @@ def test_stamps_of_another_clock_may_keep_their_own_pace(tmp_path: Path) -> None
     assert any("10.0 % slower" in note and "another clock" in note for run in runs for note in run.notes)
 
 
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+def test_stamps_in_another_unit_are_refused(tmp_path: Path, factor: float) -> None:
+    with pytest.raises(
+        RecordingError, match=r"header stamps run 1000 times (faster|slower) than the times of recording"
+    ):
+        bag_runs(bent(tmp_path / "bag", stamps_times(factor)), ARM)
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> None:
+    """Stamps and recorder alike, as of a bag that was made of a table."""
+    stamps, first = stamps_times(factor), [0]
+
+    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+        first[0] = first[0] or time_ns
+        _, message = stamps(topic, time_ns, message)
+        return first[0] + round((time_ns - first[0]) * factor), message
+
+    with pytest.raises(RecordingError, match=r"comes every [0-9.e-]+ s: its time stamps are not in s and ns"):
+        bag_runs(bent(tmp_path / "bag", bend), ARM)
+
+
+def test_a_prefix_before_all_joints_is_named(tmp_path: Path) -> None:
+    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+        if topic == "/joint_states":
+            message.name = [f"left_{name}" for name in message.name]
+        return time_ns, message
+
+    bag = bent(tmp_path / "bag", bend)
+    with pytest.raises(RecordingError, match=r"called left_joint1 and so on.*state joint_prefix: left_"):
+        bag_runs(bag, ARM)
+    _, (check,) = check_bags([bag])
+    assert "joint_prefix: left_" in check.problem and "left_joint1" in check.joints
+    profile = tmp_path / "mine.yaml"
+    profile.write_text("extends: proprio\njoint_prefix: left_\n")
+    assert check_bags([bag], Options(driver=profile))[1][0].usable == 1
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_late_messages_are_no_other_pace(seed: int) -> None:
     """A recorder on a busy computer: jitter, a backlog that grows and is worked off, a second that nothing came."""

@@ -20,6 +20,7 @@ from proprio_ros.recordings.messages import message_types
 from proprio_ros.robot import load_robot, with_recorded_torque
 from proprio_ros.robot.description import hand_link, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, ROBOT
+from proprio_ros.robot.new_file import new_robot_file
 
 UR10E = Path(__file__).resolve().parents[3] / "shared" / "recordings_real" / "models" / "ur10e.urdf"
 MARKED = "nominal_torque_constant_N_m_per_A: null"
@@ -211,6 +212,29 @@ def test_where_efforts_are_torque_the_file_asks_for_nothing_and_knows_what_the_u
                     exact = was is None or isinstance(was, bool)
                     assert known == (was if exact else pytest.approx(was, rel=1e-3)), entry.name
             assert file.torque_disturbance == pytest.approx(bare.torque_disturbance, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["ur5e", "ur10e", "so101"])
+def test_in_ampere_the_filled_in_file_knows_what_the_urdf_with_its_constants_does(tmp_path: Path, name: str) -> None:
+    """Stating more never knows less: no spread of the file is wider than that of the URDF and the same constants."""
+    urdf = Path(__file__).resolve().parents[2] / "urdf" / f"{name}.urdf"
+    constant = "nominal_torque_constant_N_m_per_A"
+    text = written(tmp_path, urdf.read_text())
+    joints = [
+        key.split(".")[1]
+        for key in new_robot_file(str(urdf), tmp_path / "x.yaml", description_of).to_state
+        if constant in key
+    ]
+    (tmp_path / "new.yaml").write_text(text.replace(MARKED, f"{constant}: 2.0"))
+    stated = {f"joints.{each}.motor.{constant}": 2.0 for each in joints}
+    file = load_robot(tmp_path / "new.yaml", {})
+    alone = load_robot(urdf, stated)
+    assert joints and set(file.drive_trains) >= set(joints)
+    for each in joints:
+        for term in fields(file.drive_trains[each]):
+            mine, other = (getattr(robot.drive_trains[each], term.name) for robot in (file, alone))
+            assert not isinstance(mine, Quantity) or mine.std <= other.std, (each, term.name)
+    assert file.arm_scale.std <= alone.arm_scale.std and file.torque_disturbance <= alone.torque_disturbance
 
 
 def test_a_nominal_constant_of_one_is_recorded_torque_too(tmp_path: Path) -> None:
