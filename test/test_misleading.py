@@ -473,3 +473,25 @@ def test_no_page_shows_digits_that_mean_nothing(bags: Path, tmp_path: Path) -> N
     value = estimate.values[0]
     for digits in (4, 5, 6):
         assert f"{value.value:.{digits}g}" not in text and f"{value.std:.{digits}g}" not in text
+
+
+# --- one mistake is named ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (-1.0, "the current or the angle of joint3 has the sign of an axis that is turned round"),
+        (0.0, "the current or the angle of joint3 has the sign of an axis that is turned round"),
+        (1000.0, "the current of joint3 is a thousand times what fits"),
+        (0.001, "the current of joint3 is a thousandth of what fits"),
+    ],
+)
+def test_a_sign_and_a_unit_are_named(bags: Path, robot: Robot, factor: float, words: str) -> None:
+    """Of the current; 0: of the angle."""
+    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"), Request(robot))
+    factors = {"input_current_A": run.input_current_A * (factor or 1.0), "reported_effort": None}
+    if not factor:
+        factors |= {"position": -run.position, "before_position": -run.before_position}
+    answer = weigh(robot, [replace(run, **factors)])
+    assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith(words)

@@ -438,8 +438,8 @@ class Problem:
                 cost += 0.5 * np.einsum("st,st->s", residual, residual)
                 gradient[:, columns] += (across @ residual[..., None])[..., 0]
                 matrix[:, columns[:, None], columns] += across @ slopes
-        gradient = gradient * slope
-        matrix = matrix * slope[:, :, None] * slope[:, None, :]
+            gradient = gradient * slope
+            matrix = matrix * slope[:, :, None] * slope[:, None, :]
         massless = (p[:, INDEX["inertia"]] <= 0.0).reshape(guesses, runs).any(axis=1)
         bad = massless | ~(np.isfinite(cost) & np.isfinite(matrix).all(axis=(1, 2)))
         if bad.any():

@@ -65,7 +65,13 @@ def _bounded_step(
         damped[:, diagonal, diagonal] += np.where(fixed, 1.0, 1e-300)
         held = np.where(fixed, step, 0.0)
         right = gradient + np.einsum("sij,sj->si", matrix, held)
-        step = held - np.linalg.solve(damped, np.where(moves, right, 0.0)[..., None])[..., 0]
+        rights = np.where(moves, right, 0.0)[..., None]
+        try:
+            found = np.linalg.solve(damped, rights)
+        except np.linalg.LinAlgError:  # numbers so far apart that a guess determines nothing
+            damped[:, diagonal, diagonal] += 1.0 + 1e-9 * damped.max()
+            found = np.linalg.solve(damped, rights)
+        step = held - found[..., 0]
         step = np.clip(step, -coordinates.step_limit, coordinates.step_limit)
         crosses = moves & ((u + step < lower) | (u + step > upper))
         if not crosses.any():

@@ -23,6 +23,8 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.experiment_design.planning import SECONDS, plan, with_advice
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, ExcitationPlan
+from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.judge import FAR
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.recorded import recorded_run
@@ -215,7 +217,9 @@ def _with_implied_scale(estimate: CalibrationEstimate, robot: Robot) -> Calibrat
     if abs(mistyped) <= BEYOND_PRIOR:
         return replace(estimate, notes=(f"{said}; {weight}", *estimate.notes))
     cure = "every mass follows it: weigh the reference again, and check the torque constants"
-    return replace(estimate, reasons=(*estimate.reasons, Reason("far_from_prior", f"{said}, and {weight}; {cure}")))
+    reasons = (*estimate.reasons, Reason("far_from_prior", f"{said}, and {weight}; {cure}"))
+    verdict = Verdict.REJECTED if abs(mistyped) > FAR else estimate.verdict
+    return replace(estimate, verdict=verdict, reasons=reasons)
 
 
 def _implied_scale(estimate: CalibrationEstimate, robot: Robot) -> tuple[Quantity, Quantity] | None:

@@ -201,7 +201,9 @@ class Rows:
         return stretches
 
 
-def equations(robot: Robot, motion: Motion, joints: Sequence[str], centre_m: FloatArray | None = None) -> Rows:
+def equations(
+    robot: Robot, motion: Motion, joints: Sequence[str], centre_m: FloatArray | None = None, by_zeros: bool = True
+) -> Rows:
     """What one motion says.
 
     Args:
@@ -209,6 +211,7 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str], centre_m: Flo
         motion: Of these joints.
         joints: Whose terms are the columns.
         centre_m: Where the payload's mass sits: its other parameters are then how it differs from a point there, shape (3,).
+        by_zeros: Whether they know how they follow the joints' zeros, which takes most of the time.
 
     Raises:
         RecordingError: It is too short, or too fast for its rate.
@@ -222,7 +225,7 @@ def equations(robot: Robot, motion: Motion, joints: Sequence[str], centre_m: Flo
     windows = Windows.over(len(times_s), width, max(1, round(HOP_SHARE * width)))
     counts = np.isin(names, motion.moved)[None, :] & ~across_gaps(motion, times_s, windows)[:, None]
     torque = current * np.array([robot.drive_trains[name].torque_constant.value for name in names])
-    rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts, by_zeros=True)
+    rows = arm.rows(windows, times_s, period_s, position, velocity, torque, counts, by_zeros=by_zeros)
     if not len(rows.joint):
         raise RecordingError(f"{motion.name}: no joint moves for long enough without a pause or a gap")
     if centre_m is None:

@@ -12,8 +12,9 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate, EmptyHandEstimate, Weighable
 from proprio_ros.identification.estimate import UnknownRow
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, judge, not_identifiable, rejected
+from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import Arm
-from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload
+from proprio_ros.identification.regression.motion_fit import Centre, MotionFit, fit_empty, fit_payload, share_of
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
 from proprio_ros.identification.regression.refusals import deciding, far_from_prior, unexplained_torque, unlike_urdf
 from proprio_ros.identification.unknowns import Role
@@ -55,7 +56,7 @@ def calibrate_motions(
     progress(f"fitting {len(motions)} motions")
     calibration = fit_empty(robot, motions)
     notes = tuple(note for motion in (*motions, *(motion for motion, _ in references)) for note in motion.notes)
-    refusal = judge(calibration_refusals(robot, motions, calibration))
+    refusal = with_cause(judge(calibration_refusals(robot, motions, calibration)), robot, motions)
     if not refusal.withheld and references:
         progress("weighing the references")
         calibration, refusal = _scaled(robot, calibration, references, centre)
@@ -101,7 +102,7 @@ def calibration_refusals(robot: Robot, motions: Sequence[Motion], calibration: M
         for motion in motions
     ]
     driven = np.sqrt(np.mean(np.square(np.vstack(torques)), axis=0))
-    share = deciding(calibration.tells, calibration.residual / driven)
+    share = deciding(calibration.tells, share_of(calibration.residual, driven))
     yield from unexplained_torque(calibration.joints, share, "the arm and its friction")
     yield from unlike_urdf(calibration.arm_over_urdf)
     prior = file_prior(robot, Arm.of(robot, calibration.joints, dict(motions[0].held)))
@@ -135,7 +136,13 @@ def _scaled(
                 "says_too_little",
                 "the reference says nothing about the torque constants",
                 f"{motion.name}: the reference of {shown('kg', mass_kg, spec='.0f')} is read as {shown('kg', read, spec='.0f')} +- "
-                f"{shown('kg', std, spec='.0f')}, too coarse to tell the torque constants: take a heavier one, or move longer",
+                f"{shown('kg', std, spec='.0f')}, "
+                + (
+                    "lighter than nothing: are the recordings mixed up?"
+                    if read + Z95 * std < 0.0
+                    else "too coarse to tell the torque constants: take a heavier one, or move longer"
+                    + (", and check payload.com" if centre is not None else "")
+                ),
             )
         ratios.append(mass_kg / read)
         stds.append(std * mass_kg / read**2)

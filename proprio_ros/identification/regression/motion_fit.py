@@ -122,6 +122,11 @@ class MotionFit:
         return _misfit(self.tells, self.residual, self.empty_residual)
 
     @property
+    def unexplained(self) -> FloatArray:
+        """Share of each joint's torque that is left over, shape (n,)."""
+        return share_of(self.residual, self.driven)
+
+    @property
     def std(self) -> FloatArray:
         """Standard deviation of each of the payload's parameters, shape (10,)."""
         return np.sqrt(np.diag(self.covariance))
@@ -139,6 +144,11 @@ class MotionFit:
         """Of the payload's ten parameters, those that the motion says less about than what any load of that mass may have."""
         unseen = self.std > 0.5 * self.payload_prior
         return tuple(kind.replace("body", "payload") for kind, none in zip(BODY_TERMS, unseen, strict=True) if none)
+
+
+def share_of(residual: FloatArray, driven: FloatArray) -> FloatArray:
+    """What is left over of torques, shape (n,); all of one that reads nothing."""
+    return np.where(driven > 0.0, residual / np.where(driven > 0.0, driven, 1.0), np.where(residual > 0.0, 1.0, np.nan))
 
 
 def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
@@ -194,6 +204,20 @@ def fit_empty(robot: Robot, motions: Sequence[Motion]) -> MotionCalibration:
         runs=tuple({"name": m.name, "duration_s": float(m.times_s[-1]), "load_kg": 0.0} for m in motions),
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
+
+
+def refuse_useless(robot: Robot, motion: Motion) -> None:
+    """Refuse a motion that no fit takes by itself, in the words of that fit.
+
+    Raises:
+        RecordingError: It is too short, too slow or of other joints than the robot's calibration.
+        RobotError: Torque constants are no longer those of the calibration.
+    """
+    if robot.motion_calibration is not None:
+        _check_arm(robot, [motion], robot.motion_calibration)
+    joints = motion.joints if robot.motion_calibration is None else robot.motion_calibration.joints
+    problem = Problem.of([equations(robot, motion, joints)], 1)
+    problem.stretches_of(problem.carrying, motion.name, better_s=15.0)
 
 
 def _friction_between(problem: Problem, solution: Solution) -> Between:

@@ -19,9 +19,10 @@ from functools import partial
 
 import numpy as np
 
+from proprio_ros.errors import RecordingError
 from proprio_ros.identification import gates, swings
 from proprio_ros.identification.conclude import Conclusion, stated_in
-from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, no_answer
+from proprio_ros.identification.estimate import Estimate, SolverSummary, Value, Verdict, no_answer
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -35,6 +36,7 @@ from proprio_ros.identification.judge import Guess, Refusal, Useful, not_identif
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
+from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import ZERO_REPEATS
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95
@@ -52,6 +54,9 @@ DECIDES = 0.1
 """A guess that is worth less than this share of the standard deviation is not worth a sentence."""
 DRIFT_SIGMAS = 3.0
 """How far from nothing an empty hand may weigh before the calibration is called out of date."""
+
+CAUSE_RATIO = 10.0
+"""A mistake is named where undoing it makes the reduced chi-square so many times smaller."""
 
 SWING_STARTS = (0.03, 0.1, 0.3, 0.8, 2.0)
 ANY_ZERO_RAD = 0.3
@@ -112,7 +117,47 @@ def weigh(
             "the robot file's own values do not explain the recording, so what the file leaves open was fitted too, under its "
             "priors"
         )
-    return Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift).estimate()
+    estimate = Weighed(nominal, opened, found, len(runs), facts, options, still, against=drift).estimate()
+    if estimate.verdict is not Verdict.REJECTED:
+        return estimate
+    cause = _cause(robot, usable, facts, options, opened)
+    return replace(estimate, reasons=(*cause, *estimate.reasons))
+
+
+def _cause(
+    robot: Robot,
+    usable: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    opened: FitResult,
+) -> tuple[Reason, ...]:
+    """The one mistake in current or angle without which a fit explains runs that it does not, ``opened``, with it."""
+    joints = ", ".join(joints_of(usable))
+    turned = f"the current or the angle of {joints} has the sign of an axis that is turned round in the URDF"
+    tried: list[tuple[float, str]] = []
+    for factor, words in (
+        (-1.0, turned),
+        (0.0, turned),
+        (1e-3, f"the current of {joints} is a thousand times what fits: it is in another unit"),
+        (1e3, f"the current of {joints} is a thousandth of what fits: it is in another unit"),
+    ):
+        try:
+            undone = [prepare_run(robot, _undone(each.run, factor), each.load, facts) for each in usable]
+            fit = fit_opened(partial(solve_load, robot, undone, facts, options))
+        except (RecordingError, np.linalg.LinAlgError):
+            continue
+        if fit.value_of("payload_mass") > -options.wide_floor_kg:
+            tried.append((fit.reduced_chi2, words))
+    if not tried or CAUSE_RATIO * min(tried)[0] > opened.reduced_chi2:
+        return ()
+    return (Reason("misfit", f"{min(tried)[1]}: then a payload explains the recording, and now none does"),)
+
+
+def _undone(run: Run, factor: float) -> Run:
+    """The run with its current times a factor; 0: with its angle counted the other way round."""
+    if factor:
+        return replace(run, input_current_A=factor * run.input_current_A)
+    return replace(run, position=-run.position, before_position=-run.before_position)
 
 
 def _weigh_swings(

@@ -6,15 +6,16 @@ What the empty arm does comes from motions that were recorded with the others, o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Fit, JointFit, Value, Verdict
-from proprio_ros.identification.judge import Refusal, judge, not_identifiable, positive, rejected
+from proprio_ros.identification.judge import ACCEPTED, Refusal, judge, not_identifiable, positive, rejected
 from proprio_ros.identification.reasons import Reason
+from proprio_ros.identification.regression.causes import with_cause
 from proprio_ros.identification.regression.motion_equations import STRETCH_S
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_empty, fit_payload
@@ -141,6 +142,11 @@ def identify_in_motion(
         assumptions = _assumptions(robot, motions, None, None)
         return motion_answer(robot, motions, unknown, nothing, assumptions, fit=None, budget=(), detail=None)
     refusal = judge(chain(of_arm, _refusals(motions, fit, known), _too_wide(fit)))
+    named = with_cause(refusal, robot, (*motions, *baseline))
+    if centre is not None and named is refusal and refusal.verdict is Verdict.REJECTED:
+        beside = baseline if robot.motion_calibration is not None else ()
+        named = _elsewhere(refusal, motions, fit_payload(robot, motions, calibration, empty=beside), facts, known)
+    refusal = named
     mass, std = float(fit.values[0]), float(fit.std[0])
     values = [positive("payload_mass", "kg", mass, std, refusal.withheld, quantile=fit.quantile)]
     if not refusal.withheld and not centre_is_stated:
@@ -155,9 +161,24 @@ def identify_in_motion(
         budget=list(fit.parts.items()),
         detail=MotionDetail(fit.stretches, fit.unseen()),
         beside=baseline,
-        notes=passed_over(fit.joints, fit.tells, fit.residual / fit.driven),
+        notes=passed_over(fit.joints, fit.tells, fit.unexplained),
         shown=fit.shown,
     )
+
+
+def _elsewhere(
+    refusal: Refusal, motions: Sequence[Motion], free: MotionFit, facts: PayloadFacts, known: str
+) -> Refusal:
+    """The refusal, with what a fit that looks for the payload's centre says of the one that was stated, where that explains all."""
+    place = _place(free)[0].value
+    if judge(_refusals(motions, free, known)) is not ACCEPTED or not isinstance(place, list) or None in place:
+        return refusal
+    stated, found = (", ".join(f"{value:.3g}" for value in at) for at in (facts.com, np.asarray(place)))
+    sentence = (
+        f"{motions[0].name}: payload.com is stated as [{stated}] m, and the motion is explained with [{found}] m: is it right, in "
+        "the axes of payload.frame? Left out, it is found"
+    )
+    return replace(refusal, reasons=(Reason("misfit", sentence), *refusal.reasons))
 
 
 def _drift(robot: Robot, baseline: Sequence[Motion], calibration: MotionCalibration) -> Iterator[Refusal]:
@@ -197,7 +218,7 @@ def _refusals(motions: Sequence[Motion], fit: MotionFit, known: str) -> Iterator
                 f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
-    unexplained = deciding(fit.tells, fit.residual / fit.driven)
+    unexplained = deciding(fit.tells, fit.unexplained)
     yield from unexplained_torque(fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: ")
     ratio = fit.residual / fit.empty_residual
     worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))  # never of one that does not decide
