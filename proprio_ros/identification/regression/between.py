@@ -95,8 +95,8 @@ class Between:
 
     @property
     def by_word(self) -> dict[str, float]:
-        """On how many recordings' word each of `WORDS` rests."""
-        return {WORDS[kind]: number for kind, number in self.recordings.items()}
+        """On how many recordings' word each of `WORDS` rests: of its kinds, that of which fewest tell."""
+        return {word: min(self.recordings[kind] for kind in WORDS if WORDS[kind] == word) for word in WORDS.values()}
 
     @property
     def std(self) -> FloatArray:

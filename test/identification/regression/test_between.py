@@ -9,7 +9,7 @@ import pytest
 from between_recordings import MACHINES, Answer, arm_answers, pendulum_answers, real_answers
 from support.machines import REAL
 
-from proprio_ros.identification.regression.between import PSEUDO_RECORDINGS, PUBLISHED, Between, spread_of_runs
+from proprio_ros.identification.regression.between import DIFFERS, PSEUDO_RECORDINGS, PUBLISHED, Between, spread_of_runs
 
 FRICTION = np.full(6, 0.2)
 
@@ -37,6 +37,13 @@ def test_spreads_follow_recordings_where_there_are_many() -> None:
         learnt = stated.learnt(learnt, off, np.full_like(off, 1e-12))
     for kind, spread in true.spreads.items():
         assert learnt.spreads[kind] == pytest.approx(spread, rel=0.12)
+
+
+def test_what_rests_on_several_spreads_is_known_as_well_as_the_least_of_them() -> None:
+    stated = Between.published(FRICTION, np.zeros(6))
+    for kind in ("common_scale", "own_scale", "zero"):
+        more = {**dict.fromkeys(PUBLISHED, 9.0), kind: 5.0}
+        assert replace(stated, recordings=more).by_word[DIFFERS] == 5.0
 
 
 def test_a_published_spread_counts_as_so_many_runs() -> None:
