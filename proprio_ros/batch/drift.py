@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from proprio_ros.batch.episodes import Episode
 from proprio_ros.calibration_files.motions import MotionCalibration
-from proprio_ros.errors import ProprioError, RecordingError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.pipeline.loading import bag_motion
@@ -115,15 +116,31 @@ def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[M
     return found
 
 
+_TERMS = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
+_HEADER = [
+    "period",
+    "episodes",
+    "arm_over_urdf",
+    "joint",
+    *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")),
+]
+
+
+def check_drift(path: Path) -> None:
+    """Raises: ConfigurationError: a file is there that no batch wrote."""
+    with suppress(FileNotFoundError), open(path, encoding="utf-8", errors="replace") as stream:
+        if (first := stream.readline()) and first.strip() != ",".join(_HEADER):
+            raise ConfigurationError(f"--out: {path} is no table of proprio: move it away, or name another folder")
+
+
 def write_drift(periods: Sequence[Period], path: Path) -> None:
-    """All of it as a table; ConfigurationError: it cannot be written."""
+    """All of it as a table; ConfigurationError: it cannot be written, or another file is there."""
+    check_drift(path)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    kinds = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
-    names = [f"{kind}_{unit}{end}" for kind, unit in kinds.items() for end in ("", "_std")]
-    writer.writerow(["period", "episodes", "arm_over_urdf", "joint", *names])
+    writer.writerow(_HEADER)
     for period in periods:
-        terms = [period.term(kind) for kind in kinds]
+        terms = [period.term(kind) for kind in _TERMS]
         for row, joint in enumerate(period.arm.joints):
             values = [f"{column[row]:.6g}" for pair in terms for column in pair]
             writer.writerow([period.name, period.episodes, f"{period.arm.arm_over_urdf:.5f}", joint, *values])
@@ -150,14 +167,15 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
     header = ["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in joints)]
     rows = []
     for period, term in zip(periods, terms, strict=True):
-        friction = [f"{number(v, s)} +- {s:.2g}" for v, s in zip(*term, strict=True)]
+        friction = [f"{number(v, s)} ± {number(s, s)}" for v, s in zip(*term, strict=True)]
         rows.append([period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}", *friction])
     first, last = terms[0], terms[-1]
     sigmas = np.abs(last[0] - first[0]) / np.maximum(np.hypot(first[1], last[1]), 1e-12)
     most = int(np.argmax(sigmas))
+    from_to = " to ".join(number(value[most], std[most]) for value, std in (first, last))
     said = (
-        f"From the first period to the last, Coulomb friction of {joints[most]} went from {first[0][most]:.3g} to "
-        f"{last[0][most]:.3g} N m, {sigmas[most]:.1f} standard deviations: the largest change of all joints. Drift of all torque "
+        f"From the first period to the last, Coulomb friction of {escape(joints[most])} went from {from_to} N m, "
+        f"{sigmas[most]:.1f} standard deviations: the largest change of all joints. Drift of all torque "
         "constants together shows in what the arm weighs by its torques."
     )
     return [
@@ -165,6 +183,6 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
         f"<p>{said}</p>",
         framed(chart(panels, axis, "drift"), "Each period learnt anew from its empty hand; bands are 95 % intervals."),
         "<p>Coulomb friction with its standard deviation:</p>",
-        table(header, rows, range(len(header))),
+        table(header, rows, range(1, len(header)), labels=1),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",
     ]

@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.batch.drift import drift_of, evenly, readable, write_drift
+from proprio_ros.batch.drift import check_drift, drift_of, evenly, readable, write_drift
 from proprio_ros.batch.episodes import Episode, episodes_of
 from proprio_ros.batch.listing import asked, named, path_of, span_of
 from proprio_ros.batch.local import CHUNK, processors, run_local
@@ -113,6 +113,8 @@ def run_batch(
         job = replace(job, options=options, empty_first_s=empty_first_s)
     with closing(Store(Path(out), job)) as store:
         check_page(store.folder / "batch.html", "--out")
+        if empties:
+            check_drift(store.folder / "drift.csv")
         done = store.done()
         missing = [each for each in episodes if (each.source, each.name) not in done]
         before = len(episodes) - len(missing)
@@ -170,6 +172,10 @@ def self_calibrated(
         ConfigurationError: They do not calibrate the arm.
     """
     path = out.resolve() / "calibration.yaml"
+    if path.exists() and not path.with_name("job.json").exists():
+        raise ConfigurationError(
+            f"{option}: {path} is no calibration of a job here: move it away, or give it with --calibration"
+        )
     if not path.exists():
         request = request_of(options)
         # evenly over all of them: an arm drifts

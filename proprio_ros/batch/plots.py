@@ -60,8 +60,8 @@ def _over_time(rows: Sequence[Row]) -> tuple[np.ndarray, Axis]:
 
 
 def histogram(accepted: Sequence[Row]) -> list[str]:
-    """In steps that are round numbers; nothing for fewer than three."""
-    if len(accepted) < 3:
+    """In steps that are round numbers, not much finer than the values' errors; nothing for fewer than ten."""
+    if len(accepted) < 10:
         return []
     factor, unit = shown_unit(accepted[0]["unit"])
     values = factor * np.array([row["value"] for row in accepted])
@@ -69,7 +69,8 @@ def histogram(accepted: Sequence[Row]) -> list[str]:
     low, high = np.percentile(values, (25, 75))
     reach = 3.0 * max(high - low, 1e-6 * abs(high), 1e-9)
     inside = values[(values >= low - reach) & (values <= high + reach)]
-    least = max(np.ptp(inside) / 80.0, 1e-3 * reach)
+    std = factor * float(np.median([row["std"] or 0.0 for row in accepted]))
+    least = max(np.ptp(inside) / 80.0, 1e-3 * reach, 0.5 * std)
     power = 10.0 ** np.floor(np.log10(least))
     step = next(power * digit for digit in (1, 2, 5, 10) if power * digit >= least * (1.0 - 1e-9))
     edges = step * np.arange(np.floor(inside.min() / step), np.floor(inside.max() / step) + 2)

@@ -67,7 +67,7 @@ class Store:
         arrow()
         try:
             self.rows.mkdir(parents=True, exist_ok=True)
-            self._lock: IO[str] = open(self.folder / ".lock", "w")  # noqa: SIM115 (held as long as the store)
+            self._lock: IO[str] = open(self.folder / ".lock", "a")  # noqa: SIM115 (held as long as the store)
         except OSError as error:
             raise ConfigurationError(f"--out {folder}: {error.strerror}; name a folder that can be written") from error
         try:
@@ -102,8 +102,11 @@ class Store:
         """Source and name of each episode whose rows are all there; what a crash left is removed.
 
         Rows that two files hold are kept in the first.
+
+        Raises:
+            ConfigurationError: A file is among them that no job wrote.
         """
-        for left in self.rows.glob(f"{PARTITION}=*/.*.tmp"):
+        for left in self.rows.glob(f"{PARTITION}=*/.part-*.tmp"):
             left.unlink(missing_ok=True)
         found: set[tuple[str, str]] = set()
         for file in self.files():
@@ -147,12 +150,21 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
     os.replace(temporary, path)
 
 
+def _foreign(file: Path) -> ConfigurationError:
+    return ConfigurationError(f"--out: {file} is no file of rows of proprio: move it away, or name another folder")
+
+
 def _whole_episodes(file: Path) -> set[tuple[str, str]] | None:
-    """Those of a file; None where it cannot be read or lacks rows of one."""
+    """Those of a file; None where a crash left it unreadable, or it lacks rows of one; ConfigurationError: no job wrote it."""
     try:
         table = arrow().parquet.ParquetFile(file).read(columns=["source", "episode", "segment", "segments"])
     except (OSError, arrow().ArrowException):
+        with suppress(OSError), open(file, "rb") as stream:
+            if (head := stream.read(4)) and not b"PAR1".startswith(head):
+                raise _foreign(file) from None
         return None
+    if len(table.column_names) < 4:
+        raise _foreign(file)
     seen: dict[tuple[str, str], list[int]] = {}
     wanted: dict[tuple[str, str], int] = {}
     for row in table.to_pylist():

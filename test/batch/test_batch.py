@@ -24,10 +24,10 @@ from support.lerobot_layout import write_data_set
 
 import proprio_ros.batch.local as local
 import proprio_ros.batch.rows as rows_module
-from proprio_ros.batch.drift import periods_of
+from proprio_ros.batch.drift import periods_of, write_drift
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.grasps import Grasps
-from proprio_ros.batch.job import run_batch
+from proprio_ros.batch.job import run_batch, self_calibrated
 from proprio_ros.batch.listing import named, span_of
 from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
@@ -196,6 +196,35 @@ def test_a_killed_job_goes_on_with_no_row_twice_and_none_lost(fleet: Path, tmp_p
     assert run_batch([fleet / "data"], job, part, lambda words: None, processes=0).before == 10
     with pytest.raises(ConfigurationError, match="other options"):
         run_batch([fleet / "data"], Job(replace(asked(fleet), settings={})), part, lambda words: None)
+
+
+def test_files_that_no_job_wrote_stay(fleet: Path, tmp_path: Path) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    job = Job(asked(fleet))
+    theirs = pyarrow.table({"mine": [1, 2]})
+    for name, write in (
+        ("rows/source_name=x/mine.parquet", lambda path: parquet.write_table(theirs, path)),
+        ("rows/source_name=x/part-1.parquet", lambda path: path.write_text("my notes")),
+        ("batch.html", lambda path: path.write_text("my page")),
+    ):
+        path = tmp_path / name.split("/")[-1].split(".")[0] / name
+        path.parent.mkdir(parents=True)
+        write(path)
+        before = path.read_bytes()
+        out = path.parents[len(Path(name).parts) - 1]
+        with pytest.raises(ConfigurationError, match="is no "):
+            run_batch([fleet / "data" / "bags"], job, out, lambda words: None, processes=1)
+        assert path.read_bytes() == before
+    (tmp_path / "drift.csv").write_text("day,what I saw\n")
+    with pytest.raises(ConfigurationError, match=r"drift\.csv is no table of proprio: move it away"):
+        write_drift([], tmp_path / "drift.csv")
+    write_drift([], tmp_path / "new.csv")
+    write_drift([], tmp_path / "new.csv")
+    (tmp_path / "calibration.yaml").write_text("name: mine\n")
+    with pytest.raises(ConfigurationError, match="is no calibration of a job here"):
+        self_calibrated([], asked(fleet), "--empty", tmp_path, lambda words: None)
 
 
 def test_two_jobs_do_not_write_to_one_folder(fleet: Path, tmp_path: Path) -> None:
