@@ -473,10 +473,10 @@ def test_a_pause_of_the_loop_ends_the_current_and_the_run_is_repeated_as_it_was(
 
 
 def test_who_may_pause_for_long_under_a_current_may_without_one() -> None:
-    ready = bench(Phase.SETTLE, guards=Guards(stale_after_s=4.0))
+    ready = bench(Phase.APPROACH, guards=Guards(stale_after_s=4.0))
     ready.tick(later_s=3.5)
     assert ready.machine.busy
-    ready = bench(Phase.SETTLE)
+    ready = bench(Phase.APPROACH)
     ready.tick(later_s=1.5)
     assert ready.machine.aborted_by == "stale"
 
