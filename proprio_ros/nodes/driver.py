@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from proprio_ros import clock
 from proprio_ros.bus.driver import ArmDriver, DriverSettings
 from proprio_ros.bus.dynamixel import DynamixelBus, servos_of
-from proprio_ros.bus.state import ArmSample, BusState, Senders
+from proprio_ros.bus.state import OUTDATED, ArmSample, BusState, Senders
 from proprio_ros.calibration_files.motors import Motors
 from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError
@@ -194,8 +194,8 @@ class DriverNode(ManagedNode):
     def _obey(self, message: Float64MultiArray, info: dict[str, Any], topic: str, command: Callable[..., str]) -> str:
         """Pass a command on; returns why it was refused, or an empty string."""
         looks = (len(message.data), *(dim.label for dim in message.layout.dim))
-        sender = self._senders[topic].of(info.get("publication_sequence_number"), looks)
-        if self._driver is None or not self.active:
+        sender = self._senders[topic].of(info.get("publication_sequence_number"), looks, tuple(message.data))
+        if self._driver is None or not self.active or sender == OUTDATED:  # a newer one has been obeyed
             return ""
         values = messages.by_joint(message, self._order)
         return values if isinstance(values, str) else command(self._driver, values, sender)

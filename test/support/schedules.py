@@ -1,58 +1,74 @@
-"""Weighings in the simulated world while things go wrong as a seed says, and what must be true all the same.
+"""Weighings and pushes in the simulated world while things go wrong as a seed says, and what must be true all the same.
+
+A world is started, makes what it is to make without a fault, and stands: each schedule goes on from there in a process of its
+own (`support.forked`), so each begins with a robot that was seen to work. It ends when what went wrong is mended and the next
+weighing, or push, has worked.
 
 ``python test/support/schedules.py FIRST COUNT`` plays schedules and prints those after which something was not true;
-``SEED,SEED,..`` in their place names them.
+``SEED,SEED,..`` in their place names them. ``--tell`` prints what the nodes log, ``--json FILE`` counts what was played.
 """
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import hashlib
 import json
 import os
 import random
 import re
+import resource
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 if __name__ == "__main__":
+    os.environ.update({f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")})
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from std_srvs.srv import SetBool
 
 from proprio_ros.live.session import JOURNAL
+from proprio_ros.nodes.messages import values_of
+from support.forked import lives
 from support.simulated_ros import Network
-from support.simulated_world import World, world
+from support.simulated_world import LINK, NODES, World, world
 
 MASSES_KG = (0.02, 0.05, 0.08)
-NODES = ("driver", "excitation", "identifier")
+FAULTY = ("driver", "excitation", "identifier")
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 KINDS = (
-    "kill", "stall", "restart", "end", "unplug", "overheat", "jump", "drop", "stranger", "call", "transition", "clock",
+    "kill", "stall", "restart", "end", "unplug", "overheat", "jump", "drop", "stranger", "call", "transition", "clock", "double",
+    "disk",
 )  # fmt: skip
+PLANS = {"push": 0.78, "weigh": 0.18, "pair": 0.04}
+"""What is asked for while things go wrong, and how often: a push, a weighing, or a weighing by each of two arms in one world."""
+LASTING = ("stall", "unplug", "stranger", "drop", "double", "disk")
 STILL_RAD_S = 0.15
 SAFE_S = 1.0
 """After the driver or the bus is gone: the servos' watchdog takes 0.3 s, and what turned comes to rest."""
 ANSWER_S = 120.0
-SEQUENCE = """excitation:
-  hand: payload
-  settle_s: 1.1
-  brake_s: 0.3
-  approach_velocity: 0.9
-  runs:
+WELL_S = 30.0
+"""Until all is as before once what went wrong is mended: a node that was stalled goes on after 10 s at most."""
+LIFT = """
+    - {joint: joint3, current_A: -0.45, duration_s: 0.5, start: {joint2: -1.0, joint3: 0.6, joint4: 0.4},
+       min_travel: 0.1, max_travel: 0.8, raise_by: 1.2, max_current_A: 0.70}"""
+CAREFUL = """
     - {joint: joint3, current_A: -0.36, duration_s: 0.6, start: {joint2: -1.4, joint3: 0.8, joint4: 0.0},
-       min_travel: 0.3, max_travel: 0.6, raise_by: 1.15, max_current_A: 0.70}
-    - {joint: joint3, current_A: -0.10, duration_s: 0.6, start: {joint2: -0.6, joint3: -0.4, joint4: 0.0},
-       min_travel: 0.3, max_travel: 0.6, raise_by: 0.5}
-"""
+       min_travel: 0.3, max_travel: 0.6, raise_by: 1.15, max_current_A: 0.70}"""
+SEQUENCE = (
+    "excitation:\n  hand: {hand}\n  settle_s: {settle}\n  brake_s: 0.2\n  approach_velocity: 1.5\n  runs:{runs}\n"
+)
+PUSH = SEQUENCE.format(hand="any", settle=0.3, runs=LIFT)
+WEIGH = SEQUENCE.format(hand="payload", settle=1.1, runs=CAREFUL)
 
 
 @dataclass(frozen=True)
@@ -62,8 +78,8 @@ class Fault:
     Attributes:
         at_s: After the weighing was asked for.
         kind: What.
-        whom: Node or joint.
-        lasts_s: For how long.
+        whom: Node, joint or service.
+        lasts_s: For how long; of a clock, by how much it is set.
     """
 
     at_s: float
@@ -77,20 +93,40 @@ class Fault:
 
 @dataclass
 class Outcome:
-    """What came of a schedule; `broken` is empty where all is well."""
+    """What came of a schedule; `broken` is empty where all is well.
+
+    Attributes:
+        recorded: Of all messages of all bags, so that two may be compared.
+    """
 
     seed: int
-    faults: list[Fault]
+    plan: str = ""
+    faults: list[Fault] = field(default_factory=list)
     answer: str = ""
     broken: list[str] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+    recorded: str = ""
+    cpu_s: float = 0.0
+    simulated_s: float = 0.0
 
     def __str__(self) -> str:
-        return f"seed {self.seed}: {'; '.join(map(str, self.faults))}\n  {self.answer}\n  " + "\n  ".join(self.broken)
+        told = "\n  ".join([*self.broken, *self.log])
+        return f"seed {self.seed}, {self.plan}: {'; '.join(map(str, self.faults))}\n  {self.answer}\n  {told}"
 
 
-def drawn(seed: int) -> tuple[float, Network, list[Fault]]:
-    """Mass in the hand, network and faults of a seed."""
+@dataclass(frozen=True)
+class Drawn:
+    """What a seed says: plan, masses in the hands, network, faults."""
+
+    plan: str
+    masses_kg: tuple[float, float]
+    network: Network
+    faults: tuple[Fault, ...]
+
+
+def drawn(seed: int) -> Drawn:
     draw = random.Random(seed)
+    plan = draw.choices(list(PLANS), list(PLANS.values()))[0]
     network = Network()
     if draw.random() < 0.4:
         network = Network(
@@ -98,61 +134,85 @@ def drawn(seed: int) -> tuple[float, Network, list[Fault]]:
             lose=draw.choice((0.0, 0.002)),
         )  # fmt: skip
     faults = []
+    # a push writes nothing to a disk; and two arms share one, as they do the system's clock and the network
+    shared = {"push": ("disk",), "weigh": (), "pair": ("disk", "clock", "double")}[plan]
+    kinds = [kind for kind in KINDS if kind not in shared]
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
-        kind = draw.choice(KINDS)
-        whom = draw.choice(NODES)
+        kind, whom = draw.choice(kinds), draw.choice(FAULTY)
         if kind in ("overheat", "jump", "stranger"):
             whom = draw.choice(JOINTS)
         elif kind == "call":
             whom = draw.choice(
                 ("/driver/stop", "/excitation/abort", "/identifier/cancel", "/excitation/run", "/identifier/weigh")
             )
-        lasts_s = 10.0 ** draw.uniform(-3.0, 1.0) if kind in ("stall", "unplug", "stranger", "drop") else 0.0
+        elif kind in ("unplug", "drop", "clock", "double", "disk"):
+            whom = ""
+        lasts_s = 10.0 ** draw.uniform(-3.0, 1.0) if kind in LASTING else 0.0
         if kind == "clock":
-            whom, lasts_s = "", draw.choice((-5.0, -0.2, 0.2, 5.0))
-        faults.append(Fault(draw.uniform(0.0, 9.0), kind, whom, lasts_s))
-    return draw.choice(MASSES_KG), network, sorted(faults, key=lambda fault: fault.at_s)
+            lasts_s = draw.choice((-5.0, -0.2, 0.2, 5.0))
+        faults.append(Fault(draw.uniform(0.0, 2.0 if plan == "push" else 4.5), kind, whom, lasts_s))
+    masses_kg = draw.choice(MASSES_KG), draw.choice(MASSES_KG)
+    return Drawn(plan, masses_kg, network, tuple(sorted(faults, key=lambda fault: fault.at_s)))
 
 
-class _Schedule:
-    def __init__(self, made: World, outcome: Outcome, mass_kg: float) -> None:
-        self.world, self.outcome, self.mass_kg = made, outcome, mass_kg
-        self.position = made.user.create_publisher(Float64MultiArray, "/position_command", 10)
+class Side:
+    """One arm with its nodes, what is asked of it, and what must be true of it.
+
+    Args:
+        made: The world that it is in.
+        space: Namespace of its nodes; empty: none.
+        broken: Takes what is not true.
+    """
+
+    def __init__(self, made: World, space: str, broken: list[str]) -> None:
+        self.world, self.space, self.mass_kg = made, f"/{space}" if space else "", 0.0
+        self._broken = broken
+        self.position = made.user.create_publisher(Float64MultiArray, f"{self.space}/position_command", 10)
         self.estimates: list[Any] = []
-        self.states: list[Any] = []
-        made.user.create_subscription(DiagnosticArray, "/identifier/estimate", self.estimates.append, 10)
-        made.user.create_subscription(JointState, "/virtual/motors", self.states.append, 10)
+        made.user.create_subscription(DiagnosticArray, f"{self.space}/identifier/estimate", self.estimates.append, 10)
 
     def broken(self, what: str) -> None:
-        self.outcome.broken.append(what)
+        self._broken.append(f"{self.space[1:]} {what}".strip())
+
+    def process(self, name: str) -> Any:
+        return self.world.processes.get(f"{self.space[1:]}/{name}" if self.space else name)
+
+    def call(self, service: str, *rest: Any, **more: Any) -> Any:
+        return self.world.call(f"{self.space}{service}", *rest, **more)
+
+    @property
+    def robot(self) -> Any:
+        return self.process("virtual").node._robot
 
     def set(self, node: str, name: str, value: Any) -> bool:
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        answer = self.world.call(f"/{node}/set_parameters", SetParameters, request, 5.0)
+        answer = self.call(f"/{node}/set_parameters", SetParameters, request, 5.0)
         return answer is not None and answer.results[0].successful
 
     # --- faults
 
     def commit(self, fault: Fault) -> None:
         made, clock = self.world, self.world.clock
-        process = made.processes.get(fault.whom)
-        if fault.kind == "kill" and process is not None:
+        process = self.process(fault.whom)
+        if fault.kind in ("kill", "restart"):
             process.kill()
-        elif fault.kind == "restart" and process is not None:
-            process.kill()
-            clock.sleep(0.5)
-            process.start()
-        elif fault.kind == "end" and process is not None:
+            if fault.kind == "restart":
+                clock.sleep(0.5)
+                process.start()
+            elif fault.whom == "driver":
+                clock.sleep(SAFE_S)
+                self.safe(f"{SAFE_S:g} s after {fault.kind}")
+        elif fault.kind == "end":
             process.end()
         elif fault.kind == "stall":
-            clock.stall(fault.whom, fault.lasts_s)
+            clock.stall(process.name, fault.lasts_s)
         elif fault.kind == "unplug":
-            made.arm.port.unplug()
+            self.robot.port.unplug()
             clock.sleep(min(fault.lasts_s, SAFE_S))
             if fault.lasts_s > SAFE_S:
                 self.safe(f"{SAFE_S:g} s after the bus was lost")
                 clock.sleep(fault.lasts_s - SAFE_S)
-            made.arm.port.plug()
+            self.robot.port.plug()
         elif fault.kind in ("overheat", "jump"):
             self.set("virtual", "fault", f"{fault.kind}={fault.whom}")
         elif fault.kind == "drop":
@@ -166,49 +226,101 @@ class _Schedule:
                 self.position.publish(Float64MultiArray(layout=layout, data=[0.3]))
                 clock.sleep(0.02)
         elif fault.kind == "call":
-            made.call(fault.whom, within_s=10.0)
-        elif fault.kind == "transition" and process is not None and process.alive and process.node is not None:
+            self.call(fault.whom, within_s=10.0)
+        elif fault.kind == "transition" and process.alive and process.node is not None:
             process.ask(lambda node: node.trigger_deactivate())
+            clock.sleep(0.1)
         elif fault.kind == "clock":
             made.graph.set_by_s += fault.lasts_s
+        elif fault.kind == "double":
+            before = made.graph.network
+            made.graph.network = Network(jitter_s=5e-3, double=0.3, reorder=0.3)
+            clock.sleep(fault.lasts_s)
+            made.graph.network = before
+        elif fault.kind == "disk":
+            disk_is_full(True)
+            clock.sleep(fault.lasts_s)
+            disk_is_full(False)
 
     def heal(self) -> None:
         """What a person does who finds things so."""
         made = self.world
-        made.graph.network = Network()
         self.set("virtual", "fault", "")
-        made.arm.port.plug()
-        for name in NODES:
-            process = made.processes[name]
+        self.robot.port.plug()
+        for name in FAULTY:
+            process = self.process(name)
             if not process.alive:
                 process.start()
-            elif process.node is not None and not process.node.active:
-                process.ask(lambda node: node.trigger_activate())
-        made.clock.sleep(4.0)
-        made.call("/driver/torque", SetBool, SetBool.Request(data=False), 10.0)
-        made.arm.park()
-        made.call("/driver/torque", SetBool, SetBool.Request(data=True), 10.0)
-        made.clock.sleep(1.0)
+        self.recover(held=False)
+        self.call("/driver/torque", SetBool, SetBool.Request(data=False), 10.0)
+        self.robot.park()
+        self.call("/driver/torque", SetBool, SetBool.Request(data=True), 10.0)
+        made.clock.sleep(0.5)
+        self.recover()
 
-    # --- what must be true
+    def recover(self, held: bool = True) -> None:
+        """Until all is as before; whoever was deactivated is activated. ``held``: torque has been switched on again, too."""
+        clock, unwell = self.world.clock, self.unwell(held)
+        until_s = clock.now() + WELL_S
+        while unwell and clock.now() < until_s:
+            for process in map(self.process, FAULTY):
+                if process.node is not None and process.node._ros_state == "inactive":
+                    process.ask(lambda node: node.trigger_activate())
+            clock.sleep(0.1)
+            unwell = self.unwell(held)
+        if unwell:
+            self.broken(f"{WELL_S:g} s after all was mended: {unwell}")
+
+    def unwell(self, held: bool) -> str:
+        """Why nothing can be asked of it yet, or an empty string."""
+        for name in FAULTY:
+            process = self.process(name)
+            if process.node is None or not process.node.active:
+                return f"the {name} is not active"
+            if self.world.clock.stalled(process.name):
+                return f"the {name} is stalled"
+        driver, excitation = self.process("driver").node._driver, self.process("excitation").node._machine
+        blocked = held and (driver.state.value != "running" or any(joint.blocked for joint in driver._joints.values()))
+        if driver.state.value == "disconnected" or blocked:
+            return f"the driver is {driver.state.value}: {driver.reason}"
+        if excitation.busy or self.process("identifier").node._busy():
+            return "the last one is still under way"
+        return ""
+
+    # --- what is asked for, and what must be true
 
     def safe(self, why: str) -> None:
         """No motor pushes a joint that turns."""
-        made = self.world
-        speeds, (_, currents) = made.arm.arm.velocity_rad_s().tolist(), made.arm.truth()
+        speeds, (_, currents) = self.robot.arm.velocity_rad_s().tolist(), self.robot.truth()
         for (name, current_A), speed in zip(currents.items(), speeds, strict=True):
             if abs(speed) > STILL_RAD_S and abs(current_A) > 0.01:
                 self.broken(f"{why}: {name} turns at {speed:.2f} rad/s with {current_A:.3f} A")
 
     def still(self, why: str) -> None:
-        speeds = self.world.arm.arm.velocity_rad_s().tolist()
+        speeds = self.robot.arm.velocity_rad_s().tolist()
         if max(map(abs, speeds)) > STILL_RAD_S:
             self.broken(f"{why}: the arm is not held: {[round(speed, 2) for speed in speeds]} rad/s")
+
+    def push(self, why: str) -> str:
+        """Ask for a push, and wait for its end."""
+        process = self.process("excitation")
+        answer = self.call("/excitation/run", within_s=10.0)
+        if answer is None or not answer.success:
+            return "" if answer is None else f"not: {answer.message}"
+        machine, until_s = process.node._machine, self.world.clock.now() + ANSWER_S
+        while machine.busy and process.alive and process.node is not None and process.node._machine is machine:
+            if self.world.clock.now() > until_s:
+                self.broken(f"{why}: a push does not end")
+                return ""
+            self.world.clock.sleep(0.05)
+        good = sum(outcome.used for outcome in machine.outcomes)
+        words = f"{machine.phase.value}, {good} good runs"
+        return f"accepted: {words}" if machine.phase.value == "done" and good else f"not: {words}"
 
     def weigh(self, why: str) -> str:
         """Ask for a weighing; an accepted answer must be right."""
         before = len(self.estimates)
-        answer = self.world.call("/identifier/calibrate_payload", within_s=ANSWER_S)
+        answer = self.call("/identifier/calibrate_payload", within_s=ANSWER_S)
         if answer is None:
             return ""
         if answer.success:
@@ -216,70 +328,179 @@ class _Schedule:
             while len(self.estimates) == before and self.world.clock.now() < until_s:
                 self.world.clock.sleep(0.05)  # the service's answer may overtake the topic
             status = next(s for message in self.estimates[before:][::-1] for s in message.status)
-            values = {each.key: each.value for each in status.values}
+            values = values_of(status)
             mass, std = (float(values[key]) for key in ("payload_mass", "payload_mass.std"))
             if abs(mass - self.mass_kg) > 3.0 * std:
                 self.broken(f"{why}: accepted and wrong: {answer.message}")
         return f"{'accepted' if answer.success else 'not'}: {answer.message}"
 
 
-def play(seed: int, folder: Path, calibration: Path, tell: bool = False) -> Outcome:
-    """Play one schedule.
+def disk_is_full(full: bool) -> None:
+    """No file of this process may grow beyond what a journal has after a moment; elsewhere it says EFBIG, as a disk ENOSPC."""
+    hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096 if full else hard, hard))
+
+
+class Schedule:
+    """One life of a world that stands.
 
     Args:
+        made: That world.
         seed: Of all that is drawn.
-        folder: Empty; recordings go there.
-        calibration: Of the arm of virtual seed 1.
-        tell: Print what the nodes log.
+        digest: Whether to look into what was recorded.
     """
-    mass_kg, network, faults = drawn(seed)
-    outcome = Outcome(seed, faults)
-    sequence = folder / "two_pushes.yaml"
-    sequence.write_text(SEQUENCE)
-    data = folder / "data"
-    nodes = {
-        "virtual": {"object": f"{mass_kg}"},
-        "identifier": {"calibration": str(calibration), "payload_sequence": str(sequence), "live_period": 0.0},
-    }
-    with world(data, seed=seed, network=network, nodes=nodes) as made:
-        schedule = _Schedule(made, outcome, mass_kg)
-        made.clock.sleep(1.5)
-        begun_s = made.clock.now()
-        answered = made.clock.event()
 
-        def ask() -> None:
-            outcome.answer = schedule.weigh("under faults")
+    def __init__(self, made: World, seed: int, digest: bool = False) -> None:
+        self.world, self.digest, self.drawn = made, digest, drawn(seed)
+        self.outcome = Outcome(seed, self.drawn.plan, list(self.drawn.faults))
+        spaces = ("left", "right") if self.drawn.plan == "pair" else ("",)
+        self.sides = [Side(made, space, self.outcome.broken) for space in spaces]
+
+    def ask(self, side: Side, why: str) -> str:
+        return side.push(why) if self.drawn.plan == "push" else side.weigh(why)
+
+    def play(self) -> Outcome:
+        made, clock, outcome = self.world, self.world.clock, self.outcome
+        began_s, logged = clock.now(), len(made.graph.log)
+        for side, mass_kg in zip(self.sides, self.drawn.masses_kg, strict=False):
+            side.mass_kg = mass_kg
+            side.set("virtual", "object", f"{mass_kg}")
+        made.graph.network = self.drawn.network
+        asked = [(clock.event(), list[str]()) for _ in self.sides]
+
+        def begin(side: Side, answered: Any, said: list[str]) -> None:
+            said.append(self.ask(side, "under faults"))
             answered.set()
 
-        made.clock.thread(ask, "asking", group="user").start()
-        gone = False
-        for fault in faults:
-            made.clock.sleep(max(begun_s + fault.at_s - made.clock.now(), 0.0))
-            schedule.commit(fault)
-            gone = gone or (fault.whom == "identifier" and fault.kind in ("kill", "restart", "end"))
-            if fault.kind == "kill" and fault.whom == "driver":
-                made.clock.sleep(SAFE_S)
-                schedule.safe(f"{SAFE_S:g} s after {fault.kind}")
-        answered.wait(0.0 if gone else ANSWER_S)
-        if not answered.is_set() and not gone:
-            outcome.broken.append("no answer came")
-        schedule.heal()
-        schedule.still("after all was mended")
-        last = schedule.weigh("after all was mended")
-        if not last.startswith("accepted"):
-            outcome.broken.append(f"the next weighing does not work: {last}")
-        for process in made.processes.values():
-            if not process.alive:
-                outcome.broken.append(f"{process.name} has ended by itself")
-        for at_s, name, severity, text in made.graph.log:
-            if tell:
-                print(f"{at_s - begun_s:8.3f} {name} {severity}: {text}")
-            if "a defect in" in text:
-                outcome.broken.append(f"{at_s - begun_s:.2f} s: {name}: {text}")
-    left = list(data.rglob(JOURNAL))
-    if left:
-        outcome.broken.append(f"recordings that were not saved: {left}")
-    return outcome
+        for side, (answered, said) in zip(self.sides, asked, strict=True):
+            clock.thread(begin, "asking", (side, answered, said), group="user").start()
+        self.go_wrong(self.sides[0])
+        for answered, _ in asked:
+            answered.wait(ANSWER_S)
+        made.graph.network = Network()
+        for side in self.sides:
+            side.heal()
+            side.still("after all was mended")
+        for side, (answered, said) in zip(self.sides, asked, strict=True):
+            answered.wait(0.0 if self.gone(side) else 1.0)
+            if not answered.is_set() and not self.gone(side):
+                side.broken("no answer came")
+            last = self.ask(side, "after all was mended")
+            if not last.startswith("accepted"):
+                side.broken(f"the next one does not work: {last}")
+            if side is not self.sides[0] and not (said and said[0].startswith("accepted")):
+                side.broken(f"was not touched, and did not work: {said}")
+        outcome.answer = " | ".join(said[0] if said else "" for _, said in asked)
+        self.look_back(began_s, logged)
+        outcome.simulated_s = clock.now() - began_s
+        return outcome
+
+    def go_wrong(self, side: Side) -> None:
+        clock, begun_s = self.world.clock, self.world.clock.now()
+        for fault in self.drawn.faults:
+            clock.sleep(max(begun_s + fault.at_s - clock.now(), 0.0))
+            side.commit(fault)
+
+    def gone(self, side: Side) -> bool:
+        """Whether whoever was asked has ended, and so never answers."""
+        of = "excitation" if self.drawn.plan == "push" else "identifier"
+        ended = [fault for fault in self.drawn.faults if fault.whom == of and fault.kind in ("kill", "restart", "end")]
+        return side is self.sides[0] and bool(ended)
+
+    def look_back(self, began_s: float, logged: int) -> None:
+        """What nodes have done, said and kept meanwhile."""
+        made, broken = self.world, self.outcome.broken
+        broken += [f"{process.name} has ended by itself" for process in made.processes.values() if not process.alive]
+        told = [(at_s - began_s, name, severity, text) for at_s, name, severity, text in made.graph.log[logged:]]
+        broken += [f"{at_s:.2f} s: {name}: {text}" for at_s, name, _, text in told if "a defect in" in text]
+        self.outcome.log = [f"{at_s:8.3f} {name} {severity}: {text}" for at_s, name, severity, text in told]
+        for side in self.sides:
+            if unsaved := side.process("identifier").node._unsaved:
+                broken.append(f"recordings that are only in memory: {[each.name for each in unsaved]}")
+        if left := [str(path) for path in Path().rglob(JOURNAL)]:
+            broken.append(f"recordings that were not saved: {left}")
+        if self.digest:
+            self.outcome.recorded = digest_of(Path())
+
+
+def digest_of(folder: Path) -> str:
+    """Of all messages of all bags below a folder, in the order of their folders' names.
+
+    The middleware leaves bytes between two fields as they were in memory: each message is read and written anew, with zeros there.
+    """
+    from proprio_ros.recordings.messages import deserialised, message_types
+    from proprio_ros.recordings.reader import open_bag
+
+    types, found = message_types(), hashlib.sha256()
+    for path in sorted(folder.rglob("bag")):
+        with open_bag(path) as bag:
+            for topic in bag.topics.all:
+                for time_ns, data in bag._read(topic):
+                    whole = types.serialize_cdr(deserialised(data, topic.msgtype), topic.msgtype)
+                    found.update(f"{topic.name} {time_ns}".encode() + bytes(whole))
+    return found.hexdigest()
+
+
+@contextlib.contextmanager
+def standing(plan: str, folder: Path, calibration: Path) -> Iterator[World]:
+    """A world in which what the plan asks for has worked, without a fault.
+
+    Args:
+        plan: One of `PLANS`.
+        folder: Empty; sequences are kept there.
+        calibration: Of the arm of virtual seed 1.
+    """
+    push, weigh = folder / "push.yaml", folder / "weigh.yaml"
+    push.write_text(PUSH)
+    weigh.write_text(WEIGH)
+    nodes: dict[str, dict[str, Any]] = {
+        "virtual": {"object": "0.05"},
+        "driver": {"rate": 100.0 if plan == "weigh" else 40.0},
+        "excitation": {"probe": str(push)},
+        "identifier": {"calibration": str(calibration), "payload_sequence": str(weigh), "live_period": 0.0},
+    }
+    spaces = ("left", "right") if plan == "pair" else ("",)
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        # where a process of its own goes, its recordings go
+        with world(Path("data"), nodes=nodes, only=(), coarse=True) as made:
+            for space in spaces:
+                for name in NODES:
+                    link = {"virtual": {"link": f"{LINK}{space}"}, "driver": {"port": f"{LINK}{space}"}}.get(name, {})
+                    made.start(name, {**nodes[name], **link}, space, f"{space}/{name}" if space else name)
+            made.clock.sleep(1.0)
+            broken: list[str] = []
+            for side in (Side(made, space, broken) for space in spaces):
+                side.mass_kg = 0.05
+                answer = side.push("at the beginning") if plan == "push" else side.weigh("at the beginning")
+                assert answer.startswith("accepted") and not broken, f"{answer} {broken} {made.graph.log}"
+                made.clock.sleep(0.5)
+            yield made
+    finally:
+        os.chdir(before)
+
+
+def played(
+    seeds: Sequence[int], folder: Path, calibration: Path, digest: bool = False, together: int = 2
+) -> Iterator[Outcome]:
+    """Play schedules: those of a plan together, each from a world of that plan that stands."""
+
+    def live(made: World, seed: int) -> Outcome:
+        outcome = Schedule(made, seed, digest).play()
+        outcome.cpu_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])  # since it was forked
+        return outcome
+
+    for plan in PLANS:
+        of_plan = [seed for seed in seeds if drawn(seed).plan == plan]
+        if not of_plan:
+            continue
+        (folder / plan).mkdir()
+        with standing(plan, folder / plan, calibration) as made:
+            for seed, outcome in lives(made, of_plan, folder / plan, live, together):
+                if isinstance(outcome, str):
+                    outcome = Outcome(seed, plan, list(drawn(seed).faults), broken=[outcome])
+                yield outcome
 
 
 def calibrated(folder: Path) -> Path:
@@ -291,26 +512,53 @@ def calibrated(folder: Path) -> Path:
         return Path(re.search(r"calibration: (\S+?\.yaml)", answer.message)[1])  # type: ignore[index]
 
 
-def main(seeds: Sequence[int], tell: bool = False) -> int:
-    kinds, failed = Counter[str](), 0
+def counted(outcomes: Iterable[Outcome], tell: bool) -> dict[str, Any]:
+    """Print what is broken as it comes; how often there was what."""
+    kinds, plans, failed, recorded = Counter[str](), Counter[str](), list[int](), dict[int, str]()
+    cpu_s, simulated_s = Counter[str](), Counter[str]()
+    for outcome in outcomes:
+        kinds.update(fault.kind for fault in outcome.faults)
+        plans[outcome.plan] += 1
+        cpu_s[outcome.plan] += outcome.cpu_s  # type: ignore[assignment]
+        simulated_s[outcome.plan] += outcome.simulated_s  # type: ignore[assignment]
+        if outcome.broken:
+            failed.append(outcome.seed)
+        if outcome.recorded:
+            recorded[outcome.seed] = outcome.recorded
+        if not tell:
+            outcome.log.clear()
+        if outcome.broken or tell:
+            print(outcome, flush=True)
+    return {
+        "schedules": plans.total(), "plans": plans, "faults": kinds, "failed": sorted(failed),
+        "cpu_s": {plan: round(spent_s, 1) for plan, spent_s in cpu_s.items()},
+        "simulated_s": {plan: round(spent_s, 1) for plan, spent_s in simulated_s.items()}, "recorded": recorded,
+    }  # fmt: skip
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", help="the first, or several with commas")
+    parser.add_argument("count", nargs="?", type=int, default=1)
+    parser.add_argument("--tell", action="store_true")
+    parser.add_argument("--digest", action="store_true", help="of all that was recorded, by seed")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--together", type=int, default=2)
+    parser.add_argument("--calibration", type=Path, help="made before, of the arm of virtual seed 1")
+    stated = parser.parse_args(words)
+    numbers = [int(word) for word in stated.seeds.split(",")]
+    seeds = numbers if len(numbers) > 1 else range(numbers[0], numbers[0] + stated.count)
     with tempfile.TemporaryDirectory() as folder:
-        calibration = calibrated(Path(folder) / "calibration")
-        for seed in seeds:
-            each = Path(folder) / str(seed)
-            each.mkdir()
-            try:
-                outcome = play(seed, each, calibration, tell)
-            except Exception as error:
-                outcome = Outcome(seed, drawn(seed)[2], broken=[f"{type(error).__name__}: {error}"])
-            kinds.update(fault.kind for fault in outcome.faults)
-            failed += bool(outcome.broken)
-            print(outcome if outcome.broken else f"seed {seed}: {outcome.answer[:60]}", flush=True)
-    print(json.dumps({"schedules": len(seeds), "failed": failed, "faults": kinds, "cpu_s": os.times().user}))
-    return 1 if failed else 0
+        calibration = stated.calibration or calibrated(Path(folder) / "calibration")
+        outcomes = played(seeds, Path(folder), calibration, stated.digest, stated.together)
+        found = counted(outcomes, stated.tell)
+    print(json.dumps(found))
+    if stated.json:
+        stated.json.write_text(json.dumps(found, indent=1) + "\n")
+    return 1 if found["failed"] else 0
 
 
 if __name__ == "__main__":
-    if "," in sys.argv[1]:
-        raise SystemExit(main([int(word) for word in sys.argv[1].split(",")], len(sys.argv) > 2))
-    first, count = int(sys.argv[1]), int(sys.argv[2])
-    raise SystemExit(main(range(first, first + count), len(sys.argv) > 3))
+    if os.environ.get("PYTHONHASHSEED") != "0":  # the order in which sets are gone through is part of a schedule
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "PYTHONHASHSEED": "0"})
+    raise SystemExit(main())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
+import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -50,6 +51,7 @@ class SimulatedClock:
         self._waiting: list[tuple[float, float, int, Actor]] = []
         self._local = threading.local()
         self.actors: list[Actor] = []
+        self.threads: list[SimulatedThread] = []
         self.failure: BaseException | None = None
         self._ended = False
         self._local.actor = self._enter("main", "main")
@@ -73,7 +75,9 @@ class SimulatedClock:
         self, target: Callable[..., None], name: str, args: tuple[Any, ...] = (), group: str | None = None
     ) -> SimulatedThread:
         """A thread of the group of whoever makes it, unless another is named; killing a group ends all its threads."""
-        return SimulatedThread(self, partial(target, *args), name, self.actor.group if group is None else group)
+        made = SimulatedThread(self, partial(target, *args), name, self.actor.group if group is None else group)
+        self.threads = [each for each in self.threads if each.is_alive()] + [made]
+        return made
 
     # --- what a world does with it
 
@@ -94,6 +98,10 @@ class SimulatedClock:
             if actor.group == group:
                 actor.stalled_until_s = self._now_s + duration_s
 
+    def stalled(self, group: str) -> bool:
+        """Whether a group waits for that."""
+        return any(each.group == group and each.stalled_until_s > self._now_s for each in self.actors if not each.done)
+
     def end(self) -> None:
         """All other actors end where they wait."""
         self._ended = True
@@ -103,6 +111,15 @@ class SimulatedClock:
                 self.wake(actor)
         while any(not actor.done for actor in self.actors if actor is not self.actor):
             self._wait(self._now_s)
+
+    def begin_anew(self, seed: int) -> None:
+        """In a process that was forked, where this thread alone is left: the others begin again, each with its target."""
+        self._random = random.Random(seed)
+        self._waiting.clear()
+        self.actors = [self.actor]
+        self.threads = [each for each in self.threads if each.is_alive()]
+        for each in self.threads:
+            each.begin_anew()
 
     def wake(self, actor: Actor) -> None:
         """Whoever waits is due now."""
@@ -227,11 +244,28 @@ class SimulatedThread:
     """As `threading.Thread`."""
 
     def __init__(self, clock: SimulatedClock, target: Callable[[], None], name: str, group: str) -> None:
-        self._clock, self._target, self.name = clock, target, name
-        self.actor = clock._enter(name, group)
+        self._clock, self._target, self.name, self._group = clock, target, name, group
+        self._enter()
+
+    def _enter(self) -> None:
+        self.actor = self._clock._enter(self.name, self._group)
         self.actor.done = True
-        self._ended = SimulatedEvent(clock)
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._ended = SimulatedEvent(self._clock)
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
+
+    def begin_anew(self) -> None:
+        """Where its thread is gone: another runs the same target, from the beginning."""
+        self.actor.done = True  # events may remember it
+        self._enter()
+        self.start()
+
+    def stack(self) -> list[str]:
+        """Functions that it is in, the outermost first."""
+        frame, names = sys._current_frames().get(self._thread.ident or 0), list[str]()
+        while frame is not None:
+            names.insert(0, frame.f_code.co_name)
+            frame = frame.f_back
+        return names
 
     def start(self) -> None:
         self.actor.done = False

@@ -1,9 +1,11 @@
-"""Weighings in the simulated world while nodes are killed, stalled and restarted, and the bus is lost; see `support.schedules`."""
+"""Pushes and weighings in the simulated world while things go wrong; see `support.schedules`."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -11,23 +13,50 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
-from support.schedules import KINDS, drawn
+from support.schedules import FAULTY, KINDS, PLANS, calibrated, drawn
 
 SCHEDULES = Path(__file__).resolve().parents[1] / "support" / "schedules.py"
-CHOSEN = (7, 32, 36, 41, 48, 56, 60, 79, 80, 103)
-"""Of each kind one at least."""
+PLAYED = range(240)
+RECORDED = (54, 86, 93)
+"""Weighings: while messages are lost and late, the bus drops answers, and messages are doubled and reordered."""
 
 
 def test_every_kind_is_among_them() -> None:
-    faults = [fault for seed in CHOSEN for fault in drawn(seed)[2]]
-    assert {fault.kind for fault in faults} == set(KINDS)
-    assert any(fault.kind == "kill" and fault.whom == "driver" for fault in faults)
-    assert any(fault.kind == "unplug" and fault.lasts_s > 1.0 for fault in faults), "longer than a servo waits"
+    plans = [drawn(seed) for seed in PLAYED]
+    kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
+    assert {plan for plan, _ in kinds} == set(PLANS) and {kind for _, kind in kinds} == set(KINDS)
+    ended = {(fault.kind, fault.whom) for each in plans for fault in each.faults}
+    assert {(kind, whom) for kind in ("kill", "restart", "end", "stall") for whom in FAULTY} <= ended
+    assert any(fault.kind == "unplug" and fault.lasts_s > 1.0 for each in plans for fault in each.faults), (
+        "longer than a servo waits"
+    )
+    assert sum(bool(each.network.lose or each.network.late) for each in plans) > 20
+    assert all(drawn(seed).plan == "weigh" for seed in RECORDED)
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return calibrated(tmp_path_factory.mktemp("calibration"))
+
+
+def play(calibration: Path, folder: Path, *words: str) -> dict[str, object]:
+    """In a process of its own, which forks."""
+    kept = folder / f"{len(list(folder.iterdir()))}.json"
+    command = [sys.executable, str(SCHEDULES), *words, "--calibration", str(calibration), "--json", str(kept)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+    found: dict[str, object] = json.loads(kept.read_text())
+    return found
 
 
 @pytest.mark.long
-def test_schedules() -> None:
-    """In a process of its own: a hang of one is no hang of the others."""
-    words = [sys.executable, str(SCHEDULES), ",".join(map(str, CHOSEN))]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+def test_schedules(calibration: Path, tmp_path: Path) -> None:
+    found = play(calibration, tmp_path, str(PLAYED.start), str(len(PLAYED)))
+    assert found["schedules"] == len(PLAYED) and not found["failed"]
+
+
+@pytest.mark.long
+def test_the_same_seed_gives_the_same_bytes(calibration: Path, tmp_path: Path) -> None:
+    seeds = ",".join(map(str, RECORDED))
+    first, second = (play(calibration, tmp_path, seeds, "--digest") for _ in range(2))
+    assert first["recorded"] == second["recorded"] and len(set(first["recorded"].values())) == len(RECORDED)  # type: ignore[attr-defined]
