@@ -55,6 +55,8 @@ LASTING = ("stall", "unplug", "stranger", "drop", "double", "disk")
 STILL_RAD_S = 0.15
 SAFE_S = 1.0
 """After the driver or the bus is gone: the servos' watchdog takes 0.3 s, and what turned comes to rest."""
+LATEST_S = 0.6
+"""By which the last message has come that a network held back."""
 ANSWER_S = 120.0
 WELL_S = 30.0
 """Until all is as before once what went wrong is mended: a node that was stalled goes on after 10 s at most."""
@@ -254,6 +256,9 @@ class Side:
         self.recover(held=False)
         self.call("/driver/torque", SetBool, SetBool.Request(data=False), 10.0)
         self.robot.park()
+        made.clock.sleep(
+            LATEST_S
+        )  # nobody lifts an arm sooner; what was sent before it was limp has come by then, and is refused
         self.call("/driver/torque", SetBool, SetBool.Request(data=True), 10.0)
         made.clock.sleep(0.5)
         self.recover()

@@ -1,0 +1,67 @@
+"""What schedules found, as a file of `docs/results`: ``python test/support/schedule_results.py FILE FIRST COUNTED..``.
+
+COUNTED are what ``schedules.py`` wrote with ``--json``, of seeds in a row from FIRST on; they are added up.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+PLANS = {
+    "push": "a push is asked for",
+    "weigh": "a weighing is asked for",
+    "pair": "two arms weigh in one world; one of them is disturbed",
+}
+KINDS = {
+    "kill": "a node is killed", "stall": "a node is not run for 1 ms to 10 s", "restart": "a node is killed and started again",
+    "end": "a node is asked to end", "unplug": "the bus is unplugged for 1 ms to 10 s", "overheat": "a motor is too hot",
+    "jump": "an encoder slips", "drop": "servos' answers are lost for 1 ms to 10 s",
+    "stranger": "somebody else commands positions", "call": "somebody calls a service",
+    "transition": "a node is deactivated", "clock": "the system's clock is set",
+    "double": "messages are doubled and overtaken for 1 ms to 10 s", "disk": "the disk is full for 1 ms to 10 s",
+}  # fmt: skip
+
+
+def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
+    sums: dict[str, Counter[str]] = {}
+    for key in ("plans", "faults", "cpu_s", "simulated_s"):
+        sums[key] = Counter()
+        for each in counted:
+            sums[key].update(each[key])
+    plans = [
+        {"plan": words, "schedules": sums["plans"][plan], "cpu": sums["cpu_s"][plan] / sums["plans"][plan],
+         "simulated": sums["simulated_s"][plan] / sums["plans"][plan]}
+        for plan, words in PLANS.items()
+    ]  # fmt: skip
+    whole = {"plan": "all", "schedules": sums["plans"].total()}
+    plans.append(whole | {key: sums[f"{key}_s"].total() / sums["plans"].total() for key in ("cpu", "simulated")})
+    said = {"plan": "what is asked for", "schedules": "schedules"}
+    columns = {said["plan"]: "{plan}", said["schedules"]: "{schedules}", "processor time of one": "{cpu:.2f} s",
+               "simulated time of one": "{simulated:.1f} s"}  # fmt: skip
+    kinds = [{"kind": words, "faults": sums["faults"][kind]} for kind, words in KINDS.items()]
+    failed = sum(len(each["failed"]) for each in counted)
+    kinds.append({"kind": "schedules after which something was not true", "faults": failed})
+    return {
+        "plans": {"columns": columns, "rows": plans},
+        "kinds": {"columns": {"what goes wrong": "{kind}", "how often": "{faults}"}, "rows": kinds},
+    }
+
+
+def main(file: Path, first: int, paths: list[Path]) -> None:
+    counted = [json.loads(path.read_text()) for path in paths]
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
+    content = {
+        "command": f"python test/support/schedules.py {first} {sum(each['schedules'] for each in counted)}", "commit": commit,
+        "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d"), "tables": tables(counted),
+    }  # fmt: skip
+    file.write_text(json.dumps(content, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), [Path(word) for word in sys.argv[3:]])
