@@ -1,12 +1,14 @@
-"""What schedules found, as a file of `docs/results`: ``python test/support/schedule_results.py FILE FIRST COUNTED..``.
+"""What schedules found, as a file of `docs/results`: ``python test/support/schedule_results.py FILE FIRST:COUNTED,COUNTED.. ..``.
 
-COUNTED are what ``schedules.py`` wrote with ``--json``, of seeds in a row from FIRST on; they are added up.
+COUNTED are what ``schedules.py`` wrote with ``--json``, of seeds in a row from FIRST on; all are added up.
 """
 
 from __future__ import annotations
 
 import datetime
 import json
+import os
+import platform
 import subprocess
 import sys
 from collections import Counter
@@ -53,15 +55,22 @@ def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def main(file: Path, first: int, paths: list[Path]) -> None:
-    counted = [json.loads(path.read_text()) for path in paths]
+def main(file: Path, rows: list[str]) -> None:
+    counted: list[dict[str, Any]] = []
+    ranges: list[str] = []
+    for row in rows:
+        first, _, paths = row.partition(":")
+        of_row = [json.loads(Path(path).read_text()) for path in paths.split(",")]
+        ranges.append(f"{first} {sum(each['schedules'] for each in of_row)}")
+        counted += of_row
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     content = {
-        "command": f"python test/support/schedules.py {first} {sum(each['schedules'] for each in counted)}", "commit": commit,
+        "command": f"python test/support/schedules.py {', then '.join(ranges)}", "commit": commit,
+        "machine": {"platform": platform.platform(), "python": platform.python_version(), "cores": os.cpu_count()},
         "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d"), "tables": tables(counted),
     }  # fmt: skip
     file.write_text(json.dumps(content, indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), [Path(word) for word in sys.argv[3:]])
+    main(Path(sys.argv[1]), sys.argv[2:])
