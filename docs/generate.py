@@ -371,8 +371,8 @@ def ros_interface() -> str:
                     "`/identifier/weigh_action`",
                     "`proprio_msgs/Weigh`",
                     "as `~/calibrate_payload`, `~/calibrate_container` or `~/weigh`, with facts and sequence in the goal; a goal "
-                    "is refused while a job is under way, or where its target, sequence or settings cannot be (the reason stands in "
-                    "the log), and cancelling it does what `~/cancel` does, which ends it as CANCELED",
+                    "is refused while a job is under way, or where its target, sequence or settings cannot be (the reason stands "
+                    "in the log), and cancelling it does what `~/cancel` does, which ends it as CANCELED",
                 ),
             ],
         ),
