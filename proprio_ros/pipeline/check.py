@@ -47,6 +47,8 @@ from proprio_ros.threads import one_blas_thread
 
 UNUSABLE_EFFORT = ("unsigned_register", "effort_stale", "constant_effort")
 """Findings after which no torque can be made of a measured effort."""
+UNUSABLE_MOTION = ("unsigned_register", "constant_effort")
+"""The same of a motion, where all joints that move have it: one of several is passed over, and an old effort is only coarse."""
 DOUBTFUL_EFFORT = (*UNUSABLE_EFFORT, "effort_without_sign")
 """Findings after which an effort is not compared with gravity: a joint that only ever lifts has one sign, too."""
 
@@ -138,9 +140,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     if recording.inputs is None or recording.inputs.measured or recording.inputs.computed:
         runs = tuple(_with_effort(run, seen) for run in runs)
         for finding in seen:
-            # an old effort is only coarse there, and among several joints one that says nothing is passed over
-            no_torque = finding.code in UNUSABLE_EFFORT and finding.code != "effort_stale"
-            if motion is not None and no_torque and set(motion.moved) <= set(finding.joints):
+            if motion is not None and finding.code in UNUSABLE_MOTION and set(motion.moved) <= set(finding.joints):
                 motion, problem = None, f"of no use as a motion: {finding.sentence}"
     useless = {name for finding in seen if finding.code in DOUBTFUL_EFFORT for name in finding.joints}
     by_voltage = voltage_driven(robot)
