@@ -6,6 +6,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
@@ -18,6 +19,8 @@ FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
 FLOATS = wp.array2d(dtype=FLOAT)
 
+COMPILERS = min(os.cpu_count() or 1, 4)
+"""Kernels that are compiled at the same time."""
 _refusal = ""
 _alone = 0
 """How many kernels were compiled in this process for the first who asked, and not ahead."""
@@ -57,12 +60,16 @@ def load(kernels: Sequence[Any], device: Any) -> None:
         ConfigurationError: A compiled kernel cannot be kept.
     """
     check()
-    kept = [_is_kept(kernel.module, device) for kernel in kernels]
-    number = 0
-    for kernel, was_kept in zip(kernels, kept, strict=True):
-        if not was_kept:
-            number += 1
-            progress.say(f"compiling {number} of {kept.count(False)}, once on this computer")
+    missing = [kernel.module for kernel in kernels if not _is_kept(kernel.module, device)]
+    pool = ThreadPoolExecutor(COMPILERS)
+    try:
+        compiled = [pool.submit(_load, module, device) for module in missing]
+        for number, each in enumerate(compiled, start=1):
+            progress.say(f"compiling {number} of {len(missing)}, once on this computer")
+            each.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+    for kernel in kernels:
         _load(kernel.module, device)
 
 

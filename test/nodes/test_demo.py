@@ -144,7 +144,7 @@ def test_on_a_new_computer_it_shows_what_it_waits_for(tmp_path: Path, monkeypatc
     demo = start(tmp_path / "demo")
     try:
         # to the last one: test_start.py
-        assert comes(demo, lambda: re.search(r"proprio: starting: compiling \d+ of 14, once", demo.told)), demo.told
+        assert comes(demo, lambda: re.search(r"proprio: starting: compiling \d+ of 8, once", demo.told)), demo.told
         assert_interrupted(demo)
     finally:
         end(demo)

@@ -118,7 +118,7 @@ def compiled_for(monkeypatch: pytest.MonkeyPatch, probe: str, robot: str = "open
 
 def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = {probe.name: compiled_for(monkeypatch, probe.name) for probe in all_probes()}
-    assert len(kernels["payload"]) == 14, "seven sizes, with friction that rises towards standstill and without"
+    assert len(kernels["payload"]) == 8, "four sizes, with friction that rises towards standstill and without"
     assert kernels["payload"] < kernels["container"] and kernels["payload"] < kernels["softness"]
     assert not any(name.startswith("tangent") for name in kernels["payload"] | kernels["softness"]), "the sphere's"
     # a pendulum's friction does not rise: only where every parameter has its direction
