@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import t as student
 
 from proprio_ros.records import FloatArray
 
@@ -176,6 +175,8 @@ def half_width(posterior: FloatArray, mass: float, rest: float, freedom: Sequenc
     effective, stds = effective_freedom(total, freedom), np.sqrt(total)
 
     def beyond(half: float) -> float:
+        from scipy.stats import t as student  # half of a second to import
+
         return float(posterior @ student.cdf(half / stds, effective)) - 0.975
 
     highest = float(stds[-1])

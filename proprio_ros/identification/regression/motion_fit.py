@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
 
 from proprio_ros.calibration_files.motions import (
     ARM_TERMS,
@@ -274,6 +273,8 @@ def fit_payload(
         RecordingError: A motion is of no use, of other joints, or all together are too short.
         RobotError: Torque constants are no longer those of the calibration.
     """
+    from scipy.stats import t as student  # half of a second to import
+
     motions, joints = [*loaded, *empty], calibration.joints
     _check_arm(robot, motions, calibration)
     arm = Arm.of(robot, joints, dict(motions[0].held))

@@ -17,7 +17,6 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import JointFit
@@ -158,6 +157,8 @@ def fit_one_joint(robot: Robot, motions: Sequence[Motion], joint: str) -> OneJoi
     Raises:
         RecordingError: They are too short, or gravity does not turn the joint.
     """
+    from scipy.stats import t as student  # half of a second to import
+
     hinge = Hinge.of(robot, joint, motions[0])
     across_gravity = hinge.gravity - (hinge.gravity @ hinge.axis) * hinge.axis
     if np.linalg.norm(across_gravity) < UPRIGHT_SHARE * np.linalg.norm(hinge.gravity):

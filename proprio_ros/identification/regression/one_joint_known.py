@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize_scalar
-from scipy.stats import t as student
 
 from proprio_ros.calibration_files.one_joint import FEWEST_RUNS, TERMS, JointCalibration
 from proprio_ros.errors import RecordingError
@@ -259,6 +258,8 @@ def identify_by_joint(
     Raises:
         RecordingError: A motion is of no use.
     """
+    from scipy.stats import t as student  # half of a second to import
+
     joint = calibration.joint
     carried = carried_by(robot, joint, motions[0], facts)
     tables = [tables_of(robot, motion, joint) for motion in motions]

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, filtfilt
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
@@ -125,6 +124,8 @@ def evenly(
     Raises:
         RecordingError: There are too few samples.
     """
+    from scipy.signal import butter, filtfilt  # half of a second to import
+
     columns = [motion.joints.index(name) for name in joints]
     period_s = float(np.median(np.diff(motion.times_s)))
     times_s = np.arange(motion.times_s[0], motion.times_s[-1] + 0.5 * period_s, period_s)
