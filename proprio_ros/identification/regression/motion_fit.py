@@ -252,6 +252,12 @@ def _friction_between(problem: Problem, solution: Solution) -> Between:
     return now
 
 
+def _quantile(freedom: float) -> float:
+    from scipy.stats import t as student  # half of a second to import
+
+    return float(student.ppf(0.975, freedom))
+
+
 def fit_payload(
     robot: Robot,
     loaded: Sequence[Motion],
@@ -273,8 +279,6 @@ def fit_payload(
         RecordingError: A motion is of no use, of other joints, or all together are too short.
         RobotError: Torque constants are no longer those of the calibration.
     """
-    from scipy.stats import t as student  # half of a second to import
-
     motions, joints = [*loaded, *empty], calibration.joints
     _check_arm(robot, motions, calibration)
     arm = Arm.of(robot, joints, dict(motions[0].held))
@@ -320,7 +324,7 @@ def fit_payload(
         residual=residual,
         empty_residual=empty_residual,
         driven=problem.rms_by_joint(problem.torque, carrying),
-        quantile=float(student.ppf(0.975, effective_freedom(sum(variances.values()), freedom))),
+        quantile=_quantile(effective_freedom(sum(variances.values()), freedom)),
         halves=halves,
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
