@@ -252,7 +252,7 @@ def _friction_between(problem: Problem, solution: Solution) -> Between:
     return now
 
 
-def _quantile(freedom: float) -> float:
+def _quantile(freedom: np.ndarray) -> float:
     from scipy.stats import t as student  # half of a second to import
 
     return float(student.ppf(0.975, freedom))
