@@ -1,6 +1,6 @@
 """What is said of a good recording in which one known mistake was made: is the cause named, another one, or nothing at all?
 
-    python test/benchmarks/mistakes.py [--recordings ../shared] [--only PATTERN] [--all]
+    python test/benchmarks/mistakes.py [--recordings ../shared] [--arms pushes motions swings] [--only PATTERN] [--all]
 
 Pushes of the two simulated OpenManipulator-X, motions of simulated arms of six and seven joints (in N m and in A, from a robot
 file and from a URDF alone), the real UR10e, and a real servo that is let go. Each is weighed by the command line as a user would,
@@ -17,7 +17,7 @@ import io
 import json
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -343,19 +343,27 @@ def swings(shared: Path, folder: Path) -> Iterator[Question]:
         yield Question(servo, "referenced", loaded, (), 0.969, robot, (), facts, loads, joint="pendulum")
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
+    parser.add_argument(
+        "--arms", nargs="+", choices=("pushes", "motions", "swings"), default=["pushes", "motions", "swings"]
+    )
     parser.add_argument("--recordings", type=Path, default=Path(__file__).resolve().parents[3] / "shared")
     parser.add_argument("--only", default="*", help="arm, way and mistake, as a pattern")
     parser.add_argument("--all", action="store_true", help="print every answer")
-    options = parser.parse_args()
-    results = Results(__file__, options.json)
+    options = parser.parse_args(arguments)
+    results = Results(__file__, options.json, arguments)
     results.table("mistakes", {"mistake": "{mistake}", "outcome": "{outcome}", "questions": "{count}"})
     counts: dict[str, dict[str, int]] = {mistake.name: {} for mistake in MISTAKES}
     with tempfile.TemporaryDirectory() as made_in:
         root = Path(made_in)
         shared = options.recordings
-        for question in chain(pushes(shared), motions(shared, root), swings(shared, root)):
+        kinds = {
+            "pushes": lambda: pushes(shared),
+            "motions": lambda: motions(shared, root),
+            "swings": lambda: swings(shared, root),
+        }
+        for question in chain.from_iterable(kinds[name]() for name in options.arms):
             for mistake in MISTAKES:
                 for everywhere in mistake.everywhere:
                     where = "all" if everywhere else "one"

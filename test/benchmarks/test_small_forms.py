@@ -22,6 +22,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),
+    "mistakes": ("--arms", "pushes", "--only", "*alone*, effort, sign of all joints*"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),
     "running": ("--arms", "1"),
@@ -40,7 +41,7 @@ ELSEWHERE = {
     "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
     "case", "figures", "results",  # no benchmarks
 }  # fmt: skip
-NEEDS = {"distorted": "recordings_real", "real": "recordings_real", "simulated": "recordings"}
+NEEDS = {"distorted": "recordings_real", "mistakes": "recordings", "real": "recordings_real", "simulated": "recordings"}
 
 
 def test_every_benchmark_has_a_small_form() -> None:
