@@ -114,9 +114,9 @@ def test_a_notebook_plots_it(weighed: Weighing) -> None:
     assert len(figure.axes) == 12 and figure.axes[0].get_ylabel() == "torque (N m)"
 
 
-def test_the_ellipsoid_is_the_homogeneous_one(folder: Path) -> None:
+def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
     """Half axes of 3, 2 and 1 cm along those of the hand, seen along two of them."""
-    robot, half = load_robot(folder / "twin.yaml"), np.array([0.03, 0.02, 0.01])
+    robot, half = load_robot(write_robot(tmp_path)), np.array([0.03, 0.02, 0.01])
     mass, square = 2.0, half**2
     inertia = mass / 5.0 * np.diag(square.sum() - square)
     still = Motion("still", SIX.joints, np.arange(80.0), np.zeros((80, 6)), np.zeros((80, 6)), {}, "")
