@@ -36,6 +36,7 @@ from proprio_ros.probes.payload.facts import inertia_tensor
 from proprio_ros.probes.softness import block_rotation, largest_squeeze
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.signals import read_recording
+from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.records import Recording
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drive_train import FingerTravel
@@ -200,15 +201,10 @@ def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) 
     told = refusal(heard(filled(tmp_path, joints=("a1", "a2"))))
     assert "are of a1, a2" in told and "the parameter robot" in told and "the parameter state_topic" in told
     assert "no joint states" in refusal([]) or "no messages" in refusal([])
-    stamp = 1_700_000_000 * 10**9
+    begin, step = 1_700_000_000 * 10**9, 10**7
     degrees = [
-        RawMessage(
-            "/joint_states",
-            "sensor_msgs/msg/JointState",
-            stamp + n,
-            cdr_joint_state(stamp + n, ["joint2"], [-80.0 - n]),
-        )
-        for n in range(20)
+        RawMessage("/joint_states", JOINT_STATE, stamp, cdr_joint_state(stamp, ["joint2"], [-80.0 - n]))
+        for n, stamp in enumerate(range(begin, begin + 20 * step, step))
     ]
     assert "degrees" in refusal(degrees)
     other = Options(state_topic="/arm/joint_states")
