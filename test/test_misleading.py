@@ -422,7 +422,7 @@ def test_too_wide_is_a_verdict(bags: Path, tmp_path: Path, capsys: pytest.Captur
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("too_wide") and lines[1] == "  payload_mass: 0 .. 133 g (95 % interval), best guess 50 g"
     text = page.read_text()
-    assert "<p class=value>0 to 133 g</p>" in text and 'class="verdict too_wide"' in text and ".too_wide {" in text
+    assert '<p class="value">0 to 133 g</p>' in text and 'class="verdict too_wide"' in text and ".too_wide {" in text
     assert main(["replay", bag, "--probe", "payload", "--json"]) == 3
     said = json.loads(capsys.readouterr().out)
     assert said["verdict"] == "too_wide" and said["reason_codes"][0] == "too_wide"

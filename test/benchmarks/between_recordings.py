@@ -324,6 +324,7 @@ def real_swings(real: Path, folder: Path) -> Iterator[Answer]:
 
 
 def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
+    """By each of three empty recordings, one after the other."""
     robot, unit = str(ur10e_file(real, folder)), {"effort_unit": "A"}
     empty = {n: real / f"ur10e_empty_{n}" for n in (12, 14, 15)}
     loaded = {n: real / f"ur10e_loaded_{n}" for n in (14, 15)}
@@ -381,9 +382,9 @@ def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
 MACHINES = {each.__name__: each for each in (real_swings, real_ur10e, real_kuka)}
 
 
-def real_answers(name: str, recordings: Path) -> list[Answer]:
+def real_answers(name: str, recordings: Path, at_most: int | None = None) -> list[Answer]:
     with tempfile.TemporaryDirectory() as folder:
-        return list(MACHINES[name](recordings, Path(folder)))
+        return list(itertools.islice(MACHINES[name](recordings, Path(folder)), at_most))
 
 
 # --- the table --------------------------------------------------------------------------------------------------------
