@@ -214,7 +214,7 @@ def test_a_ready_robot_reads_a_recording_of_its_driver(name: str, driver: str, u
         robot.payload_frame,
         0.0,
         1,
-        seconds=4.0,
+        seconds=12.0,
         middle=middle,
         friction_N_m=0.02,
     )
