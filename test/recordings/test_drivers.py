@@ -561,7 +561,7 @@ def test_live_it_is_a_parameter_and_stands_in_the_command_that_gives_the_answer_
         RawMessage(m.topic, m.msgtype, m.time_ns, bytes(TYPES.serialize_cdr(m.content, m.msgtype)))
         for m in push(names=lambda name: f"left_{name}")
     ]
-    with refused("the robot has a nominal torque constant for none of left_", RecordingError):
+    with refused("the robot has joint1: state joint_prefix: left_ in a driver", RecordingError):
         check_input(tmp_path, raw, Request(ARM, options))
     (tmp_path / "left.yaml").write_text("extends: ros2_control\njoint_prefix: left_\n")
     assert check_input(tmp_path, raw, Request(ARM, Options(driver=tmp_path / "left.yaml"))) is not None

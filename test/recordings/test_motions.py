@@ -252,7 +252,7 @@ def test_a_real_arm_weighs_with_a_calibration_by_a_motion(
     assert abs(mass["value"] - 2.805) < 0.03 * 2.805
     assert answer["calibration"]["name"] == "ur10e_14.yaml"
     assert any("torque constants" in words and "1.0 %" in words for words in answer["assumptions"])
-    page = calibration_14.with_suffix(".html").read_text()
+    page = calibration_14.with_suffix(".html").read_text().replace("<wbr>", "")
     assert "ur10e_empty_14, first half" in page and "weighs 3000 g" in page
 
 

@@ -124,7 +124,10 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
             model.left(torque / factor)[0],
             f"the effort of all joints is about {factor:g} times what the URDF needs: it is in another unit (--effort-unit)",
         )
+    sizes = [_rms(model.by_urdf[joint == number]) for number in range(len(names))]
     for number, name in enumerate(names):
+        if sizes[number] < WEAK * max(sizes):  # mostly friction: less of its torque is explained better whatever is wrong
+            continue
         mine = joint == number
         turned = f"the effort or the angle of {name} has the sign of an axis that is turned round in the URDF"
         yield _Tried(model.left(np.where(mine, -torque, torque))[0], turned)
