@@ -88,7 +88,7 @@ def calibrate(
     if left_out:
         reasons.append(_said_contradiction(left_out, len(usable)))
     rows = shared_rows(problem, values, fitted.covariance)
-    if not swings:  # one swing differs from the next by more than a run says of itself: a good servo's loads would be doubted
+    if not swings:  # swings differ by more than a run says of itself: a good servo's loads would be doubted
         reasons += _not_as_stated(empty_hand(problem, values, posterior, references=True))
     reasons += [*not_empty(hand, MAYBE_NOT_EMPTY, NOT_EMPTY), *_far_from_file(rows)]
     if apart := int(np.sum(~(fitted.cost <= fitted.cost.min() + 2.0))):

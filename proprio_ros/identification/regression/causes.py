@@ -126,7 +126,7 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
         )
     sizes = [_rms(model.by_urdf[joint == number]) for number in range(len(names))]
     for number, name in enumerate(names):
-        if sizes[number] < WEAK * max(sizes):  # mostly friction: less of its torque is explained better whatever is wrong
+        if sizes[number] < WEAK * max(sizes):  # mostly friction: less of it is explained better whatever is wrong
             continue
         mine = joint == number
         turned = f"the effort or the angle of {name} has the sign of an axis that is turned round in the URDF"
