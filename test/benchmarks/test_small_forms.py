@@ -36,7 +36,7 @@ SMALL: dict[str, tuple[str, ...]] = {
 }
 ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
-    "softness",  # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
+    "planned", "softness",  # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "effort_controller",  # in real time, for minutes: test/world/test_effort_controller.py asks the same for one mass
     "case", "figures", "results",  # no benchmarks
@@ -77,7 +77,7 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "softness"])
+@pytest.mark.parametrize("part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"])
 def test_a_part_of_the_comparison_runs(part: str, tmp_path: Path) -> None:
     """To its last row; goals of time may be missed on a busy computer, and are no matter here."""
     pytest.importorskip("mujoco")
