@@ -77,7 +77,9 @@ def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"])
+@pytest.mark.parametrize(
+    "part", ["mujoco", "scipy", "substeps", "c", "calibrated", "container", "fresh", "plan", "softness"]
+)
 def test_a_part_of_the_comparison_runs(part: str, tmp_path: Path) -> None:
     """To its last row; goals of time may be missed on a busy computer, and are no matter here."""
     pytest.importorskip("mujoco")
