@@ -15,8 +15,8 @@ FAR_COUNTS = 1_000_000
 """Goal position, from the present one, at which current-based position mode pushes with its whole current."""
 LARGEST_GAP = 100
 """So many messages of one publisher may be lost between two that come."""
-LATE, OUTDATED = 8, -1
-"""A message may come so many places late; and who sent one that has come before, or after newer ones of its publisher."""
+LATE, LATE_NS, OUTDATED = 8, 1_000_000_000, -1
+"""A message may come so many places late, and so long; who sent one that came before, or after newer ones of its publisher."""
 MOST = 16
 """So many publishers of one topic are remembered."""
 
@@ -131,37 +131,34 @@ class Senders:
     rclpy 7.1 gives no publisher's identity with a message, only its number. A message belongs to the publisher whose last number is
     the nearest one below its own; to a new one where none is near. Publishers that happen to count alike at one moment are kept
     apart by what their messages look like. What was doubled on its way, or overtaken, is none of a new publisher: it is `OUTDATED`.
+    It was sent when the newest one was, or before; another publisher that begins to count sends later, whatever it says.
     """
 
     def __init__(self) -> None:
-        self._last: dict[int, tuple[int, Hashable]] = {}
-        self._heard: dict[int, dict[int, Hashable]] = {}  # the newest of each, by number
+        self._last: dict[int, tuple[int, Hashable, int | None]] = {}
         self._known = 0
 
-    def of(self, number: int | None, looks: Hashable, content: Hashable = None) -> int:
+    def of(self, number: int | None, looks: Hashable, sent_ns: int | None = None) -> int:
         """Who sent a message: the same number for all messages of a sender; 0 where it cannot be known; or `OUTDATED`.
 
         Args:
             number: Of the message, by its publisher; None where the middleware does not give it: then all are one.
             looks: Whatever differs between publishers, and not between messages of one.
-            content: All that it says: the same number with the same words is the same message.
+            sent_ns: When it was sent, by its publisher's clock [ns]; None where nobody says: then nothing is outdated.
         """
         if number is None:
             return 0
-        heard = [(last, known == looks, sender) for sender, (last, known) in self._last.items()]
+        heard = [(last, known == looks, sender, then) for sender, (last, known, then) in self._last.items()]
         near = [one for one in heard if 0 < number - one[0] <= LARGEST_GAP]
-        if not any(last == number - 1 and alike for last, alike, _ in near):
-            for said in (self._heard[sender] for last, alike, sender in heard if alike and 0 <= last - number < LATE):
-                if said.get(number, content) == content and number > min(said) - (number in said):
+        if sent_ns is not None and not any(last == number - 1 and alike for last, alike, *_ in near):
+            for last, alike, _, then in heard:
+                late = then is not None and 0 <= then - sent_ns < LATE_NS
+                if alike and late and 0 <= last - number < LATE:
                     return OUTDATED
         self._known += not near
-        sender = max(near)[2] if near else self._known
+        sender = max(near, key=lambda one: one[:3])[2] if near else self._known
         self._last.pop(sender, None)  # those heard last stand last
-        self._last[sender] = (number, looks)
-        said = self._heard.setdefault(sender, {})
-        said[number] = content
-        if len(said) > LATE:
-            del said[min(said)]
+        self._last[sender] = (number, looks, sent_ns)
         if len(self._last) > MOST:
-            del self._last[first := next(iter(self._last))], self._heard[first]
+            del self._last[next(iter(self._last))]
         return sender

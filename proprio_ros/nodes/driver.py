@@ -194,7 +194,8 @@ class DriverNode(ManagedNode):
     def _obey(self, message: Float64MultiArray, info: dict[str, Any], topic: str, command: Callable[..., str]) -> str:
         """Pass a command on; returns why it was refused, or an empty string."""
         looks = (len(message.data), *(dim.label for dim in message.layout.dim))
-        sender = self._senders[topic].of(info.get("publication_sequence_number"), looks, tuple(message.data))
+        sent_ns = info.get("source_timestamp") or None
+        sender = self._senders[topic].of(info.get("publication_sequence_number"), looks, sent_ns)
         if self._driver is None or not self.active or sender == OUTDATED:  # a newer one has been obeyed
             return ""
         values = messages.by_joint(message, self._order)

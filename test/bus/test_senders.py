@@ -25,18 +25,33 @@ def test_without_numbers_all_are_one() -> None:
     assert senders.of(None, "a") == senders.of(None, "b") == 0
 
 
+MS = 1_000_000
+
+
 def test_what_is_doubled_or_overtaken_is_nobody_elses() -> None:
     senders = Senders()
-    assert [senders.of(number, "five", f"push {number}") for number in (1, 2, 3)] == [1, 1, 1]
-    assert senders.of(3, "five", "push 3") == senders.of(1, "five", "push 1") == OUTDATED, "doubled"
-    assert senders.of(5, "five", "zero") == 1 and senders.of(4, "five", "push 4") == OUTDATED, "overtaken by a zero"
-    assert senders.of(6, "five", "push 6") == 1, "and it goes on"
-    # another that looks alike and begins to count: it says something else, or counts where nobody has
-    assert senders.of(2, "five", "other") == 2 and senders.of(3, "five", "other 3") == 2
-    assert senders.of(4, "five", "other 4") == 2, "the place that the first has left empty"
-    assert senders.of(7, "five", "push 7") == 1
-    assert [senders.of(number, "five", f"far {number}") for number in (900, 901)] == [3, 3]
-    assert senders.of(901 - LATE, "five", "far") == 4, "too far back to be late"
+    assert [senders.of(number, "five", number * MS) for number in (1, 2, 3)] == [1, 1, 1]
+    assert senders.of(3, "five", 3 * MS) == senders.of(1, "five", MS) == OUTDATED, "doubled"
+    assert senders.of(5, "five", 5 * MS) == 1 and senders.of(4, "five", 4 * MS) == OUTDATED, "overtaken"
+    assert senders.of(6, "five", 6 * MS) == 1, "and it goes on"
+    # another that looks alike and begins to count, whatever it says: it sends later
+    assert [senders.of(number, "five", (10 + number) * MS) for number in (1, 2, 3, 4)] == [2, 2, 2, 2]
+    assert senders.of(7, "five", 20 * MS) == 1
+    assert [senders.of(number, "five", (30 + number) * MS) for number in (900, 901)] == [3, 3]
+    assert senders.of(901 - LATE, "five", 30 * MS) == 4, "too far back to be late"
+
+
+def test_one_command_by_each_of_many_who_say_the_same_is_obeyed() -> None:
+    """As by ``ros2 topic pub --once``, time and again: each is its publisher's first."""
+    senders = Senders()
+    assert OUTDATED not in [senders.of(1, "five", sent * 1000 * MS) for sent in range(40)]
+
+
+def test_by_a_clock_that_is_behind_nothing_is_outdated() -> None:
+    senders = Senders()
+    assert [senders.of(number, "five", 60_000 * MS + number) for number in (1, 2, 3)] == [1, 1, 1]
+    assert senders.of(1, "five", 10_000 * MS) == 2
+    assert senders.of(2, "five") == 2, "nobody says when it was sent"
 
 
 def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
@@ -47,7 +62,7 @@ def test_all_of_one_publisher_in_any_order_is_of_one() -> None:
     )
     senders, obeyed = Senders(), list[int]()
     for number in numbers:
-        if (sender := senders.of(number, "five", number)) != OUTDATED:
+        if (sender := senders.of(number, "five", number * MS)) != OUTDATED:
             assert sender == 1
             obeyed.append(number)
     assert obeyed == sorted(set(obeyed)) and len(obeyed) > 100

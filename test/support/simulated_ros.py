@@ -163,8 +163,9 @@ class Subscription:
             place = len(self.queue)
             while place and self.queue[place - 1][0] > at_s:
                 place -= 1
-            self.queue.insert(place, (at_s, data, number))
             now_s = self._node.graph.clock._now_s
+            sent_ns = SYSTEM_AHEAD_NS + int(1e9 * (now_s + self._node.graph.set_by_s))
+            self.queue.insert(place, (at_s, data, number, sent_ns))
             while sum(each[0] <= now_s for each in self.queue) > self.depth:
                 self.queue.popleft()
             if not self.polled:
@@ -176,10 +177,10 @@ class Subscription:
         now_s = self._node.graph.clock._now_s
         while len(self.queue) > self.depth and self.queue[self.depth][0] <= now_s:
             self.queue.popleft()  # more came than are kept
-        at_s, data, number = self.queue.popleft()
+        at_s, data, number, sent_ns = self.queue.popleft()
         stamp_ns = SYSTEM_AHEAD_NS + int(1e9 * (at_s + self._node.graph.set_by_s))
         info = {
-            "source_timestamp": stamp_ns, "received_timestamp": stamp_ns, "publication_sequence_number": number,
+            "source_timestamp": sent_ns, "received_timestamp": stamp_ns, "publication_sequence_number": number,
             "reception_sequence_number": None,
         }  # fmt: skip
         return (data if raw else deserialize_message(data, kind)), info
