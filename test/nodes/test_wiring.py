@@ -37,6 +37,8 @@ PATIENT: dict[str, dict[str, Any]] = {
     "driver": {"reply_timeout": 0.1, "command_timeout": 0.5}, "excitation": {"stale_after": 4.0},
 }  # fmt: skip
 """Nobody here may take a late message for silence."""
+QUIET_STATES = 150
+"""At the 100 Hz of the driver longer than `command_timeout`."""
 
 
 def push_file(folder: Path, duration_s: float) -> Path:
@@ -97,6 +99,9 @@ class Arm:
 
         assert wait_for(self.obeying)
         assert wait_for(there), client.motors[-1]
+        # whoever moved the arm last is obeyed alone for command_timeout: the driver's time is counted in its states
+        heard = len(client.motors)
+        assert wait_for(lambda: len(client.motors) > heard + QUIET_STATES)
 
     def states_come(self) -> None:
         self.client.states.clear()
