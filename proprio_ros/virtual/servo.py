@@ -360,15 +360,12 @@ class VirtualServo:
         if temperature > values["temperature_limit"]:
             self.fail(HardwareError.OVERHEATING)
         # assumed: overload is nearly the highest possible current without motion for some seconds
+        straining = False
         if values["present_current"] and not values["moving"]:
             highest_A = self._current_at_A(self.supply_voltage_V, 0.0)
             highest_A = min(self.model.current_A(values["current_limit"]), highest_A)
-            current_A = self.model.current_A(abs(values["present_current"]))
-            self._overloaded_s += (
-                CONTROL_PERIOD_S if current_A >= _OVERLOAD_FRACTION * highest_A else -self._overloaded_s
-            )
-        else:
-            self._overloaded_s = 0.0
+            straining = self.model.current_A(abs(values["present_current"])) >= _OVERLOAD_FRACTION * highest_A
+        self._overloaded_s = self._overloaded_s + CONTROL_PERIOD_S if straining else 0.0
         if self._overloaded_s > _OVERLOAD_S:
             self.fail(HardwareError.OVERLOAD)
         if values["torque_enable"] and values["bus_watchdog"] > 0:
