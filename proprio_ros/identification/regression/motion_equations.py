@@ -115,14 +115,17 @@ class Arm:
         slow = windows.mean((np.abs(velocity) < SLOW_RAD_S).astype(np.float64)) > 0.5
         window, joint = np.nonzero(counts & ~slow)
 
-        def torques(shift: FloatArray | float) -> FloatArray:
+        def torques(position: FloatArray, since: int = 0) -> FloatArray:
             if not len(joint):
                 return np.zeros((0, self.count, PARAMETERS))
-            return torque_regressor(self.model, position + shift, velocity, windows, period_s)[window, joint]
+            return torque_regressor(self.model, position, velocity, windows, period_s, since)[window, joint]
 
-        regressor = torques(0.0)
-        shifts = ZERO_STEP_RAD * np.eye(self.count) if by_zeros else np.zeros((0, self.count))
-        shifted = [(torques(shift) - regressor) / ZERO_STEP_RAD for shift in shifts]
+        regressor, shifted = torques(position), []
+        for turned, shift in enumerate(ZERO_STEP_RAD * np.eye(self.count)) if by_zeros else ():
+            # a joint turns the bodies behind it, which have larger numbers
+            rise = torques(position + shift, turned)
+            rise[:, turned:] -= regressor[:, turned:]
+            shifted.append(rise / ZERO_STEP_RAD)
         zero = np.zeros((len(joint), 0, PARAMETERS * (1 + self.count)))
         if shifted:
             zero = np.stack([self._payload_and_bodies(each) for each in shifted], axis=1)

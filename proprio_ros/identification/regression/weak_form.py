@@ -65,7 +65,7 @@ class Windows:
 
 
 def torque_regressor(
-    model: ReducedModel, position: FloatArray, velocity: FloatArray, windows: Windows, period_s: float
+    model: ReducedModel, position: FloatArray, velocity: FloatArray, windows: Windows, period_s: float, since: int = 0
 ) -> FloatArray:
     """Mean torque at every joint over every window, per unit of every body's parameters.
 
@@ -75,6 +75,7 @@ def torque_regressor(
         velocity: At the same instants [rad/s], shape (T, n).
         windows: Where to look.
         period_s: Between samples [s].
+        since: The first body that is asked for; others have zeros.
 
     Returns:
         Shape (W, n, n, 10): window, joint, body, parameter [N m per unit].
@@ -82,23 +83,18 @@ def torque_regressor(
     motion = kinematics(model, position, velocity)
     bodies = position.shape[1]
     result = np.zeros((len(windows.starts), bodies, bodies, PARAMETERS))
-    carriers = [_carriers(model, body) for body in range(bodies)]
-    for body in range(bodies):
+    axes, twists = motion.axis, motion.twist
+    spin, direction = twists[..., :3], axes[..., :3]
+    moved = np.cross(spin, axes[..., 3:]) + np.cross(twists[..., 3:], direction)
+    turning = np.concatenate([np.cross(spin, direction), moved], axis=-1)
+    for body in range(since, bodies):
         momentum, wrench = momentum_and_gravity(
-            motion.rotation[:, body], motion.origin[:, body], motion.twist[:, body], model.gravity
+            motion.rotation[:, body], motion.origin[:, body], twists[:, body], model.gravity
         )
-        for joint in carriers[body]:
-            axis, twist = motion.axis[:, joint], motion.twist[:, joint]
-            turning = np.concatenate(
-                [
-                    np.cross(twist[:, :3], axis[:, :3]),
-                    np.cross(twist[:, :3], axis[:, 3:]) + np.cross(twist[:, 3:], axis[:, :3]),
-                ],
-                axis=1,
-            )
-            along = (axis[:, None] @ momentum)[:, 0]
-            rest = (turning[:, None] @ momentum + axis[:, None] @ wrench)[:, 0]
-            result[:, joint, body] = windows.derivative(along, period_s) - windows.mean(rest)
+        for joint in _carriers(model, body):
+            axis = axes[:, joint, None]
+            rest = (turning[:, joint, None] @ momentum + axis @ wrench)[:, 0]
+            result[:, joint, body] = windows.derivative((axis @ momentum)[:, 0], period_s) - windows.mean(rest)
     return result
 
 
