@@ -10,6 +10,7 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[1]
 TEST = REPOSITORY / "test"
 TIMES = {"sleep", "monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns", "process_time", "thread_time"}
+ALARMS = {"signal.alarm", "signal.setitimer", "threading.Timer", "faulthandler.dump_traceback_later"}
 HELPERS = {"live.py", "waiting.py"}
 """In test/support, for tests of wiring."""
 
@@ -36,12 +37,15 @@ def looks_at_the_clock(tree: ast.Module) -> list[str]:
                 found.append(f"{node.lineno}: time.{node.attr}")
         elif isinstance(node, ast.ImportFrom):
             names = {each.name for each in node.names}
-            if node.module == "time" or node.module == "support.live" or {"wait_for"} & names:
+            alarms = any(f"{node.module}.{name}" in ALARMS for name in names)
+            if node.module == "time" or node.module == "support.live" or {"wait_for"} & names or alarms:
                 found.append(f"{node.lineno}: from {node.module}")
         elif isinstance(node, ast.Call):
             called = ast.unparse(node.func)
             if called.startswith("subprocess.") and any(each.arg == "timeout" for each in node.keywords):
                 found.append(f"{node.lineno}: {called} with a timeout")
+            elif called in ALARMS:
+                found.append(f"{node.lineno}: {called}")
     return found
 
 
@@ -90,6 +94,8 @@ def test_nothing_is_tried_twice() -> None:
 def test_both_are_found_where_they_are() -> None:
     found = looks_at_the_clock(ast.parse("import time\ntime.sleep(1.0)\nsubprocess.run([], timeout=3)"))
     assert sorted(found) == ["2: time.sleep", "3: subprocess.run with a timeout"]
+    for line in ("signal.alarm(9)", "signal.setitimer(signal.ITIMER_PROF, 9.0)", "from signal import setitimer"):
+        assert looks_at_the_clock(ast.parse(line)), line
     again = "for _ in range(3):\n    answer = call()\n    if answer.success:\n        break\n"
     assert tries_again(ast.parse(again)) and tries_again(ast.parse("any(well() for _ in range(3))"))
     assert not tries_again(ast.parse("for _ in range(3):\n    step()\n"))
