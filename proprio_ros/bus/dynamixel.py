@@ -53,7 +53,6 @@ _STATUS_WORDS = {
     6: "refuses the value as beyond its limit",
     7: "refuses access to the register (EEPROM is writable only while torque is off)",
 }
-_GOAL_BLOCK = ("goal_current", "goal_velocity", "profile_acceleration", "profile_velocity", "goal_position")
 _Result = TypeVar("_Result")
 
 
@@ -454,12 +453,11 @@ class DynamixelBus:
         param: list[int] = []
         for servo in self.servos:
             if servo.joint in goals:
-                goal = goals[servo.joint]
-                table = servo.model.registers
-                values = {"goal_current": goal.current_counts, "goal_position": goal.position_counts}
-                param.append(servo.id)
-                for name in _GOAL_BLOCK:
-                    param.extend(table[name].encode(values.get(name, 0)))
+                goal, table = goals[servo.joint], servo.model.registers
+                first = table["goal_current"].encode(goal.current_counts)
+                last = table["goal_position"].encode(goal.position_counts)
+                between = bytes(self._goal_length - len(first) - len(last))  # velocity and profile: 0
+                param += (servo.id, *first, *between, *last)
         if param:
             self._guarded(
                 lambda port: self._packets.syncWriteTxOnly(port, self._goal_start, self._goal_length, param, len(param))

@@ -114,10 +114,10 @@ class VirtualArm:
         current = np.asarray(current_A, dtype=np.float64)
         if current.shape != self._torque_constant.shape:
             raise ConfigurationError(f"expected currents of {', '.join(self.joints)}, got shape {current.shape}")
-        if not math.isfinite(current.sum()):
+        if not math.isfinite(current.dot(current)):
             raise SimulationError("the virtual arm was given a current that is not finite; check the servos' law")
         torque = self._torque_constant * current
-        force = self.data.qfrc_applied
+        force = self._force
         force[self._dofs] = torque / self._transmission
         friction = (self._coulomb + self._load_friction * np.abs(torque)) / self._transmission
         acting = self.object if self.object is not None and self.object.acts else None
@@ -128,27 +128,27 @@ class VirtualArm:
                     force[:] = driven
                     acting.act(self, force)
                 # the speed amid the step, or a constant over it would make the method first order
-                velocity = self.data.qvel[self._dofs] / self._transmission
+                velocity = self.velocity_rad_s()
                 amid = 1.5 * velocity - 0.5 * self._velocity_before
                 self._velocity_before = velocity
                 excess = self._stribeck * np.exp(-((amid / self._stribeck_velocity) ** 2))
-                self.model.dof_frictionloss[self._dofs] = friction * (1.0 + excess)
+                self._friction[self._dofs] = friction * (1.0 + excess)
                 self.mujoco.mj_step(self.model, self.data)
         else:
-            self.model.dof_frictionloss[self._dofs] = friction
+            self._friction[self._dofs] = friction
             self.mujoco.mj_step(self.model, self.data, self._substeps)
-        if not math.isfinite(self.data.qvel.sum()):
+        if not math.isfinite(self._qvel.dot(self._qvel)):
             raise SimulationError(
                 f"the virtual arm diverged at {self.time_s:.3f} s: check that currents are in A, and build the arm anew"
             )
 
     def shaft_rad(self) -> FloatArray:
         """True angles of the output shafts [rad], shape (J,)."""
-        return self.data.qpos[self._places] / self._transmission
+        return self._qpos[self._places] / self._transmission
 
     def velocity_rad_s(self) -> FloatArray:
         """True velocities of the output shafts [rad/s], shape (J,)."""
-        return self.data.qvel[self._dofs] / self._transmission
+        return self._qvel[self._dofs] / self._transmission
 
     def encoder_rad(self) -> FloatArray:
         """What the encoders read before they round [rad], shape (J,); every call has fresh noise."""
@@ -253,6 +253,9 @@ class VirtualArm:
                 f"{robot.name}: MuJoCo refuses it ({' '.join(str(error).split())}); correct the URDF or the object"
             ) from error
         self.model, self.data, self.object = model, mujoco.MjData(model), held
+        # the memory itself: asking for it takes as long as using it
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
+        self._force, self._friction = self.data.qfrc_applied, model.dof_frictionloss
 
         moving = [joint for joint in robot.model.joints if joint.kind != "fixed"]
         made = {joint.name: model.joint(joint.name) for joint in moving}

@@ -71,9 +71,8 @@ def _crc_of(byte: int) -> int:
 _CRC_TABLE = tuple(map(_crc_of, range(256)))
 
 
-def crc16(data: bytes) -> int:
-    """CRC-16 with polynomial 0x8005, first value 0, no reflection, no final xor."""
-    crc = 0
+def crc16(data: bytes, crc: int = 0) -> int:
+    """CRC-16 with polynomial 0x8005, first value 0 (or that of the bytes before), no reflection, no final xor."""
     for byte in data:
         crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
     return crc
@@ -112,10 +111,14 @@ def encode_fast_status(parts: Sequence[tuple[int, int, bytes]], servos: int) -> 
         servos: How many were asked: the first one announces the length of all. With fewer parts the packet breaks off.
     """
     length = 1 + servos * (len(parts[0][2]) + 4)
-    packet = _HEADER + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([Code.STATUS])
+    packet, crc = b"", 0
+    part = _HEADER + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([Code.STATUS])
     for error, servo_id, data in parts:
-        packet = _with_crc(packet + bytes([error, servo_id]) + data)
-    return packet
+        part += bytes([error, servo_id]) + data
+        crc = crc16(part, crc)
+        packet += part
+        part = crc.to_bytes(2, "little")
+    return packet + part
 
 
 class Parser:

@@ -83,10 +83,8 @@ class VirtualRobot:
         arm, servos, current = self.arm, self._all, self._current
         while self._time_s + CONTROL_PERIOD_S <= now_s:
             self._time_s += CONTROL_PERIOD_S
-            angle = (arm.encoder_rad() + self._shift).tolist()
-            velocity = arm.velocity_rad_s().tolist()
-            for row, servo in enumerate(servos):
-                current[row] = servo.control(self._time_s, angle[row], velocity[row])
+            seen = zip(servos, (arm.encoder_rad() + self._shift).tolist(), arm.velocity_rad_s().tolist(), strict=True)
+            current[:] = [servo.control(self._time_s, angle, velocity) for servo, angle, velocity in seen]
             if self._supported:
                 self._supported = not any(servo["torque_enable"] for servo in servos)
             else:

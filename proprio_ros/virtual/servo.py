@@ -19,6 +19,7 @@ from proprio_ros.bus.control_table import (
     RETURN_DELAY_UNIT_S,
     HardwareError,
     OperatingMode,
+    Register,
     ServoModel,
 )
 from proprio_ros.virtual.protocol import ALERT, Error
@@ -87,10 +88,14 @@ class VirtualServo:
         places = {name: range(register.size) for name, register in self._registers.items()}
         self._bytes = {self._registers[name].address + k: (name, k) for name, sizes in places.items() for k in sizes}
         self._end = max(self._bytes) + 1
+        self._layouts: dict[tuple[int, int], list[tuple[str, Register, int]] | Error] = {}
         self._values = {name: register.initial for name, register in self._registers.items()}
         self._values.update(model_number=model.number, firmware_version=firmware, id=servo_id)
         self._booted_s, self._silent_until_s, self._heard_s = 0.0, -math.inf, 0.0
         self._velocities: deque[float] = deque(maxlen=_VELOCITY_AVERAGE)
+        self._tuned_V = math.nan  # supply at which `_tune` was called last; not a number: a register has changed since
+        self._controlled_s, self._felt_C, self._powered = 0.0, AMBIENT_C, False
+        self._unread = False  # whether there are measurements that no register holds yet
         self._goals: Goals | None
         self._pending: deque[tuple[float, Goals]]
         self._reset_controller()
@@ -98,11 +103,14 @@ class VirtualServo:
     # --- registers without the bus
 
     def __getitem__(self, name: str) -> int:
+        if self._unread:
+            self._measure()
         return self._values[name]
 
     def __setitem__(self, name: str, value: int) -> None:
         register = self._registers[name]
         self._values[name] = register.decode(register.encode(value))
+        self._tuned_V = math.nan
 
     @property
     def id(self) -> int:
@@ -139,6 +147,8 @@ class VirtualServo:
         """
         if length < 1 or address + length > self._end:
             return Error.DATA_RANGE, b""
+        if self._unread:
+            self._measure()
         found = bytearray()
         while len(found) < length:
             name, index = self._bytes.get(address + len(found), ("", 0))
@@ -161,27 +171,38 @@ class VirtualServo:
         for name, register in self._registers.items():
             if not register.eeprom:
                 self._values[name] = register.initial
+        self._unread, self._tuned_V = False, math.nan
         self._booted_s = now_s
         self._silent_until_s = now_s + REBOOT_S
         self._reset_controller()
 
     def _parsed(self, address: int, data: bytes) -> tuple[dict[str, int], Error]:
         """Registers that a write means, and why it is refused."""
-        values: dict[str, int] = {}
-        position, end = address, address + len(data)
-        while position < end:
+        where = address, len(data)
+        if where not in self._layouts:
+            self._layouts[where] = self._layout(*where)
+        layout = self._layouts[where]
+        if isinstance(layout, Error):
+            return {}, layout
+        values = {name: register.decode(data[at : at + register.size]) for name, register, at in layout}
+        for name, value in values.items():
+            if error := self._refusal(name, value):
+                return {}, error
+        return values, Error.NONE
+
+    def _layout(self, address: int, length: int) -> list[tuple[str, Register, int]] | Error:
+        """The registers that so many bytes fill, each with where its own begin; or why they fill none."""
+        found, position = list[tuple[str, Register, int]](), address
+        while position < address + length:
             name, index = self._bytes.get(position, ("", 0))
             if not name or index:
-                return {}, Error.ACCESS  # in the middle of a register, or not defined
+                return Error.ACCESS  # in the middle of a register, or not defined
             register = self._registers[name]
-            if position + register.size > end:
-                return {}, Error.DATA_LENGTH
-            values[name] = register.decode(data[position - address : position - address + register.size])
+            if position + register.size > address + length:
+                return Error.DATA_LENGTH
+            found.append((name, register, position - address))
             position += register.size
-        if not values:
-            return {}, Error.DATA_LENGTH
-        error = next(filter(None, (self._refusal(name, value) for name, value in values.items())), Error.NONE)
-        return ({} if error else values), error
+        return found or Error.DATA_LENGTH
 
     def _refusal(self, name: str, value: int) -> Error:
         register = self._registers[name]
@@ -206,6 +227,8 @@ class VirtualServo:
     def _set(self, name: str, value: int, now_s: float) -> None:
         before = self._values[name]
         self._values[name] = value
+        if name not in _GOALS:
+            self._tuned_V = math.nan
         if name == "operating_mode" and value != before:
             self._reset_mode()
         elif name == "torque_enable":
@@ -278,38 +301,64 @@ class VirtualServo:
         Returns:
             Current that flows until the next call [A], a whole number of the servo's counts.
         """
-        values, model, velocities = self._values, self.model, self._velocities
-        sign = -1.0 if values["drive_mode"] & _REVERSE else 1.0
+        if self._tuned_V != self.supply_voltage_V:
+            self._tune()
+        values, sign = self._values, self._sign
         velocity_rad_s *= sign
-        velocities.append(velocity_rad_s)
-        speed = round(sum(velocities) / len(velocities) / model.velocity_unit_rad_s)
-        values["present_position"] = model.counts_of_position(sign * angle_rad) + values["homing_offset"]
-        values["present_velocity"] = speed
-        values["moving"] = 1 if abs(speed) > values["moving_threshold"] else 0
-        # the small addition keeps a sum of milliseconds from being rounded down
-        values["realtime_tick"] = int((now_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
-
-        self._look_for_trouble(now_s)
+        self._velocities.append(velocity_rad_s)
+        values["present_position"] = self._zero_counts + round(sign * angle_rad / self.model.position_unit_rad)
+        self._controlled_s, self._felt_C, self._unread = now_s, self.temperature_C, True
+        if self._ailing or self._felt_C > self._hot_C or abs(values["present_current"]) >= self._straining_counts:
+            self._look_for_trouble()
+        else:
+            self._overloaded_s = 0.0
+        if values["bus_watchdog"] > 0 and values["torque_enable"]:
+            if now_s - self._heard_s > values["bus_watchdog"] * BUS_WATCHDOG_UNIT_S:
+                values["bus_watchdog"] = BUS_WATCHDOG_TRIPPED
+                # the manual's example gives a new goal after the error is cleared: the old one is gone
+                self._stop()
         while self._pending and self._pending[0][0] <= now_s:
             self._goals = self._pending.popleft()[1]
-        powered = values["torque_enable"] and self._goals is not None and now_s >= self._silent_until_s
-        if not powered:
-            values["present_current"] = values["present_pwm"] = 0
-            self._warm_up(0.0)
-            return 0.0
+        self._powered = bool(values["torque_enable"]) and self._goals is not None and now_s >= self._silent_until_s
         counts = 0
-        if values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
+        if self._powered and values["bus_watchdog"] != BUS_WATCHDOG_TRIPPED:
             counts = self._bounded(self._wanted(velocity_rad_s), velocity_rad_s)
-        current_A = counts * model.current_unit_A
-        voltage_V = self._resistance_ohm * current_A + self._back_emf_V_s_per_rad * velocity_rad_s
         values["present_current"] = counts
-        values["present_pwm"] = max(-32768, min(32767, round(voltage_V / self._volt_per_pwm)))  # what its bytes hold
-        self._warm_up(current_A)
+        current_A = counts * self.model.current_unit_A
+        # heat of the winding into one thermal mass; assumed values
+        final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * (current_A * current_A)
+        self.temperature_C += (final_C - self.temperature_C) * _WARMING
         return sign * current_A
 
-    @property
-    def _volt_per_pwm(self) -> float:
-        return max(self.supply_voltage_V, 1e-3) / self._highest_pwm
+    def _tune(self) -> None:
+        """What follows from registers and from the supply, and is needed in each period."""
+        values, model = self._values, self.model
+        self._tuned_V = self.supply_voltage_V
+        self._sign = -1.0 if values["drive_mode"] & _REVERSE else 1.0
+        self._zero_counts = model.position_zero + values["homing_offset"]
+        self._p_gain = values["position_p_gain"] / model.position_p_divisor
+        self._d_gain = values["position_d_gain"] / model.position_d_divisor
+        self._volt_per_pwm = max(self.supply_voltage_V, 1e-3) / self._highest_pwm
+        self._pwm_limit_V = values["pwm_limit"] * self._volt_per_pwm
+        voltage = values["present_input_voltage"] = max(0, round(self.supply_voltage_V / model.voltage_unit_V))
+        self._ailing = not values["min_voltage_limit"] <= voltage <= values["max_voltage_limit"]
+        self._hot_C = values["temperature_limit"] - 1.0
+        # assumed: overload is nearly the highest possible current without motion for some seconds
+        highest_A = min(model.current_A(values["current_limit"]), self._current_at_A(self.supply_voltage_V, 0.0))
+        self._straining_counts = max(_OVERLOAD_FRACTION * highest_A / model.current_unit_A, 1.0)
+
+    def _measure(self) -> None:
+        """Registers on which nothing in a period depends, as they were in the last one."""
+        self._unread = False
+        values, velocities, model = self._values, self._velocities, self.model
+        speed = round(sum(velocities) / len(velocities) / model.velocity_unit_rad_s)
+        values["present_velocity"], values["moving"] = speed, 1 if abs(speed) > values["moving_threshold"] else 0
+        # the small addition keeps a sum of milliseconds from being rounded down
+        values["realtime_tick"] = int((self._controlled_s - self._booted_s) * 1e3 + 1e-6) % _TICK_WRAP
+        values["present_temperature"] = min(255, max(0, round(self._felt_C)))
+        current_A, back_V = model.current_A(values["present_current"]), self._back_emf_V_s_per_rad * velocities[-1]
+        pwm = round((self._resistance_ohm * current_A + back_V) / self._volt_per_pwm) if self._powered else 0
+        values["present_pwm"] = max(-32768, min(32767, pwm))  # what its bytes hold
 
     def _wanted(self, velocity_rad_s: float) -> float:
         """Current before any bound [counts]."""
@@ -325,12 +374,11 @@ class VirtualServo:
             return error * values["velocity_p_gain"] / _VELOCITY_P_DIVISOR + self._velocity_integral
         if mode == _PWM:
             return self._current_of_pwm(goals["goal_pwm"], velocity_rad_s)
-        output = (goals["goal_position"] - values["present_position"]) * (
-            values["position_p_gain"] / model.position_p_divisor
-        ) - velocity_rad_s / model.position_unit_rad * 1e-3 * (values["position_d_gain"] / model.position_d_divisor)
+        wanted = (goals["goal_position"] - values["present_position"]) * self._p_gain
+        wanted -= velocity_rad_s / model.position_unit_rad * 1e-3 * self._d_gain
         if mode == _CURRENT_BASED_POSITION:
-            return _clip(output, abs(goals["goal_current"]))
-        return self._current_of_pwm(_clip(output, abs(goals["goal_pwm"])), velocity_rad_s)
+            return _clip(wanted, abs(goals["goal_current"]))
+        return self._current_of_pwm(_clip(wanted, abs(goals["goal_pwm"])), velocity_rad_s)
 
     def _current_of_pwm(self, pwm: float, velocity_rad_s: float) -> float:
         voltage_V = _clip(pwm, self._values["pwm_limit"]) * self._volt_per_pwm
@@ -342,42 +390,26 @@ class VirtualServo:
 
     def _bounded(self, wanted: float, velocity_rad_s: float) -> int:
         """Whole counts within Current Limit, and within what the supply can drive at this speed."""
-        values, unit_A, resistance_ohm = self._values, self.model.current_unit_A, self._resistance_ohm
-        counts = round(_clip(wanted, values["current_limit"]))
-        supply_V, back_V = values["pwm_limit"] * self._volt_per_pwm, self._back_emf_V_s_per_rad * velocity_rad_s
-        if counts > (highest := (supply_V - back_V) / resistance_ohm / unit_A):
+        unit_A, back_V = self.model.current_unit_A, self._back_emf_V_s_per_rad * velocity_rad_s
+        counts = round(_clip(wanted, self._values["current_limit"]))
+        if counts > (highest := (self._pwm_limit_V - back_V) / self._resistance_ohm / unit_A):
             counts = math.floor(highest)
-        if counts < (lowest := (-supply_V - back_V) / resistance_ohm / unit_A):
+        if counts < (lowest := (-self._pwm_limit_V - back_V) / self._resistance_ohm / unit_A):
             counts = math.ceil(lowest)
         return counts
 
-    def _look_for_trouble(self, now_s: float) -> None:
+    def _look_for_trouble(self) -> None:
+        """What makes it fail, where that is near."""
+        self._measure()
         values = self._values
-        voltage = values["present_input_voltage"] = max(0, round(self.supply_voltage_V / self.model.voltage_unit_V))
-        temperature = values["present_temperature"] = min(255, max(0, round(self.temperature_C)))
-        if not values["min_voltage_limit"] <= voltage <= values["max_voltage_limit"]:
+        if self._ailing:
             self.fail(HardwareError.INPUT_VOLTAGE)
-        if temperature > values["temperature_limit"]:
+        if values["present_temperature"] > values["temperature_limit"]:
             self.fail(HardwareError.OVERHEATING)
-        # assumed: overload is nearly the highest possible current without motion for some seconds
-        straining = False
-        if values["present_current"] and not values["moving"]:
-            highest_A = self._current_at_A(self.supply_voltage_V, 0.0)
-            highest_A = min(self.model.current_A(values["current_limit"]), highest_A)
-            straining = self.model.current_A(abs(values["present_current"])) >= _OVERLOAD_FRACTION * highest_A
+        straining = abs(values["present_current"]) >= self._straining_counts and not values["moving"]
         self._overloaded_s = self._overloaded_s + CONTROL_PERIOD_S if straining else 0.0
         if self._overloaded_s > _OVERLOAD_S:
             self.fail(HardwareError.OVERLOAD)
-        if values["torque_enable"] and values["bus_watchdog"] > 0:
-            if now_s - self._heard_s > values["bus_watchdog"] * BUS_WATCHDOG_UNIT_S:
-                values["bus_watchdog"] = BUS_WATCHDOG_TRIPPED
-                # the manual's example gives a new goal after the error is cleared: the old one is gone
-                self._stop()
-
-    def _warm_up(self, current_A: float) -> None:
-        """Heat of the winding into one thermal mass; assumed values."""
-        final_C = AMBIENT_C + _THERMAL_RESISTANCE_K_W * self._resistance_ohm * current_A**2
-        self.temperature_C += (final_C - self.temperature_C) * _WARMING
 
 
 def _clip(value: float, bound: float) -> float:

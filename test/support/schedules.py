@@ -58,6 +58,8 @@ SAFE_S = 1.0
 LATEST_S = 0.6
 """By which the last message has come that a network held back."""
 ANSWER_S = 120.0
+GONE_S = 3.0
+"""Whoever was asked has ended: so long others go on with what it had begun, before somebody comes."""
 WELL_S = 30.0
 """Until all is as before once what went wrong is mended: a node that was stalled goes on after 10 s at most."""
 LIFT = """
@@ -380,8 +382,8 @@ class Schedule:
         for side, (answered, said) in zip(self.sides, asked, strict=True):
             clock.thread(begin, "asking", (side, answered, said), group="user").start()
         self.go_wrong(self.sides[0])
-        for answered, _ in asked:
-            answered.wait(ANSWER_S)
+        for side, (answered, _) in zip(self.sides, asked, strict=True):
+            answered.wait(GONE_S if self.gone(side) else ANSWER_S)
         made.graph.network = Network()
         for side in self.sides:
             side.heal()
