@@ -11,22 +11,22 @@ and equation numbers are its own where nothing else is said.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from proprio_ros.version import __version__
 
 if TYPE_CHECKING:
+    from proprio_ros.batch.drift import drift
     from proprio_ros.pipeline.api import calibrate, check, plan, weigh
 
-__all__ = ["__version__", "calibrate", "check", "plan", "weigh"]
+__all__ = ["__version__", "calibrate", "check", "drift", "plan", "weigh"]
 
 
 def __getattr__(name: str) -> Any:
     """The calls for scripts and notebooks, loaded with all they need when they are first asked for."""
     if name in __all__:
-        from proprio_ros.pipeline import api
-
-        return getattr(api, name)
+        return getattr(import_module(f"proprio_ros.{'batch.drift' if name == 'drift' else 'pipeline.api'}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

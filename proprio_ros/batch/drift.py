@@ -14,17 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.batch.episodes import Episode
+from proprio_ros.batch.episodes import Episode, episodes_of
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.inputs.resources import write_in_one_step
+from proprio_ros.pipeline.api import AnyPath, Listed, Paths, frame, options_of, read_arguments
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
+from proprio_ros.report import series_figure, small_table, words_figure
 from proprio_ros.report.chart import Axis, Panel, Series, chart
 from proprio_ros.report.html import framed, number, table
+from proprio_ros.schema import header
 from proprio_ros.threads import one_blas_thread
 
 DAY_NS = 86_400_000_000_000
@@ -34,6 +37,16 @@ MOST_GROUPS = 12
 """Where no recording has a stamp, they make so many groups, in their order."""
 MOST_PERIODS, MOST_OF_PERIOD = 60, 5
 """Periods that are looked at, and episodes of each: evenly over all of them."""
+
+_TERMS = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
+COLUMNS = (
+    "period",
+    "episodes",
+    "arm_over_urdf",
+    "joint",
+    *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")),
+)
+"""Of a table of drift; a mean and its standard deviation by turns."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +71,102 @@ class Period:
         at = {"viscous": 0, "coulomb": 1, "offset": 2}[kind] * len(rows)
         spread = self.arm.friction_spread[at : at + len(rows)]
         return self.arm.values[rows], np.hypot(self.arm.std[rows], spread / np.sqrt(self.episodes))
+
+
+class Drift(Listed[Period]):
+    """How an arm has changed, period by period, the first one first."""
+
+    def as_json(self) -> dict[str, Any]:
+        """A row per period and joint, as in ``drift.csv``, by the names of its columns."""
+        return {**header("drift"), "rows": [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()]}
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Of each period and joint the entries of `COLUMNS`."""
+        return [
+            (period.name, period.episodes, period.arm.arm_over_urdf, joint, *map(float, values))
+            for period in self
+            for joint, *values in zip(
+                period.arm.joints, *(part for kind in _TERMS for part in period.term(kind)), strict=True
+            )
+        ]
+
+    def friction(self) -> list[list[str]]:
+        """Words of each period: its name, episodes, what the arm weighs over its URDF, Coulomb friction by joint [N m]."""
+        return [
+            [period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}"]
+            + [f"{number(v, s)} ± {number(s, s)}" for v, s in zip(*period.term("coulomb"), strict=True)]
+            for period in self
+        ]
+
+    @property
+    def titles(self) -> list[str]:
+        """Of the columns of `friction`."""
+        return ["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in self[0].arm.joints)]
+
+    def sentence(self) -> str:
+        """Which joint's friction has changed most; of one period, or none, that there is nothing to compare."""
+        if len(self) < 2:
+            return "There are no two periods to compare: recordings of an empty hand in motion, from two days or more, would be."
+        first, last = (self[place].term("coulomb") for place in (0, -1))
+        sigmas = np.abs(last[0] - first[0]) / np.maximum(np.hypot(first[1], last[1]), 1e-12)
+        most = int(np.argmax(sigmas))
+        from_to = " to ".join(number(value[most], std[most]) for value, std in (first, last))
+        return (
+            f"From the first period to the last, Coulomb friction of {self[0].arm.joints[most]} went from {from_to} N m, "
+            f"{sigmas[most]:.1f} standard deviations: the largest change of all joints."
+        )
+
+    def to_frame(self) -> Any:
+        """A table with one row per period and joint; needs pandas."""
+        return frame(COLUMNS, self.rows())
+
+    def plot(self) -> Any:
+        """Coulomb friction of each joint over the periods with 95 % intervals; of none, why."""
+        if not self:
+            return words_figure(repr(self)[1:-1], [self.sentence()])
+        values, std = (np.array([period.term("coulomb")[part] for period in self]).T for part in (0, 1))
+        lines = zip(self[0].arm.joints, values, Z95 * std, strict=True)
+        return series_figure(self.sentence(), [period.name for period in self], "Coulomb friction (N m)", list(lines))
+
+    def _repr_html_(self) -> str:
+        return small_table(repr(self)[1:-1], self.titles if self else (), self.friction(), [self.sentence()])
+
+    def __repr__(self) -> str:
+        return f"<drift over {len(self)} periods>"
+
+
+def drift(
+    bags: Paths,
+    *,
+    robot: AnyPath | None = None,
+    driver: AnyPath | None = None,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    effort_unit: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[str], Any] = lambda _: None,
+) -> Drift:
+    """How an arm changes over days and weeks, by recordings of its motion with an empty hand.
+
+    ``bags`` may be data sets, folders and globs, too. A recording that cannot be read is left out. All else is as for `weigh`,
+    errors included.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: An argument is wrong, or no recording can be read.
+    """
+    given = read_arguments(locals())
+    options = options_of({**given, "facts": {}})
+    request, stamps, problems = request_of(options), dict[str, int | None](), list[ProprioError]()
+    episodes = episodes_of(given["bags"])
+    for each in episodes:
+        try:
+            begin_ns = bag_motion(Path(each.path), request).begin_ns
+            stamps[each.path] = begin_ns if each.index is None else None
+        except ProprioError as error:
+            problems.append(error)
+    if not stamps:
+        raise problems[0]
+    return drift_of([each for each in episodes if each.path in stamps], stamps, options, given["progress"])
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:
@@ -87,7 +196,7 @@ def drift_of(
     stamps: Mapping[str, int | None],
     options: Options,
     tell: Callable[[str], Any] = lambda _: None,
-) -> list[Period]:
+) -> Drift:
     """What each period says about the arm, by episodes with an empty hand; one without a usable motion is left out.
 
     ``stamps`` say when each was recorded, by its path [ns]; where any is known, those without are left out. The span of the options
@@ -104,7 +213,7 @@ def drift_of(
         with suppress(RecordingError):  # too little motion in all of them
             if motions:
                 found.append(Period(name, at, len(motions), fit_empty(request.robot, motions)))
-    return found
+    return Drift(found)
 
 
 def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[Motion]:
@@ -116,38 +225,25 @@ def readable(episodes: Sequence[Episode], most: int, request: Request) -> list[M
     return found
 
 
-_TERMS = {"coulomb": "N_m", "viscous": "N_m_s_per_rad", "offset": "N_m"}
-_HEADER = [
-    "period",
-    "episodes",
-    "arm_over_urdf",
-    "joint",
-    *(f"{k}_{u}{e}" for k, u in _TERMS.items() for e in ("", "_std")),
-]
-
-
 def check_drift(path: Path) -> None:
     """Raises: ConfigurationError: a file is there that no batch wrote."""
     with suppress(FileNotFoundError), open(path, encoding="utf-8", errors="replace") as stream:
-        if (first := stream.readline()) and first.strip() != ",".join(_HEADER):
+        if (first := stream.readline()) and first.strip() != ",".join(COLUMNS):
             raise ConfigurationError(f"--out: {path} is no table of proprio: move it away, or name another folder")
 
 
-def write_drift(periods: Sequence[Period], path: Path) -> None:
+def write_drift(drift: Drift, path: Path) -> None:
     """All of it as a table; ConfigurationError: it cannot be written, or another file is there."""
     check_drift(path)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_HEADER)
-    for period in periods:
-        terms = [period.term(kind) for kind in _TERMS]
-        for row, joint in enumerate(period.arm.joints):
-            values = [f"{column[row]:.6g}" for pair in terms for column in pair]
-            writer.writerow([period.name, period.episodes, f"{period.arm.arm_over_urdf:.5f}", joint, *values])
+    writer.writerow(COLUMNS)
+    for name, episodes, over, joint, *values in drift.rows():
+        writer.writerow([name, episodes, f"{over:.5f}", joint, *(f"{value:.6g}" for value in values)])
     write_in_one_step(path, stream.getvalue(), "--out")
 
 
-def drift_parts(periods: Sequence[Period]) -> list[str]:
+def drift_parts(periods: Drift) -> list[str]:
     """A table and a picture for the page; nothing where there is only one period."""
     if len(periods) < 2:
         return []
@@ -164,25 +260,13 @@ def drift_parts(periods: Sequence[Period]) -> list[str]:
         band = at, value - Z95 * std, value + Z95 * std
         series = Series(joint, at, value, "measured", "dots")
         panels.append(Panel(f"Coulomb friction of {joint} [N m]", "N m", [series], 90.0, band))
-    header = ["from", "episodes", "arm over URDF", *(f"{joint} [N m]" for joint in joints)]
-    rows = []
-    for period, term in zip(periods, terms, strict=True):
-        friction = [f"{number(v, s)} ± {number(s, s)}" for v, s in zip(*term, strict=True)]
-        rows.append([period.name, str(period.episodes), f"{period.arm.arm_over_urdf:.3f}", *friction])
-    first, last = terms[0], terms[-1]
-    sigmas = np.abs(last[0] - first[0]) / np.maximum(np.hypot(first[1], last[1]), 1e-12)
-    most = int(np.argmax(sigmas))
-    from_to = " to ".join(number(value[most], std[most]) for value, std in (first, last))
-    said = (
-        f"From the first period to the last, Coulomb friction of {escape(joints[most])} went from {from_to} N m, "
-        f"{sigmas[most]:.1f} standard deviations: the largest change of all joints. Drift of all torque "
-        "constants together shows in what the arm weighs by its torques."
-    )
+    said = f"{escape(periods.sentence())} Drift of all torque constants together shows in what the arm weighs by its torques."
+    titles = periods.titles
     return [
         "<h2>How the arm drifts</h2>",
         f"<p>{said}</p>",
         framed(chart(panels, axis, "drift"), "Each period learnt anew from its empty hand; bands are 95 % intervals."),
         "<p>Coulomb friction with its standard deviation:</p>",
-        table(header, rows, range(1, len(header)), labels=1),
+        table(titles, periods.friction(), range(1, len(titles)), labels=1),
         "<p class=small>The same with viscous friction and offsets: <code>drift.csv</code> beside this page.</p>",
     ]

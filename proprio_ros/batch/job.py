@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.batch.drift import check_drift, drift_of, evenly, readable, write_drift
+from proprio_ros.batch.drift import Drift, check_drift, drift_of, evenly, readable, write_drift
 from proprio_ros.batch.episodes import Episode, episodes_of
 from proprio_ros.batch.listing import asked, named, path_of, span_of
 from proprio_ros.batch.local import CHUNK, processors, run_local
@@ -42,13 +43,14 @@ LEAST_FIRST_S = SHORTEST_S
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a batch did: episodes there are, those done before, how many have which verdict, the folder with the rows, and some."""
+    """What a batch did: episodes there are, those done before, verdicts, the folder, some rows, and how the arm drifts."""
 
     episodes: int
     before: int
     verdicts: dict[str, int]
     folder: Path
     first: Sequence[Row] = ()
+    drift: Drift = field(default_factory=lambda: Drift(()))
 
     def plot(self) -> Any:
         """How many rows have which verdict, as a matplotlib ``Figure``."""
@@ -123,14 +125,17 @@ def run_batch(
             run_ray(missing, job, store, address, tell, chunk, quiet=not bars)
         elif missing:
             run_local(missing, job, store, processes or processors(), tell, chunk)
-        periods = drift_of(empties, _stamps(store), plain, tell) if empties else []
-        if periods:
-            write_drift(periods, store.folder / "drift.csv")
-        pages = _reports(store, job, reports, processes or processors(), tell)
-        write_batch_page(store, store.folder / "batch.html", command, pages, periods, job.options)
-        rows = [row for row in store.read(COLUMNS) if row["kind"] != GRASP]
+        rows = store.read(COLUMNS)
+        stamps = {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
+        drift = drift_of(empties, stamps, plain, tell) if empties else Drift(())
+        if drift:
+            write_drift(drift, store.folder / "drift.csv")
+        pages = _reports(store.folder, rows, job, reports, processes or processors(), tell)
+        write_batch_page(rows, store.folder / "batch.html", command, pages, drift, job.options)
+        rows = [row for row in rows if row["kind"] != GRASP]
         rows.sort(key=lambda row: (row["source"], row["episode_index"] or 0, row["episode"], row["segment"]))
-        return Outcome(len(episodes), before, store.verdicts(), store.folder, rows[:MOST_SHOWN])
+        verdicts = dict(sorted(Counter(row["verdict"] for row in rows).items()))
+        return Outcome(len(episodes), before, verdicts, store.folder, rows[:MOST_SHOWN], drift)
 
 
 def _check_options(engine: str, options: Options, empty: str | None, empty_first_s: float | None) -> None:
@@ -192,12 +197,6 @@ def self_calibrated(
     return replace(options, calibration=str(path), robot=None, span=None)
 
 
-def _stamps(store: Store) -> dict[str, int | None]:
-    """When each episode was recorded [ns], by its path."""
-    rows = store.read(["source", "episode", "episode_index", "segment", "recorded_ns"])
-    return {path_of(row): row["recorded_ns"] for row in rows if row["segment"] == 0}
-
-
 def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
     """The episodes of data sets whose column is nowhere zero; ConfigurationError: one lacks it, or no episode is marked."""
     found = []
@@ -216,22 +215,24 @@ def _marked(episodes: Sequence[Episode], column: str) -> list[Episode]:
     return found
 
 
-def _reports(store: Store, job: Job, most: int, processes: int, tell: Callable[[str], Any]) -> dict[str, str]:
+def _reports(
+    folder: Path, rows: Sequence[Row], job: Job, most: int, processes: int, tell: Callable[[str], Any]
+) -> dict[str, str]:
     """Write the pages of rows, what looks odd first; returns their places beside the page, by what `named` calls the row.
 
     A page that a stopped job left is of the same row and options: it stays.
     """
-    rows = [row for row in store.read(COLUMNS) if row["kind"] not in (GRASP, FAILED)]
+    rows = [row for row in rows if row["kind"] not in (GRASP, FAILED)]
     first = odd(rows)
     known = {named(row) for row in first}
     chosen = (first + [row for row in rows if named(row) not in known])[:most]
     places = {named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html" for row in chosen}
-    missing = [row for row in chosen if not (store.folder / places[named(row)]).exists()]
+    missing = [row for row in chosen if not (folder / places[named(row)]).exists()]
     if missing:
-        (store.folder / "reports").mkdir(exist_ok=True)
+        (folder / "reports").mkdir(exist_ok=True)
         tell(f"writing the pages of {len(missing)} rows")
     each = [(named(row), path_of(row), replace(job.options, span=span_of(row))) for row in missing]
-    work = [(*one, store.folder / places[one[0]]) for one in each]
+    work = [(*one, folder / places[one[0]]) for one in each]
     if len(work) > MOST_REPORTS:
         with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
             written = list(pool.map(_write_page, *zip(*work, strict=True)))

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.batch.drift import Period, drift_parts
+from proprio_ros.batch.drift import Drift, drift_parts
 from proprio_ros.batch.listing import asked, cause_of, causes_of, listing, named, own_words, refused, when
 from proprio_ros.batch.plots import histogram, values_figure
 from proprio_ros.batch.rows import EPISODE, GRASP, PART, Row
-from proprio_ros.batch.store import Store
 from proprio_ros.identification.reasons import CODES, REMEDIES
 from proprio_ros.pipeline.request import Options
 from proprio_ros.quantity import Z95, shown, shown_unit, spec_for
@@ -38,17 +37,17 @@ _HELP = {
 
 
 def write_batch_page(
-    store: Store,
+    rows: list[Row],
     path: Path,
     command: str,
     reports: Mapping[str, str],
-    drift: Sequence[Period] = (),
+    drift: Drift,
     options: Options | None = None,
 ) -> None:
     """Write the page.
 
     Args:
-        store: With the rows.
+        rows: With `COLUMNS`; they are put in order and numbered.
         path: The HTML file.
         command: That gives all of it again.
         reports: Files beside the page, by what `named` calls the row that each is of.
@@ -58,7 +57,6 @@ def write_batch_page(
     Raises:
         ConfigurationError: The file cannot be written.
     """
-    rows = store.read(COLUMNS)
     rows.sort(key=lambda row: (row["source"], *_order(row), row["segment"]))
     whole = [row for row in rows if row["kind"] != GRASP]
     listed = rows if len(rows) <= MOST_LISTED else (odd(whole) + rows)[:MOST_LISTED]

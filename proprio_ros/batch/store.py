@@ -11,14 +11,13 @@ import hashlib
 import itertools
 import json
 import os
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
 from proprio_ros.batch.episodes import Episode
-from proprio_ros.batch.rows import COLUMNS, GRASP, Job, Row
+from proprio_ros.batch.rows import COLUMNS, Job, Row
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.recordings.datasets import arrow
@@ -132,11 +131,6 @@ class Store:
         place = {"partitioning": hive, "partition_base_dir": str(self.rows)}
         whole = dataset.dataset([str(file) for file in self.files()], schema=schema(), **place)
         return list(whole.to_table(columns=[*columns]).to_pylist())
-
-    def verdicts(self) -> dict[str, int]:
-        """How many rows of episodes, or of their parts, have which verdict."""
-        rows = self.read(["verdict", "kind"])
-        return dict(sorted(Counter(row["verdict"] for row in rows if row["kind"] != GRASP).items()))
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:

@@ -138,7 +138,7 @@ class Weighing(_Answered):
         """A table with one row per estimated quantity; needs pandas."""
         columns = ("name", "value", "std", "ci95_low", "ci95_high", "unit", "reason", "verdict")
         rows = [(v.name, v.value, v.std, *_ends(v.ci95), v.unit, v.reason, self.verdict) for v in self.estimate.values]
-        return _frame(columns, rows)
+        return frame(columns, rows)
 
     def plot(self) -> Figure:
         """Measured against simulated, with the residual, run by run; of motions torque, joint by joint; of neither why."""
@@ -202,7 +202,7 @@ class CalibrationResult(_Answered, os.PathLike[str]):
         """A table with one row per unknown of the robot: what its file says (prior), and what the runs say; needs pandas."""
         columns = ("name", "value", "std", "unit", "prior", "prior_std")
         rows = [(u.name, u.value, u.std, u.unit, u.prior, u.prior_std) for u in self.estimate.unknowns]
-        return _frame(columns, rows)
+        return frame(columns, rows)
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
         """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
@@ -227,7 +227,7 @@ class CalibrationResult(_Answered, os.PathLike[str]):
         return f"<calibration of {self._about} ({self.verdict})>"
 
 
-class _Listed(Sequence[_Row]):
+class Listed(Sequence[_Row]):
     """Rows that cannot be changed."""
 
     def __init__(self, rows: Iterable[_Row]) -> None:
@@ -240,7 +240,7 @@ class _Listed(Sequence[_Row]):
         return len(self._rows)
 
 
-class Plans(_Listed[ExcitationPlan]):
+class Plans(Listed[ExcitationPlan]):
     """Runs that have not been made, best first.
 
     Attributes:
@@ -260,7 +260,7 @@ class Plans(_Listed[ExcitationPlan]):
     def to_frame(self) -> pandas.DataFrame:
         """A table with one row per plan; needs pandas."""
         keys = ("joint", "current_A", "duration_s", "start", "kind", "travel", "clearance_m", "std_kg", "reason")
-        return _frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
+        return frame(keys, [tuple(getattr(plan, key) for key in keys) for plan in self])
 
     def plot(self) -> Figure:
         """Half of the 95 % interval that each promises."""
@@ -274,7 +274,7 @@ class Plans(_Listed[ExcitationPlan]):
         return f"<{len(self)} plans of {self.robot.name} for {masses} kg>"
 
 
-class Checks(_Listed[BagCheck]):
+class Checks(Listed[BagCheck]):
     """What is in each bag, before any fit.
 
     Attributes:
@@ -298,7 +298,7 @@ class Checks(_Listed[BagCheck]):
         """A table with one row per run; needs pandas."""
         keys = ("name", "joint", "duration_s", "travel", "unit", "current_A", "samples", "problem")
         rows = [(check.bag, *(getattr(run, key) for key in keys)) for check in self for run in check.runs]
-        return _frame(("bag", *keys), rows)
+        return frame(("bag", *keys), rows)
 
     def plot(self) -> Figure:
         """How long each run or motion is; what is not usable is grey."""
@@ -353,8 +353,8 @@ def weigh(
     Raises:
         ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
-    given = _read(locals())
-    return Weighing(replay(given["bags"], _options(given)), given["bags"], _call("weigh", given))
+    given = read_arguments(locals())
+    return Weighing(replay(given["bags"], options_of(given)), given["bags"], _call("weigh", given))
 
 
 def calibrate(
@@ -378,10 +378,10 @@ def calibrate(
     becomes the file ``output`` (.yaml), in the place of an older one only with ``force``. ``progress`` hears in sentences what is
     going on. All else is as for `weigh`, errors included.
     """
-    given = _read(locals())
+    given = read_arguments(locals())
     folder = tempfile.TemporaryDirectory(prefix="proprio-") if output is None else None
     path = Path(given["output"] if folder is None else f"{folder.name}/calibration.yaml")
-    estimate = calibrate_from_bags(given["bags"], given["references"] or {}, _options(given), path, progress, force)
+    estimate = calibrate_from_bags(given["bags"], given["references"] or {}, options_of(given), path, progress, force)
     accepted = estimate.verdict.value == "accepted"
     return CalibrationResult(estimate, path if accepted else None, _call("calibrate", given), folder)
 
@@ -403,9 +403,9 @@ def plan(
     ``seconds``, or when nothing is left to try; the longer, the better its plans. Interrupted, it returns the best so far.
     ``progress`` hears in sentences what is going on. All else is as for `weigh`, errors included.
     """
-    given = _read(locals())
+    given = read_arguments(locals())
     asked = given["masses"]
-    return Plans(*plan_excitations(asked, _options(given), given["count"], progress, given["seconds"]), asked)
+    return Plans(*plan_excitations(asked, options_of(given), given["count"], progress, given["seconds"]), asked)
 
 
 def check(
@@ -422,8 +422,8 @@ def check(
 
     All is as for `weigh`, errors included; what is stated about an object is not looked at.
     """
-    given = _read(locals())
-    return Checks(*check_bags(given["bags"], _options(given)))
+    given = read_arguments(locals())
+    return Checks(*check_bags(given["bags"], options_of(given)))
 
 
 def _path(value: Any) -> str:
@@ -495,7 +495,7 @@ _ARGUMENTS: dict[str, Form] = {
 """What the arguments of all calls may be; facts come by section, each as `_FACTS`."""
 
 
-def _read(given: Mapping[str, Any]) -> dict[str, Any]:
+def read_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
     """The arguments of a call as its code takes them; raises ConfigurationError: One is of the wrong type."""
     known = {"held", "solver"} | {key.partition(".")[0] for probe in all_probes() for key in probe.keys}
     facts = given.get("facts", {})
@@ -507,7 +507,7 @@ def _read(given: Mapping[str, Any]) -> dict[str, Any]:
     return {**stated, "facts": {section: read(section, values, _FACTS) for section, values in facts.items()}}
 
 
-def _options(given: Mapping[str, Any]) -> Options:
+def options_of(given: Mapping[str, Any]) -> Options:
     """What a call states, by the names of its arguments; facts get dotted keys."""
     stated = {entry.name: given[entry.name] for entry in fields(Options) if entry.name in given}
     dotted = dict(given["settings"] or {})
@@ -548,7 +548,8 @@ def _ends(interval: Any) -> tuple[Any, Any]:
     return low, high
 
 
-def _frame(columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> pandas.DataFrame:
+def frame(columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> pandas.DataFrame:
+    """A table; raises ConfigurationError: pandas is not installed."""
     try:
         import pandas
     except ModuleNotFoundError as error:

@@ -27,10 +27,7 @@ def joints_of(unknowns: tuple[UnknownRow, ...]) -> list[str]:
 
 def drive_train_figure(unknowns: tuple[UnknownRow, ...]) -> str:
     """The same as SVG."""
-    with drawn(1.0, 1.0):  # words stay words
-        return svg(
-            draw_drive_trains(unknowns), "Drive-train terms of every joint with 95 % intervals, before and after"
-        )
+    return svg(draw_drive_trains(unknowns), "Drive-train terms of every joint with 95 % intervals, before and after")
 
 
 def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:

@@ -29,8 +29,6 @@ def drawn(width: float, height: float, **grid: Any) -> Iterator[tuple[Any, Any]]
         "font.family": "sans-serif",
         # found on most machines, and the widest where another one has to stand in
         "font.sans-serif": ["DejaVu Sans"],
-        # words stay words: they can be searched and read aloud, and the page is half as large as with drawn letters
-        "svg.fonttype": "none",
         **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
         **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
         **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
@@ -56,8 +54,12 @@ def plain(words: str) -> str:
 
 def svg(figure: Any, description: str) -> str:
     """Inline SVG with a description for those who cannot see it."""
+    import matplotlib
+
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    # words stay words: they can be searched and read aloud, and the page is half as large as with drawn letters
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     # the page scales it, so the size in points goes; ids of several figures must not meet in one document

@@ -61,6 +61,22 @@ def bars_figure(title: str, unit: str, bars: Sequence[tuple[str, float, bool]]) 
         return figure
 
 
+def series_figure(title: str, places: Sequence[str], unit: str, lines: Sequence[tuple[str, Any, Any]]) -> Any:
+    """Named values with half of their intervals, one of each line at every place. A matplotlib ``Figure``."""
+    with drawn(7.4, 3.6) as (figure, axis):
+        for number, (name, values, half) in enumerate(lines):
+            at = np.arange(len(places)) + 0.06 * (
+                number - 0.5 * (len(lines) - 1)
+            )  # beside each other, not on each other
+            axis.errorbar(at, values, yerr=half, fmt="o-", linewidth=1.0, markersize=3.5, capsize=2, label=plain(name))
+        axis.set_xticks(range(len(places)), places, rotation=30, ha="right", fontsize=8.0)
+        axis.locator_params(axis="x", nbins=12) if len(places) > 12 else None
+        axis.set_ylabel(unit)
+        axis.set_title(textwrap.fill(plain(title), 90), loc="left", fontsize=9.5)
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.0)
+        return figure
+
+
 def calibration_figure(estimate: CalibrationEstimate) -> Any:
     """Drive trains before and after; of motions each weighed by the others; else why there is neither. A matplotlib ``Figure``."""
     if joints_of(estimate.unknowns):

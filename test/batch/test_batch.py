@@ -9,6 +9,7 @@ import os
 import sys
 import tracemalloc
 from dataclasses import replace
+from html import unescape
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from support.lerobot_layout import write_data_set
 
 import proprio_ros.batch.local as local
 import proprio_ros.batch.rows as rows_module
-from proprio_ros.batch.drift import periods_of, write_drift
+from proprio_ros.batch.drift import Drift, drift, periods_of, write_drift
 from proprio_ros.batch.episodes import episodes_of
 from proprio_ros.batch.grasps import Grasps
 from proprio_ros.batch.job import run_batch, self_calibrated
@@ -33,6 +34,7 @@ from proprio_ros.batch.rows import Job, rows_of
 from proprio_ros.batch.store import Store, chunks_of
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.replay import read_for, replay
@@ -219,9 +221,9 @@ def test_files_that_no_job_wrote_stay(fleet: Path, tmp_path: Path) -> None:
         assert path.read_bytes() == before
     (tmp_path / "drift.csv").write_text("day,what I saw\n")
     with pytest.raises(ConfigurationError, match=r"drift\.csv is no table of proprio: move it away"):
-        write_drift([], tmp_path / "drift.csv")
-    write_drift([], tmp_path / "new.csv")
-    write_drift([], tmp_path / "new.csv")
+        write_drift(Drift(()), tmp_path / "drift.csv")
+    write_drift(Drift(()), tmp_path / "new.csv")
+    write_drift(Drift(()), tmp_path / "new.csv")
     (tmp_path / "calibration.yaml").write_text("name: mine\n")
     with pytest.raises(ConfigurationError, match="is no calibration of a job here"):
         self_calibrated([], asked(fleet), "--empty", tmp_path, lambda words: None)
@@ -384,7 +386,7 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp
     cut = write_bag(tmp_path / "bags" / "cut", motion)
     storage = next(cut.glob("*.mcap"))
     storage.write_bytes(storage.read_bytes()[:3000])
-    run_batch([tmp_path / "bags"], Job(options), out, said.append, processes=1, empty_first_s=6.0)
+    outcome = run_batch([tmp_path / "bags"], Job(options), out, said.append, processes=1, empty_first_s=6.0)
     assert any("8 of 9 episodes, whose hand is empty at first" in words for words in said)
     *rows, failed = table(out)
     assert failed["kind"] == "failed" and named(failed).endswith("bags/cut --span 6:")
@@ -395,20 +397,47 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(tmp
                                                    span=(6 * 10**9, None))).values[0]  # fmt: skip
     assert (rows[3]["value"], rows[3]["std"]) == (value.value, value.std)
     with open(out / "drift.csv") as stream:
-        drift = list(csv.DictReader(stream))
-    assert len(drift) == 4 * len(FOUR.joints) and all(row["episodes"] == "2" for row in drift)
-    assert [row["period"] for row in drift[:: len(FOUR.joints)]] == sorted({row["period"] for row in drift})
+        written = list(csv.DictReader(stream))
+    assert len(written) == 4 * len(FOUR.joints) and all(row["episodes"] == "2" for row in written)
+    assert [row["period"] for row in written[:: len(FOUR.joints)]] == sorted({row["period"] for row in written})
     first, last = (
-        np.array([[float(row["coulomb_N_m"]), float(row["coulomb_N_m_std"])] for row in drift[part]])
+        np.array([[float(row["coulomb_N_m"]), float(row["coulomb_N_m_std"])] for row in written[part]])
         for part in (slice(0, len(FOUR.joints)), slice(-len(FOUR.joints), None))
     )
     sigmas = np.hypot(1.8 * first[:, 1], last[:, 1])
     assert np.all(np.abs(last[:, 0] - 1.8 * first[:, 0]) < 3.0 * sigmas)
     assert np.max((last[:, 0] - first[:, 0]) / np.hypot(first[:, 1], last[:, 1])) > 1.2
     page = (out / "batch.html").read_text()
-    assert "How the arm drifts" in page and "Coulomb friction of j1" in page
+    assert "How the arm drifts" in page and "Coulomb friction of j1" in page and outcome.drift.sentence() in page
+    kept = outcome.drift.as_json()["rows"]
+    assert [f"{row['coulomb_N_m']:.6g}" for row in kept] == [row["coulomb_N_m"] for row in written]
     with pytest.raises(ConfigurationError, match="are the least that say anything"):
         run_batch([tmp_path / "bags"], Job(options), tmp_path / "no", said.append, empty_first_s=1.0)
+
+
+def test_drift_shows_itself_in_python(tmp_path: Path) -> None:
+    robot = write_robot(tmp_path, build=FOUR)
+    bags = [
+        write_bag(tmp_path / "bags" / f"{n}", Arm(3, drift=1.0 + n).record(n, 12.0), BEGIN_NS + n * 86_400 * 10**9)
+        for n in range(2)
+    ]
+    (tmp_path / "bags" / "cut").mkdir()
+    (tmp_path / "bags" / "cut" / "metadata.yaml").touch()
+    asked: dict[str, Any] = {"robot": robot, "effort_unit": "N.m", "settings": SETTINGS}
+    found = drift(tmp_path / "bags", **asked)
+    assert repr(found) == "<drift over 2 periods>" and [period.episodes for period in found] == [1, 1]
+    assert len(found.to_frame()) == len(found.as_json()["rows"]) == 2 * len(FOUR.joints)
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.Draft202012Validator(json.loads(resource("schema", "output").read_text())).validate(found.as_json())
+    assert "Coulomb friction of j" in found.sentence() and found.sentence() in unescape(found._repr_html_())
+    (axis,) = found.plot().axes
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == list(FOUR.joints)
+    (alone,) = drift(bags[:1], **asked)
+    assert alone.name == found[0].name
+    one = drift(bags[:1], **asked)
+    assert "no two periods" in one._repr_html_() and one.plot().axes
+    with pytest.raises(RecordingError, match="cut"):
+        drift(tmp_path / "bags" / "cut", **asked)
 
 
 def test_drift_is_by_day_by_week_or_by_episode() -> None:

@@ -16,6 +16,7 @@ pytest.importorskip("pyarrow", reason="needs the extra batch")
 from support.browser import DARK, PAPER_PX, Look, brightness, on_paper
 from support.browser import MEASURE as READABLE
 
+from proprio_ros.batch.drift import Drift
 from proprio_ros.batch.page import odd, write_batch_page
 from proprio_ros.batch.rows import COLUMNS, Job, source_name
 from proprio_ros.batch.store import Store
@@ -82,7 +83,10 @@ def page_of(folder: Path, rows: list[dict[str, Any]], options: Options | None = 
     for source in SOURCES:
         if own := [row for row in rows if row["source"] == source]:
             store.write(own, "0")
-    write_batch_page(store, folder / "batch.html", "proprio batch /data --out out", {}, options=options, **more)
+    read = store.read(COLUMNS)
+    write_batch_page(
+        read, folder / "batch.html", "proprio batch /data --out out", {}, Drift(()), options=options, **more
+    )
     store.close()
     return folder / "batch.html"
 

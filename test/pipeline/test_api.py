@@ -18,7 +18,7 @@ from support.recording_bag import write_recording
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import proprio_ros
-from proprio_ros import calibrate, check, plan, weigh
+from proprio_ros import calibrate, check, drift, plan, weigh
 from proprio_ros.cli import main
 from proprio_ros.errors import LONGEST_SENTENCE, ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict, no_answer
@@ -72,8 +72,9 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
 )
 def test_the_names_are_calls_in_every_order(before: str) -> None:
     code = (
-        f"{before}\nfrom proprio_ros import calibrate, check, plan, weigh\nimport proprio_ros, proprio_ros.pipeline.calibrate\n"
-        "assert all(type(c).__name__ == 'function' for c in (calibrate, check, plan, weigh, proprio_ros.calibrate))"
+        f"{before}\nfrom proprio_ros import calibrate, check, drift, plan, weigh\n"
+        "import proprio_ros, proprio_ros.pipeline.calibrate\n"
+        "assert all(type(c).__name__ == 'function' for c in (calibrate, check, drift, plan, weigh, proprio_ros.calibrate))"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
@@ -120,7 +121,7 @@ def test_facts_by_section_or_by_dotted_key(result: Weighing) -> None:
         weigh(BAG, payload={"colour": "red"})
 
 
-RIGHT = {weigh: (BAG,), calibrate: (EMPTY[0],), plan: (0.05,), check: (BAG,)}
+RIGHT = {weigh: (BAG,), calibrate: (EMPTY[0],), plan: (0.05,), check: (BAG,), drift: (BAG,)}
 WRONG = [b"x", 1j, object(), [None], [[]], [{}], {5: 6}, {None: None}, np.zeros((2, 2)), [b"x"], ["a", 5], {BAG: "x"}]
 WORDS = [5, 10**400, float("nan"), True, [], ["a"], {}, {"payload.size": 1}, int, iter(["a"])]
 NO_NUMBERS = ["no such", "", None, float("nan"), [0.1, True]]
