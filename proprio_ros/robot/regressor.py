@@ -94,16 +94,17 @@ def momentum_and_gravity(
     back = np.swapaxes(rotation, 1, 2)
     spin = (back @ twist[:, :3, None])[..., 0]
     speed = (back @ (twist[:, 3:] + np.cross(twist[:, :3], origin))[..., None])[..., 0]
-    linear, angular = np.zeros((count, 3, PARAMETERS)), np.zeros((count, 3, PARAMETERS))
+    linear, angular = np.zeros((count, 3, 4)), np.zeros((count, 3, PARAMETERS))  # inertia has no linear momentum
     linear[:, :, 0], linear[:, :, 1:4] = speed, _skew(spin)
     angular[:, :, 1:4] = -_skew(speed)
     for column, (row, other) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)], start=4):
         angular[:, row, column] = spin[:, other]
         angular[:, other, column] = spin[:, row]
-    linear = rotation @ linear
+    momentum, wrench = np.zeros((2, count, 6, PARAMETERS))
     lever = _skew(origin)
-    momentum = np.concatenate([rotation @ angular + lever @ linear, linear], axis=1)
-    force, moment = np.zeros((count, 3, PARAMETERS)), np.zeros((count, 3, PARAMETERS))
-    force[:, :, 0] = gravity
-    moment[:, :, 1:4] = -_skew(gravity) @ rotation
-    return momentum, np.concatenate([moment + lever @ force, force], axis=1)
+    momentum[:, 3:, :4] = linear = rotation @ linear
+    momentum[:, :3] = rotation @ angular
+    momentum[:, :3, :4] += lever @ linear
+    wrench[:, :3, 0], wrench[:, 3:, 0] = lever @ gravity, gravity
+    wrench[:, :3, 1:4] = -_skew(gravity) @ rotation
+    return momentum, wrench

@@ -288,38 +288,38 @@ class Twin:
         warm, middle, speed = own.friction, middle + own.elsewhere, own.speed * speed
         viscous = self.viscous * (1.0 if differs is None else warm)
 
-        def wanted(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            angle = speed * t + phase
-            return (
-                middle + (size * np.sin(angle)).sum(1),
-                (size * speed * np.cos(angle)).sum(1),
-                -(size * speed**2 * np.sin(angle)).sum(1),
-            )
-
-        data.qpos[:], data.qvel[:], _ = wanted(0.0)
+        steps = round((seconds + 1.0) / STEP_S)
+        angle = speed * (np.arange(steps) * STEP_S)[:, None, None] + phase
+        sine = np.sin(angle)
+        wanted = (
+            middle + (size * sine).sum(-1),
+            (size * speed * np.cos(angle)).sum(-1),
+            -(size * speed**2 * sine).sum(-1),
+        )
+        qpos, qvel, bias, applied = data.qpos, data.qvel, data.qfrc_bias, data.qfrc_applied
+        qpos[:], qvel[:] = wanted[0][0], wanted[1][0]
         constants = np.array(build.constants)
         queue = [np.zeros(count)] * (self.delay + 1)
         times, positions, currents, true = [], [], [], []
         every = round(1.0 / RATE_HZ / STEP_S)
         full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
-        for step in range(round((seconds + 1.0) / STEP_S)):
-            q, qd, qdd = wanted(step * STEP_S)
+        for step, (q, qd, qdd) in enumerate(zip(*wanted, strict=True)):
             inertia_matrix(model, data, full)
-            measured = data.qpos + 1e-4 * rng.standard_normal(count)
-            command = full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - data.qvel)) + data.qfrc_bias + viscous * qd
+            measured = qpos + 1e-4 * rng.standard_normal(count)
+            command = full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)) + bias + viscous * qd
             queue.append(command)
             torque = queue.pop(0)
-            transmitted = torque - viscous * data.qvel
-            coulomb = self.coulomb * warm * (1.0 + self.place * self.wave(data.qpos))
-            direction = np.tanh(data.qvel / 0.01)
+            transmitted = torque - viscous * qvel
+            coulomb = self.coulomb * warm * (1.0 + self.place * self.wave(qpos))
+            direction = np.tanh(qvel / 0.01)
             lost = (coulomb + self.gears * np.abs(transmitted)) * direction
-            data.qfrc_applied[:] = transmitted - lost
+            applied[:] = transmitted - lost
             sampled = step * STEP_S >= 1.0 and step % every == 0
             if sampled:
-                true.append([data.qpos.copy(), data.qvel.copy(), data.qvel, torque])
+                true.append([qpos.copy(), qvel.copy(), qvel, torque])
                 times.append(step * STEP_S + 2e-4 * rng.standard_normal())
-                positions.append(data.qpos - own.zero + 1e-4 * rng.standard_normal(count))
+                positions.append(qpos - own.zero + 1e-4 * rng.standard_normal(count))
                 said = own.scale * (torque + own.offset) / (constants * self.torque)
                 currents.append(said + build.current_noise_A * rng.standard_normal(count))
             mujoco.mj_step(model, data)
