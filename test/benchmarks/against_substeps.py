@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import case as cases
 import numpy as np
 import warp as wp
 from case import AGREEMENT_KG, STARTS_KG, Case, Row, Timing, compare, measure_in_turn
@@ -62,9 +63,10 @@ class PerSubstep:
         case: the run and the coefficients of its joint.
         frames: how many frames are simulated.
         target: the position that the last one should have [rad].
+        substeps: steps of a frame.
     """
 
-    def __init__(self, case: Case, frames: int, target: float) -> None:
+    def __init__(self, case: Case, frames: int, target: float, substeps: int) -> None:
         p, dp = case.parameters(np.array([0.0]))
         worlds = len(STARTS_KG)
         self._target = target
@@ -72,7 +74,8 @@ class PerSubstep:
         self._empty = wp.array(p[0, :4], dtype=FLOAT, device="cpu")
         self._per_kg = wp.array(dp[0, :4, 0], dtype=FLOAT, device="cpu")
         self.mass = wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True)
-        steps = frames * SUBSTEPS
+        steps = frames * substeps
+        self._step_s = FRAME_S / substeps
         self._q = [wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True) for _ in range(steps + 1)]
         self._v = [wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True) for _ in range(steps + 1)]
         self._q[0].fill_(float(p[0, INDEX["q0"]]))
@@ -83,13 +86,12 @@ class PerSubstep:
         self.mass.assign(mass[:, 0])
         self._loss.zero_()
         tape = wp.Tape()
-        h = FRAME_S / SUBSTEPS
         with tape:
             for n in range(len(self._q) - 1):
                 wp.launch(
                     _step,
                     dim=len(mass),
-                    inputs=[self.mass, self._empty, self._per_kg, self._torque, h, self._q[n], self._v[n]],
+                    inputs=[self.mass, self._empty, self._per_kg, self._torque, self._step_s, self._q[n], self._v[n]],
                     outputs=[self._q[n + 1], self._v[n + 1]],
                     device="cpu",
                 )
@@ -105,9 +107,9 @@ class PerSubstep:
 class OneLaunch:
     """The same loss and gradient from our tangent kernel with the same substeps."""
 
-    def __init__(self, case: Case, frames: int, target: float) -> None:
+    def __init__(self, case: Case, frames: int, target: float, substeps: int) -> None:
         run = case.problem.simulator.runs[0]
-        step = FRAME_S / SUBSTEPS
+        step = FRAME_S / substeps
         last = JointRun(
             np.array([frames * FRAME_S]),
             run.input_times_s,
@@ -141,11 +143,12 @@ def rows(case: Case) -> list[Row]:
     """Time of a gradient, and of an identification."""
     frames = int(np.floor(case.prepared.times_s[-1] / FRAME_S + 1e-6))
     target = float(np.interp(frames * FRAME_S, case.prepared.times_s, case.prepared.position))
-    theirs, same = PerSubstep(case, frames, target), OneLaunch(case, frames, target)
+    substeps = 16 if cases.once else SUBSTEPS
+    theirs, same = (way(case, frames, target, substeps) for way in (PerSubstep, OneLaunch))
     starts = np.array(STARTS_KG)[:, None]
     a, b = theirs(starts), same(starts)
     apart = max(float(np.abs(x - y).max() / np.abs(y).max()) for x, y in zip(a, b, strict=True))
-    what = f"one launch per substep + wp.Tape, {SUBSTEPS} Euler steps a frame"
+    what = f"one launch per substep + wp.Tape, {substeps} Euler steps a frame"
     if not apart <= EQUAL:
         return [Row(what, None, "void", False, f"gradients differ by {apart:.1e}")]
     p, dp = case.parameters(np.array(STARTS_KG))

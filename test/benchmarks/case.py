@@ -67,6 +67,17 @@ def measure(function: Callable[[], Any], repeats: int = REPEATS, calls: int = 1,
     return Timing(statistics.median(times), min(times), repeats)
 
 
+class Kept:
+    """A function with what it gave last; called once before it is timed, but where everything is timed by a single call."""
+
+    def __init__(self, function: Callable[[], Any]) -> None:
+        self._function = function
+        self.answer = None if once else function()
+
+    def __call__(self) -> None:
+        self.answer = self._function()
+
+
 def measure_in_turn(
     functions: Sequence[Callable[[], Any]], repeats: int, calls: Sequence[int], warm_up: int = 1
 ) -> list[Timing]:
@@ -184,10 +195,11 @@ def compare(what: str, solve: Callable[[], tuple[np.ndarray, float]], goal: floa
         solve: returns where each of its starts ended and the one of them that it answers [kg].
         goal: how many times as long as ours it should take.
     """
-    masses, best = solve()
+    kept = Kept(solve)
+    theirs, ours = measure_in_turn((kept, case.solve), repeats, (1, 10), warm_up=0)
+    masses, best = kept.answer
     off = best - case.mass
     found = f"found {1e3 * best:.2f} g ({1e3 * off:+.2f} g), starts {', '.join(f'{1e3 * mass:.2f}' for mass in masses)}"
-    theirs, ours = measure_in_turn((solve, case.solve), repeats, (1, 10), warm_up=0)
     if not abs(off) <= AGREEMENT_KG:
         return Row(what, theirs, "void", False, found)
     ratio = theirs.median / ours.median

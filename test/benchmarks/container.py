@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from case import REPEATS, REPOSITORY, Case, Row, Timing, measure, measure_in_turn
+from case import REPEATS, REPOSITORY, Case, Kept, Row, Timing, measure, measure_in_turn
 from scipy.optimize import least_squares
 from support.plain_laws import parts, record_forward, states_of
 
@@ -502,10 +502,10 @@ def _fit_rows(what: str, mass_alone: bool, fuller: Timing | None = None) -> list
     best = masses[answer.best]
     rows: list[Row] = []
     for integrator, step_s in MUJOCO_SETTINGS:
-        solve = mujoco_fit(box, step_s, integrator)
-        their_masses, costs, rollouts = solve()
-        their_best = their_masses[int(np.argmin(costs))]
+        solve = Kept(mujoco_fit(box, step_s, integrator))
         theirs, ours = measure_in_turn((solve, box.solve), 9 if mass_alone else 3, (1, 5), warm_up=0)
+        their_masses, costs, rollouts = solve.answer
+        their_best = their_masses[int(np.argmin(costs))]
         if not rows:
             ending = _ending(masses, best, f"{answer.iterations} iterations")
             rows.append(Row(f"ours: sphere in a box, five starts, unknown {what}", ours, note=ending))

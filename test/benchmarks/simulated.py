@@ -29,6 +29,8 @@ from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95, Quantity
 from proprio_ros.robot import Robot, load_robot
 
+at_most: int | None = None
+"""Of the recordings of each kind; None for all."""
 RECORDINGS = REPOSITORY.parent / "shared" / "recordings"
 ROBOT = load_robot("open_manipulator_x")
 REALISTIC = ("realistic_s00", "realistic_s01")
@@ -110,7 +112,7 @@ def weighing(results: Results, levels: Sequence[str]) -> None:
         results.row("weighing", level=level, recordings=LEVELS[level], known=known, **answers.figures())
 
     for level in levels:
-        folders = simulated.fixed(RECORDINGS, level)
+        folders = simulated.fixed(RECORDINGS, level)[:at_most]
         if level in ("ideal_s00", "quantised_s00"):
             row(level, "robot file", weighed(folders))
             continue
@@ -122,7 +124,7 @@ def weighing(results: Results, levels: Sequence[str]) -> None:
             row(level, "calibrated on its empty runs", weighed(folders, calibrated_on(empty)))
             reference = simulated.reference_runs(RECORDINGS / level, ROBOT)
             row(level, "and on three with 100 g", weighed(folders, calibrated_on(empty + reference)))
-        row(level, "robot file", weighed(simulated.fixed(RECORDINGS, level)))
+        row(level, "robot file", weighed(simulated.fixed(RECORDINGS, level)[:at_most]))
 
 
 def container(results: Results, levels: Sequence[str]) -> None:
@@ -157,18 +159,18 @@ def container(results: Results, levels: Sequence[str]) -> None:
             single, empty, together = Answers(), Answers(), Answers()
             here = {"level": level, "recordings": LEVELS[level]}
             if robot is ROBOT:
-                for folder in boxes.folders("container_sphere_*"):
+                for folder in boxes.folders("container_sphere_*")[:at_most]:
                     mass = simulated.truth_of(folder)["container"]["sphere_mass"]
                     single.add(boxes.find([folder]), "sphere_mass", mass)
                 results.row("container, not calibrated", **here, **single.figures())
                 continue
-            for folder in boxes.folders("container_*"):
+            for folder in boxes.folders("container_*")[:at_most]:
                 mass = simulated.truth_of(folder)["container"]["sphere_mass"]
                 estimate = boxes.find([folder])
                 for answers in (single,) if mass else (single, empty):
                     answers.add(estimate, "sphere_mass", mass)
             for sphere in ("12g", "random"):
-                folders = boxes.folders(f"container_sphere_{sphere}_*")
+                folders = boxes.folders(f"container_sphere_{sphere}_*")[:at_most]
                 mass = simulated.truth_of(folders[0])["container"]["sphere_mass"]
                 together.add(boxes.find(folders), "sphere_mass", mass)
             results.row(
@@ -233,7 +235,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("tables", nargs="*", default=list(tables), help=", ".join(tables))
     parser.add_argument("--robots", nargs="+", default=list(LEVELS), choices=list(LEVELS), help="default: all")
+    parser.add_argument("--at-most", type=int, help="of the recordings of each kind; default: all")
     options = parser.parse_args(arguments)
+    global at_most
+    at_most = options.at_most
     results = Results(__file__, options.json, arguments)
     for name in options.tables:
         tables[name](results, options.robots)

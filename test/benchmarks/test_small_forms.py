@@ -14,11 +14,18 @@ from results import REPOSITORY
 
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
-    "between_recordings": ("--arms", "1", "--servos", "0", "--pendulums", "1", "--jobs", "1", "--real"),
-    "block_until": ("--robots", "1", "--jobs", "1"),
-    "container_until": ("--robots", "1", "--first", "9001", "--reference", "none", "--fixed-every", "2", "--jobs", "1"),
+    "between_recordings": ("--arms", "0", "--servos", "0", "--pendulums", "1", "--jobs", "1", "--real"),
+    "block_until": ("--robots", "1", "--at-most", "12", "--jobs", "1"),
+    "container_until": (
+        "--robots=1",
+        "--first=9001",
+        "--reference=none",
+        "--fixed-every=2",
+        "--at-most=20",
+        "--jobs=1",
+    ),
     "coverage": ("--robots", "1", "--per-effect", "0", "--jobs", "1"),
-    "distorted": ("--only", "nothing", "currents x 2"),
+    "distorted": ("--only", "every fourth sample"),
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),
@@ -27,8 +34,8 @@ SMALL: dict[str, tuple[str, ...]] = {
     "real": ("--machines", "open_manipulator"),
     "running": ("--arms", "1"),
     "servos": ("--servos", "1", "--questions", "1"),
-    "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00"),
-    "so101": ("--arms", "1", "--first", "1", "--seconds", "25"),
+    "simulated": ("weighing", "container", "blocks", "paper", "--robots", "quantised_s00", "--at-most", "1"),
+    "so101": ("--arms", "1", "--first", "1", "--seconds", "15"),
     "spheres": ("--robots", "1", "--jobs", "1"),
     "squeezes": ("--robots", "1"),
     "swings": ("--pendulums", "1"),
