@@ -8,7 +8,6 @@ Bayes (MacKay 1992): how coarse the residuals are, and how much torque differs f
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 
@@ -76,15 +75,14 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         noise = replace(noise, swing_error=FIRST_SWING_ERROR)
     problem = _problem(robot, runs, noise)
     most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
-    search = functools.partial(solvers.levenberg_marquardt, persistent=swings)
-    solution = search(problem, _starts(problem), problem.simulator.windows, iterations=most)
+    solution = solvers.levenberg_marquardt(problem, _starts(problem), problem.simulator.windows, iterations=most)
     values = FitResult.of(problem, solution).values
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         before, noise = noise, (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.free][None])
-        values = FitResult.of(problem, search(problem, start, None, iterations=again_most)).values
+        values = FitResult.of(problem, solvers.levenberg_marquardt(problem, start, None, iterations=again_most)).values
         if noise.near(before):
             break
     posterior = Posterior(problem, values)
@@ -151,7 +149,7 @@ def _follows(fitted: Fitted, column: int) -> np.ndarray:
         other = Problem(problem.robot, problem.runs, problem.facts, unknowns)
         now[column] = unknowns[row].value
         start = other.coordinates.internal(now[None])
-        found = solvers.levenberg_marquardt(other, start, None, iterations=SWING_ITERATIONS, persistent=True)
+        found = solvers.levenberg_marquardt(other, start, None, iterations=SWING_ITERATIONS)
         now = other.coordinates.physical(found.internal)[0]
         if missed_share(Posterior(other, other.all_values(now[None])[0])) > MISSED_SHARE:
             break  # with so much of it the joint would not have swung like that

@@ -137,7 +137,9 @@ def solve_load(
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
         iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)
-        solution = solvers.levenberg_marquardt(problem, starts, windows, iterations=iterations, tolerance=tolerance)
+        solution = solvers.levenberg_marquardt(
+            problem, starts, windows, iterations=iterations, tolerance=tolerance, persistent=not rough
+        )
     elif options.solver == "adam":
         solution = solvers.adam(problem, starts)
     else:

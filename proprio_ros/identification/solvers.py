@@ -88,7 +88,7 @@ def levenberg_marquardt(
     window_iterations: int = 3,
     iterations: int = 30,
     tolerance: float = 1e-4,
-    persistent: bool = False,
+    persistent: bool = True,
 ) -> Solution:
     """Batched Levenberg-Marquardt on growing windows (Marquardt 1963, damping scaled by the diagonal).
 
@@ -102,7 +102,8 @@ def levenberg_marquardt(
         window_iterations: On each window but the last.
         iterations: At most so many on the last.
         tolerance: Of a start's step over its standard deviation.
-        persistent: Whether a start that overshot three times goes on with shorter steps, until the damping ends it.
+        persistent: Whether a start that overshot three times goes on with shorter steps, until the damping ends it: without that
+            it may end far from the least cost, so only a rough fit goes without.
     """
     coordinates = problem.coordinates
     u = np.clip(starts, coordinates.lower, coordinates.upper)

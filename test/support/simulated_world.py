@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from rclpy.parameter import Parameter
@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 import proprio_ros
 from proprio_ros import clock as time_source
 from proprio_ros.bus.dynamixel import DynamixelBus
+from proprio_ros.sim import runtime as kernels
 from proprio_ros.virtual import robot as virtual_robot
 from proprio_ros.virtual.objects import HandObject
 from proprio_ros.virtual.servo import CONTROL_PERIOD_S
@@ -198,7 +199,9 @@ class World:
         self.clock = SimulatedClock(seed)
         self.graph = Graph(self.clock, seed, network or Network())
         GRAPH.append(self.graph)
-        self._before = time_source.use(self.clock), virtual_robot.PtyPort
+        self._before = time_source.use(self.clock), virtual_robot.PtyPort, kernels.progress
+        # what has to be compiled is said, so that a world would go another way on a computer that has no kernels yet
+        kernels.progress = SimpleNamespace(say=lambda _words: None)  # type: ignore[assignment]
         virtual_robot.PtyPort = SimulatedPort  # type: ignore[assignment,misc]
         ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(
             port, *rest, connect=partial(Wire, self.clock, port)
@@ -268,7 +271,7 @@ class World:
     def close(self) -> None:
         with contextlib.suppress(Ended):
             self.clock.end()
-        before, virtual_robot.PtyPort = self._before  # type: ignore[misc]
+        before, virtual_robot.PtyPort, kernels.progress = self._before  # type: ignore[misc]
         time_source.use(before)
         GRAPH.remove(self.graph)
 
